@@ -1,0 +1,64 @@
+"""The extended kinematic graph: edges between parts, each with the segments of joints that govern it.
+
+Source: MICAH, section III-A, the set of tuples (τ^(k-1), τ^k, M^k, θ^k) per edge and its configurational changepoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from micah_plan.automaton.joint import Joint
+
+BASE = "base"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of rows governed by one joint.
+
+    Attributes:
+        joint: the fitted joint. The joints of one edge share one continuous configuration coordinate: their origins
+            are chosen so that configurations agree at the changepoints, and it is 0 at the edge's first row and grows
+            in the direction in which the object moved.
+        run: run that the rows belong to.
+        start, end: first and last row (inclusive), counted within the whole recording.
+        configuration_start, configuration_end: configuration at these rows [rad or m].
+        configuration_range: (smallest, largest) configuration within the segment.
+        process_std: std of the configuration's step that the model leaves unexplained [rad or m, per step].
+        observation_std: std of one pose measurement expressed as configuration [rad or m].
+        log_evidence: BIC-penalised log evidence of the chosen model (paper, equation for ln L).
+        probability: posterior probability of the joint kind among the candidates for these rows.
+    """
+
+    joint: Joint
+    run: int
+    start: int
+    end: int
+    configuration_start: float
+    configuration_end: float
+    configuration_range: tuple[float, float]
+    process_std: float
+    observation_std: float
+    log_evidence: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class KinematicEdge:
+    """How one part moves relative to another: its segments in time order."""
+
+    parent: str
+    child: str
+    segments: tuple[Segment, ...]
+
+    @property
+    def changepoints(self) -> tuple[int, ...]:
+        """First row of every segment but the first."""
+        return tuple(segment.start for segment in self.segments[1:])
+
+
+@dataclass(frozen=True)
+class KinematicGraph:
+    """A tree of parts; `edges` are ordered parents first."""
+
+    edges: tuple[KinematicEdge, ...]

@@ -1,0 +1,249 @@
+"""The hybrid automaton H = (Q, X, U, Init, f, I, E, G, R, φ) of an articulated object.
+
+Source: MICAH, sections II-C and III-B; Lygeros, Sastry and Tomlin, "Hybrid systems".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.joint import Joint, Quaternion, Vector3
+from micah_plan.automaton.region import Region
+from micah_plan.errors import InputError, shown
+
+Floats = NDArray[np.float64]
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A continuous state or input.
+
+    Attributes:
+        name: e.g. the name of the part that it moves.
+        unit: ``"rad"`` or ``"m"``.
+    """
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """A shape fixed to a part, for drawing and for physics.
+
+    Attributes:
+        kind: ``"box"`` (size: full lengths x, y, z), ``"cylinder"`` (size: radius, length along z) or ``"sphere"``.
+        size: in m.
+        position, quaternion: its pose in the part's frame.
+        color: ``"#rrggbb"``.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    position: Vector3 = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    color: str = "#9aa5b1"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rigid body of the object.
+
+    Attributes:
+        handle: where a hand holds it, in the part's frame [m]; None: the part's origin.
+    """
+
+    name: str
+    shapes: tuple[Primitive, ...] = ()
+    handle: Vector3 | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A kinematic edge: the pose of `child` relative to `parent` follows coordinate number `coordinate`."""
+
+    parent: str
+    child: str
+    coordinate: int
+
+
+@dataclass(frozen=True)
+class Pin:
+    """A coordinate that a mode holds at one value: a rigid joint at its configurational changepoint.
+
+    Being in such a mode is information: the coordinate is known to `std`.
+    """
+
+    coordinate: int
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Reset:
+    """The affine map x⁺ = A x + B u + c that a transition applies. A None stands for the identity A and zero B, c."""
+
+    A: Matrix | None = None
+    B: Matrix | None = None
+    c: tuple[float, ...] | None = None
+
+    @property
+    def is_identity(self) -> bool:
+        return self.A is None and self.B is None and self.c is None
+
+    def matrices(self, n: int, m: int) -> tuple[Floats, Floats, Floats]:
+        """A (n, n), B (n, m), c (n,)."""
+        a = np.eye(n) if self.A is None else np.array(self.A, dtype=float)
+        b = np.zeros((n, m)) if self.B is None else np.array(self.B, dtype=float)
+        return a, b, np.zeros(n) if self.c is None else np.array(self.c, dtype=float)
+
+    def apply(self, x: Floats, u: Floats) -> Floats:
+        """x⁺ for x (..., n), u (..., m)."""
+        a, b, c = self.matrices(np.shape(x)[-1], np.shape(u)[-1])
+        return np.asarray(x @ a.T + u @ b.T + c)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A discrete state q.
+
+    Attributes:
+        name: unique in the automaton.
+        joints: one per link, in the order of the automaton's links.
+        input_matrix: B (n, m) of the local dynamics f: x⁺ = x + B u (u is a displacement, in the coordinate's unit).
+        invariant: I(q), where the mode's dynamics hold.
+        inputs: φ(q, x), the admissible inputs.
+        pins: coordinates that the mode holds fixed.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    input_matrix: Matrix
+    invariant: Region = field(default_factory=Region)
+    inputs: Region = field(default_factory=Region)
+    pins: tuple[Pin, ...] = ()
+
+    @cached_property
+    def B(self) -> Floats:
+        matrix = np.array(self.input_matrix, dtype=float)
+        matrix.setflags(write=False)
+        return matrix
+
+    def flow(self, x: Floats, u: Floats) -> Floats:
+        """x⁺ of this mode's own dynamics, without guards, for x (..., n), u (..., m)."""
+        return np.asarray(x + u @ self.B.T)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A transition: taken when the guard holds; of several that hold at the same moment the first listed is taken.
+
+    A self transition (source == target) is a clamp: its reset keeps x at the end of the range.
+    """
+
+    source: str
+    target: str
+    guard: Region
+    reset: Reset = field(default_factory=Reset)
+
+    @property
+    def is_self_transition(self) -> bool:
+        return self.source == self.target
+
+    @property
+    def name(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations per coordinate.
+
+    Attributes:
+        process_std: (n,) of the step that the dynamics leave unexplained [rad or m, per step].
+        observation_std: (n,) of one measurement of the configuration [rad or m].
+    """
+
+    process_std: tuple[float, ...]
+    observation_std: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class HybridAutomaton:
+    """The object's motion model. Order matters: of modes for display, of edges for priority.
+
+    Attributes:
+        coordinates: X, the continuous states.
+        inputs: U, the inputs (displacements).
+        links: which coordinate moves which part.
+        parts: the bodies, with the shapes to draw and the handle.
+        modes: Q with f, I and φ.
+        edges: E with G and R.
+        noise: process and observation noise.
+        init: Init, regions of x per mode name; empty: wherever an invariant holds.
+        provenance: where the model came from (recording digest, method, seed, versions), as text.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Coordinate, ...]
+    links: tuple[Link, ...]
+    parts: tuple[Part, ...]
+    modes: tuple[Mode, ...]
+    edges: tuple[Edge, ...]
+    noise: Noise
+    init: tuple[tuple[str, Region], ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of continuous states."""
+        return len(self.coordinates)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @cached_property
+    def _modes_by_name(self) -> dict[str, Mode]:
+        return {mode.name: mode for mode in self.modes}
+
+    def mode(self, name: str) -> Mode:
+        """The mode of that name.
+
+        Raises:
+            InputError: if there is none; the message lists the names.
+        """
+        if name not in self._modes_by_name:
+            raise InputError(f"unknown mode {shown(name)}", remedy=f"choose one of {', '.join(self._modes_by_name)}")
+        return self._modes_by_name[name]
+
+    def edges_from(self, name: str) -> tuple[Edge, ...]:
+        """All edges that leave a mode, self transitions included, in order of priority."""
+        return tuple(edge for edge in self.edges if edge.source == name)
+
+    def coordinate_index(self, name: str) -> int:
+        """Index of the coordinate of that name.
+
+        Raises:
+            InputError: if there is none; the message lists the names.
+        """
+        names = [coordinate.name for coordinate in self.coordinates]
+        if name not in names:
+            raise InputError(f"unknown coordinate {shown(name)}", remedy=f"choose one of {', '.join(names)}")
+        return names.index(name)
+
+    def part(self, name: str) -> Part:
+        """The part of that name, without shapes if the model describes none."""
+        return next((part for part in self.parts if part.name == name), Part(name))
+
+    def modes_at(self, x: Floats, tolerance: float = 0.0) -> tuple[str, ...]:
+        """Names of the modes whose invariant holds x (n,) at zero input."""
+        u = np.zeros(self.m)
+        return tuple(mode.name for mode in self.modes if mode.invariant.contains(x, u, tolerance))

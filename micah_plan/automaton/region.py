@@ -1,0 +1,125 @@
+"""Half-spaces on (x, u) and their intersections: the one set type for guards, invariants and admissible inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """The set ``{(x, u): a'x + b'u >= c}``, or ``> c`` if it is strict.
+
+    Attributes:
+        a: (n,) weights of the continuous state.
+        b: (m,) weights of the input.
+        c: threshold, in the unit of the left-hand side.
+        strict: whether the boundary itself lies outside.
+        name: how messages and constraint rows call it, e.g. ``"door >= 1.2"``.
+    """
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    c: float
+    strict: bool = False
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite([*self.a, *self.b, self.c])):
+            raise InputError(f"half-space '{self.name}': all coefficients must be finite. Got {self}")
+
+    def margin(self, x: Floats, u: Floats) -> Floats:
+        """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
+        return np.asarray(x @ np.array(self.a) + u @ np.array(self.b) - self.c)
+
+
+@dataclass(frozen=True)
+class Region:
+    """An intersection of half-spaces. Without any it is the whole space."""
+
+    half_spaces: tuple[HalfSpace, ...] = ()
+
+    @cached_property
+    def _arrays(self) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+        rows = self.half_spaces
+        return (
+            np.array([h.a for h in rows]),
+            np.array([h.b for h in rows]),
+            np.array([h.c for h in rows]),
+            np.array([h.strict for h in rows], dtype=bool),
+        )
+
+    @property
+    def is_everything(self) -> bool:
+        return not self.half_spaces
+
+    def margins(self, x: Floats, u: Floats) -> Floats:
+        """(..., k) margins of the k half-spaces at x (..., n), u (..., m); positive inside."""
+        if self.is_everything:
+            return np.zeros((*np.shape(x)[:-1], 0))
+        a, b, c, _ = self._arrays
+        return np.asarray(x @ a.T + u @ b.T - c)
+
+    def contains(self, x: Floats, u: Floats, tolerance: float = 0.0) -> NDArray[np.bool_]:
+        """Whether each (x, u) lies inside; a tolerance > 0 admits points that far outside."""
+        if self.is_everything:
+            return np.ones(np.shape(x)[:-1], dtype=bool)
+        margins = self.margins(x, u)
+        strict = self._arrays[3]
+        inside = np.where(strict, margins > -tolerance, margins >= -tolerance)
+        return np.asarray(inside.all(axis=-1))
+
+    def intersection(self, other: Region) -> Region:
+        return Region(self.half_spaces + tuple(h for h in other.half_spaces if h not in self.half_spaces))
+
+
+def above(index: int, threshold: float, n: int, m: int, *, strict: bool = False, name: str = "x") -> HalfSpace:
+    """``x[index] >= threshold`` (or >) in a space of n states and m inputs."""
+    return HalfSpace(_unit(index, n), (0.0,) * m, threshold, strict, f"{name} {'>' if strict else '>='} {threshold:g}")
+
+
+def below(index: int, threshold: float, n: int, m: int, *, strict: bool = False, name: str = "x") -> HalfSpace:
+    """``x[index] <= threshold`` (or <)."""
+    a = tuple(-w for w in _unit(index, n))
+    return HalfSpace(a, (0.0,) * m, -threshold, strict, f"{name} {'<' if strict else '<='} {threshold:g}")
+
+
+def input_above(index: int, threshold: float, n: int, m: int, *, strict: bool = False, name: str = "u") -> HalfSpace:
+    """``u[index] >= threshold`` (or >)."""
+    text = f"{name} {'>' if strict else '>='} {threshold:g}"
+    return HalfSpace((0.0,) * n, _unit(index, m), threshold, strict, text)
+
+
+def input_below(index: int, threshold: float, n: int, m: int, *, strict: bool = False, name: str = "u") -> HalfSpace:
+    """``u[index] <= threshold`` (or <)."""
+    b = tuple(-w for w in _unit(index, m))
+    text = f"{name} {'<' if strict else '<='} {threshold:g}"
+    return HalfSpace((0.0,) * n, b, -threshold, strict, text)
+
+
+def box(lower: Sequence[float], upper: Sequence[float], m: int, names: Sequence[str]) -> Region:
+    """The states between two corners; infinite bounds are left out."""
+    n = len(lower)
+    rows = [above(i, lo, n, m, name=names[i]) for i, lo in enumerate(lower) if np.isfinite(lo)]
+    rows += [below(i, hi, n, m, name=names[i]) for i, hi in enumerate(upper) if np.isfinite(hi)]
+    return Region(tuple(rows))
+
+
+def input_box(lower: Sequence[float], upper: Sequence[float], n: int, names: Sequence[str]) -> Region:
+    """The inputs between two corners; infinite bounds are left out."""
+    m = len(lower)
+    rows = [input_above(i, lo, n, m, name=f"input {names[i]}") for i, lo in enumerate(lower) if np.isfinite(lo)]
+    rows += [input_below(i, hi, n, m, name=f"input {names[i]}") for i, hi in enumerate(upper) if np.isfinite(hi)]
+    return Region(tuple(rows))
+
+
+def _unit(index: int, size: int) -> tuple[float, ...]:
+    return tuple(1.0 if i == index else 0.0 for i in range(size))

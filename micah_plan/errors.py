@@ -1,0 +1,53 @@
+"""The errors that micah_plan raises on purpose.
+
+Every message is one line that says which file, which key or row, what was expected, what was found and what to do.
+The command line turns them into exit codes: 2 for bad input, 1 for an honest negative.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_LONGEST_VALUE = 60
+
+
+class MicahError(Exception):
+    """Root of all errors raised on purpose by micah_plan."""
+
+
+class InputError(MicahError):
+    """Input that cannot be used: a file, a key, a row or an argument.
+
+    Args:
+        problem: what was expected and what was found, e.g. ``"expected a number, found 'abc'"``.
+        source: the file, if the input came from one.
+        where: the place in it, e.g. ``"line 7, column 'x'"`` or ``"line 3, key 'goal.target'"``.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(
+        self, problem: str, *, source: str | Path | None = None, where: str | None = None, remedy: str | None = None
+    ) -> None:
+        self.problem = problem
+        self.source = None if source is None else str(source)
+        self.where = where
+        self.remedy = remedy
+        place = ", ".join(part for part in (self.source, where) if part)
+        text = f"{place}: {problem}" if place else problem
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+
+    def located(self, source: str | Path, where: str | None = None) -> InputError:
+        """The same error with the file (and place) filled in where they were still unknown."""
+        return InputError(
+            self.problem, source=self.source or source, where=self.where or where, remedy=self.remedy
+        )
+
+
+class MissingDependencyError(MicahError):
+    """An optional library is not installed; the message says which extra brings it."""
+
+
+def shown(value: object) -> str:
+    """A value as error messages quote it: its repr, on one line and cut to a readable length."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -1,0 +1,1 @@
+"""Plants (nominal, MuJoCo), closed-loop execution of plans, and statistics over trials."""

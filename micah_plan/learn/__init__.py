@@ -1,0 +1,1 @@
+"""From a recording to a kinematic graph and a hybrid automaton: CHAMP and Act-CHAMP."""

@@ -1,0 +1,1 @@
+"""POMDP-HD: search over mode sequences, belief-space transcription per sequence, feedback."""

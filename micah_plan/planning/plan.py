@@ -1,0 +1,91 @@
+"""The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Outcome = Literal["solved", "no_plan", "not_verified"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One mode sequence that the search proposed and what became of it.
+
+    Attributes:
+        modes: the sequence.
+        search_cost: cost of its cheapest roadmap path.
+        cost: optimised cost; None if the optimisation failed.
+        message: what the optimisation said, in words a user understands (the failed constraint by name).
+    """
+
+    modes: tuple[str, ...]
+    search_cost: float
+    cost: float | None
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The belief trajectory over K knots and the feedback around it.
+
+    Attributes:
+        modes: (K,) mode at each knot. At a transition two successive knots share one time: the belief before the guard
+            and the belief after the reset; the input between them is zero and `is_transition` is true.
+        means: (K, n) of the belief [rad or m].
+        factors: (K, n, n) lower Cholesky factors of its covariance.
+        inputs: (K-1, m) nominal input from knot to knot.
+        gains: (K-1, m, n): executed input = inputs[k] + gains[k] @ (estimate - means[k]).
+        is_transition: (K-1,) whether the step from knot to knot is a transition rather than a time step.
+    """
+
+    modes: tuple[str, ...]
+    means: Floats
+    factors: Floats
+    inputs: Floats
+    gains: Floats
+    is_transition: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What `solve` returns. A plan without success has no trajectory, so it cannot be executed by mistake.
+
+    Attributes:
+        outcome: ``"solved"``, ``"no_plan"`` (nothing found; `reason` says why) or ``"not_verified"`` (found, but the
+            roll-outs succeed too rarely for the asked confidence; it has a trajectory for viewing only).
+        reason: one sentence, with the remedy if it failed.
+        trajectory: None unless one was found.
+        candidates: all mode sequences tried, cheapest search cost first.
+        cost: total cost of the trajectory.
+        goal_error: largest predicted |mean - target| over the goal's coordinates at the last knot [rad or m].
+        goal_std: largest predicted std over the goal's coordinates there [rad or m].
+        success_probability: share of verification roll-outs that ended in the goal set.
+        verification_trials: how many roll-outs that share is of.
+        seed: the seed of search and verification.
+        timings: seconds by stage; kept out of the plan file.
+    """
+
+    outcome: Outcome
+    reason: str
+    trajectory: Trajectory | None = None
+    candidates: tuple[Candidate, ...] = ()
+    cost: float | None = None
+    goal_error: float | None = None
+    goal_std: float | None = None
+    success_probability: float | None = None
+    verification_trials: int = 0
+    seed: int = 0
+    timings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def mode_sequence(self) -> tuple[str, ...]:
+        """The modes visited, in order, without repetition of the same mode in a row."""
+        if self.trajectory is None:
+            return ()
+        modes = self.trajectory.modes
+        return tuple(q for i, q in enumerate(modes) if i == 0 or q != modes[i - 1])

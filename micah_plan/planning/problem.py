@@ -1,0 +1,84 @@
+"""A planning problem and its settings: what `problems/*.yaml` says, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+
+
+@dataclass(frozen=True)
+class Start:
+    """The initial belief.
+
+    Attributes:
+        mean, std: (n,) of the Gaussian over x [rad or m].
+        mode: the mode the object is in; None: the first mode whose invariant holds the mean.
+    """
+
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    mode: str | None = None
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The goal set: any subset of the coordinates within a tolerance, and optionally the modes to end in.
+
+    Attributes:
+        target: (index, value, tolerance) per constrained coordinate [rad or m].
+        modes: names of the modes that count as reached; empty: any.
+    """
+
+    target: tuple[tuple[int, float, float], ...]
+    modes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Settings with defaults that serve ordinary problems.
+
+    Attributes:
+        confidence: probability that guards, invariants and the goal are planned to hold with.
+        samples_per_mode: roadmap states per mode of the high-level search.
+        candidates: how many of the cheapest mode sequences are optimised.
+        max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,
+            else a twentieth of the coordinate's range.
+        max_knots: upper limit of knots over the whole plan.
+        weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
+            the squared tolerance) and of the squared inputs (over the squared max_step).
+        time_limit_s: wall-clock limit of each optimisation [s].
+        verification_trials: roll-outs that check a plan.
+    """
+
+    confidence: float = 0.95
+    samples_per_mode: int = 100
+    candidates: int = 4
+    max_step: tuple[float, ...] | None = None
+    max_knots: int = 60
+    weight_goal: float = 1.0
+    weight_covariance: float = 1.0
+    weight_effort: float = 0.05
+    time_limit_s: float = 20.0
+    verification_trials: int = 200
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything `solve` needs.
+
+    Attributes:
+        automaton: the model, with the noise of the problem if it states one.
+        plant: physical parameters for execution in MuJoCo, passed to the plant as they are.
+        source: path of the problem file as given, for messages; empty if made in Python.
+        digests: SHA-256 of the problem and model files, by role.
+    """
+
+    automaton: HybridAutomaton
+    start: Start
+    goal: Goal
+    settings: PlannerSettings = field(default_factory=PlannerSettings)
+    plant: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+    digests: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,1 @@
+"""Recordings: the value, and readers and writers for its file formats."""

@@ -1,0 +1,140 @@
+"""The recording: measured poses, applied actions and forces, in rows of runs and parts.
+
+A demonstration and an executed run are the same type, so what comes out of the end can go in at the front.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DEFAULT_PART = "part"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Rows of one or several runs of one or several parts, in the order of the file.
+
+    All arrays are read-only and have one row per sample (n rows).
+
+    Attributes:
+        time: (n,) [s], increasing within one run and part.
+        position: (n, 3) [m], position of the part's origin in the base frame.
+        quaternion: (n, 4) unit quaternion, scalar last, part to base; None if orientation was not measured.
+        action: (n, 3) [m], base frame: displacement of the part's origin commanded from this row to the next, relative
+            to the measured pose. NaN where empty (the last row of a run). None if the recording has no actions.
+        force: (n, 3) [N] at the handle, NaN where empty; None if absent.
+        run: (n,) integer run of each row.
+        part: (n,) name of the part of each row.
+        has_run, has_part: whether the file had these columns (a writer keeps what was there).
+        extra: further columns by name, as the text that the file held, preserved untouched.
+    """
+
+    time: Floats
+    position: Floats
+    quaternion: Floats | None = None
+    action: Floats | None = None
+    force: Floats | None = None
+    run: Ints = field(default=None)  # type: ignore[assignment]  # filled in by __post_init__
+    part: tuple[str, ...] = ()
+    has_run: bool = False
+    has_part: bool = False
+    extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        if self.run is None:
+            object.__setattr__(self, "run", np.zeros(n, dtype=np.int64))
+        if not self.part:
+            object.__setattr__(self, "part", (DEFAULT_PART,) * n)
+        for name, width in (("time", 0), ("position", 3), ("quaternion", 4), ("action", 3), ("force", 3), ("run", 0)):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = np.array(value, dtype=np.int64 if name == "run" else np.float64)
+            expected = (n, width) if width else (n,)
+            if array.shape != expected:
+                raise InputError(f"Recording.{name} must have shape {expected}. Got {array.shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if len(self.part) != n or any(len(column) != n for column in self.extra.values()):
+            raise InputError(f"Recording.part and every extra column must have {n} rows")
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def runs(self) -> tuple[int, ...]:
+        """Run numbers in order of first appearance."""
+        return tuple(dict.fromkeys(int(r) for r in self.run))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Part names in order of first appearance."""
+        return tuple(dict.fromkeys(self.part))
+
+    @property
+    def has_orientation(self) -> bool:
+        return self.quaternion is not None
+
+    @property
+    def has_actions(self) -> bool:
+        return self.action is not None
+
+    def poses(self) -> RigidTransform:
+        """(n,) poses of the parts in the base frame; identity orientation where none was measured."""
+        rotation = Rotation.identity(len(self)) if self.quaternion is None else Rotation.from_quat(self.quaternion)
+        return RigidTransform.from_components(self.position, rotation)
+
+    def rows(self, index: Any) -> Recording:
+        """The rows that a NumPy index (integers, slice or booleans) selects, in that order."""
+        chosen = np.arange(len(self))[index]
+
+        def take(array: Any) -> Any:
+            return None if array is None else array[chosen]
+
+        return Recording(
+            time=take(self.time),
+            position=take(self.position),
+            quaternion=take(self.quaternion),
+            action=take(self.action),
+            force=take(self.force),
+            run=take(self.run),
+            part=tuple(self.part[i] for i in chosen),
+            has_run=self.has_run,
+            has_part=self.has_part,
+            extra={name: tuple(column[i] for i in chosen) for name, column in self.extra.items()},
+        )
+
+    def select(self, *, run: int | None = None, part: str | None = None) -> Recording:
+        """The rows of one run and/or one part.
+
+        Raises:
+            InputError: if there are no such rows.
+        """
+        keep = np.ones(len(self), dtype=bool)
+        if run is not None:
+            keep &= self.run == run
+        if part is not None:
+            keep &= np.array([name == part for name in self.part])
+        if not keep.any():
+            raise InputError(f"no rows of run {run} and part {part}; runs: {self.runs}, parts: {self.parts}")
+        return self.rows(keep)
+
+    def digest(self) -> str:
+        """SHA-256 of the content (not of the file's formatting), for provenance."""
+        parts = [repr(self.part), repr(sorted(self.extra.items()))]
+        arrays = (self.time, self.position, self.quaternion, self.action, self.force, self.run)
+        blob = b"|".join(b"-" if a is None else np.ascontiguousarray(a).tobytes() for a in arrays)
+        return hashlib.sha256(blob + "|".join(parts).encode()).hexdigest()
