@@ -130,7 +130,7 @@ class Mode:
     pins: tuple[Pin, ...] = ()
 
     @cached_property
-    def B(self) -> Floats:
+    def B(self) -> Floats:  # noqa: N802 (the mathematics calls it B)
         matrix = np.array(self.input_matrix, dtype=float)
         matrix.setflags(write=False)
         return matrix
@@ -227,6 +227,11 @@ class HybridAutomaton:
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
         return tuple(edge for edge in self.edges if edge.source == name)
+
+    def free_process_std(self, mode: Mode) -> tuple[float, ...]:
+        """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that the mode holds."""
+        held = {pin.coordinate for pin in mode.pins}
+        return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
 
     def coordinate_index(self, name: str) -> int:
         """Index of the coordinate of that name.

@@ -10,10 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from micah_plan.errors import InputError, shown
+
 JointKind = Literal["rigid", "prismatic", "revolute", "screw"]
 JOINT_KINDS: tuple[JointKind, ...] = ("rigid", "prismatic", "revolute", "screw")
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Floats = NDArray[np.float64]
+
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -50,9 +58,84 @@ class Joint:
 
     kind: JointKind
     position: Vector3
-    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    quaternion: Quaternion = IDENTITY
     axis: Vector3 = (0.0, 0.0, 0.0)
     center: Vector3 = (0.0, 0.0, 0.0)
     pitch: float = 0.0
     held: float = 0.0
     covariance: ParameterCovariance | None = None
+
+
+def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, held: float = 0.0) -> Joint:
+    """A part that rests at a pose; `held` is the configuration that this pose stands for [rad or m]."""
+    return Joint("rigid", _vector(position, "position"), _unit_quaternion(quaternion), held=float(held))
+
+
+def prismatic(axis: ArrayLike, position: ArrayLike, quaternion: ArrayLike = IDENTITY) -> Joint:
+    """A part that slides along `axis` (any length but 0) from `position` [m]."""
+    return Joint("prismatic", _vector(position, "position"), _unit_quaternion(quaternion), _direction(axis))
+
+
+def revolute(axis: ArrayLike, point: ArrayLike, position: ArrayLike, quaternion: ArrayLike = IDENTITY) -> Joint:
+    """A part that turns about the line through `point` along `axis` (right-handed), at `position` at configuration 0.
+
+    Any point of the line will do: the joint's centre is the one closest to `position`.
+    """
+    return _turning("revolute", axis, point, 0.0, position, quaternion)
+
+
+def screw(
+    axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike = IDENTITY
+) -> Joint:
+    """A part that turns as a revolute one and moves `pitch` [m/rad] along the axis while it turns."""
+    return _turning("screw", axis, point, float(pitch), position, quaternion)
+
+
+def radius(joint: Joint) -> float:
+    """Distance of the part's origin from the axis of rotation [m]; 0 for joints that do not rotate."""
+    if joint.kind in ("rigid", "prismatic"):
+        return 0.0
+    return float(np.linalg.norm(np.subtract(joint.position, joint.center)))
+
+
+def axis_basis(axis: ArrayLike) -> Floats:
+    """(2, 3) unit vectors b1, b2 normal to an axis, with b1 x b2 = axis; the covariance of parameters refers to them.
+
+    b1 is the base direction least aligned with the axis, crossed with the axis; so the basis of -axis is (-b1, b2).
+    """
+    a = np.array(_direction(axis))
+    b1 = np.cross(np.eye(3)[int(np.argmin(np.abs(a)))], a)
+    b1 /= np.linalg.norm(b1)
+    return np.stack([b1, np.cross(a, b1)])
+
+
+def _turning(
+    kind: JointKind, axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike
+) -> Joint:
+    direction, origin = _direction(axis), _vector(position, "position")
+    through = np.array(_vector(point, "point"))
+    center = through + np.dot(np.subtract(origin, through), direction) * np.array(direction)
+    return Joint(kind, origin, _unit_quaternion(quaternion), direction, _vector(center, "center"), pitch)
+
+
+def _vector(value: ArrayLike, name: str) -> Vector3:
+    array = np.asarray(value, dtype=float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{name} must be 3 finite numbers. Got {shown(value)}")
+    return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def _direction(value: ArrayLike) -> Vector3:
+    array = np.array(_vector(value, "axis"))
+    length = float(np.linalg.norm(array))
+    if length < 1e-12:
+        raise InputError(f"axis must not be zero. Got {shown(value)}")
+    return _vector(array / length, "axis")
+
+
+def _unit_quaternion(value: ArrayLike) -> Quaternion:
+    array = np.asarray(value, dtype=float)
+    if array.shape != (4,) or not np.isfinite(array).all() or np.linalg.norm(array) < 1e-12:
+        raise InputError(f"quaternion must be 4 finite numbers (scalar last), not all zero. Got {shown(value)}")
+    x, y, z, w = (float(v) for v in array / np.linalg.norm(array))
+    return (x, y, z, w)

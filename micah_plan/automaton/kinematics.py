@@ -1,0 +1,247 @@
+"""Kinematics of joints: f(c), its unique inverse, the Jacobian and the inverse Jacobian, vectorised over rows.
+
+Sources: MICAH, section II-B, for f, f⁻¹, J and J⁻¹; Murray, Li and Sastry, ch. 2 and 3, for twists.
+
+Conventions: a twist or pose derivative is [rotation (3), translation (3)] in the base frame, the order of SciPy's
+exponential coordinates. Where a pose is not on the joint's manifold, "closest" weighs position [m] against rotation
+[rad] with `rotation_length` [m/rad]: at the default, 0.2 m/rad, an error of 1 degree weighs as much as 3.5 mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, revolute, rigid, screw
+from micah_plan.errors import InputError
+
+Floats = NDArray[np.float64]
+
+ROTATION_LENGTH = 0.2
+_NO_INFORMATION = 1e-12
+_NO_PITCH = 1e-7
+_MOST_ITERATIONS = 50
+
+
+def twist(joint: Joint) -> Floats:
+    """ξ (6,) = [rotation, translation], base frame: the motion per unit of configuration. Zero for rigid."""
+    axis, center = np.array(joint.axis), np.array(joint.center)
+    if joint.kind == "rigid":
+        return np.zeros(6)
+    if joint.kind == "prismatic":
+        return np.concatenate([np.zeros(3), axis])
+    return np.concatenate([axis, np.cross(center, axis) + joint.pitch * axis])
+
+
+def origin(joint: Joint) -> RigidTransform:
+    """Pose of the part in the base frame at configuration 0 (single)."""
+    return RigidTransform.from_components(joint.position, Rotation.from_quat(joint.quaternion))
+
+
+def forward(joint: Joint, c: ArrayLike) -> RigidTransform:
+    """f(c) = exp(c ξ) ∘ origin: (k,) poses of the part in the base frame at the configurations c (k,) [rad or m]."""
+    configurations = np.atleast_1d(np.asarray(c, dtype=float))
+    return RigidTransform.from_exp_coords(configurations[:, None] * twist(joint)) * origin(joint)
+
+
+def inverse(
+    joint: Joint,
+    position: ArrayLike,
+    rotation: Rotation | None = None,
+    rotation_length: float = ROTATION_LENGTH,
+    near: ArrayLike | None = None,
+) -> Floats:
+    """f⁻¹: the configuration whose pose is closest to each measured one, in the least-squares sense.
+
+    The squared error is |p - p(c)|² + rotation_length² · 2(1 - cos e) with e the angle between the orientations, which
+    for a revolute joint is smallest, in closed form, at the argument of a complex number (see `_turn`).
+
+    Args:
+        position: (k, 3) measured positions of the part's origin, base frame [m].
+        rotation: (k,) or single measured orientation; None: from positions alone.
+        rotation_length: weight of rotation against position [m/rad].
+        near: (k,) or single configuration to choose the number of whole turns by: the one closest to it.
+
+    Returns:
+        (k,) configurations [rad or m], unique for every pose. Prismatic: along the axis. Revolute: in (-π, π]. Screw:
+        the whole turns are counted by the displacement along the axis, so several turns are told apart as long as a
+        turn moves the part further than the noise; with smaller pitch, give `near`. A screw of pitch 0 is
+        revolute. Rigid: `held`. Where a pose says nothing of the angle (origin on the axis and no orientation), it is 0
+        for a revolute joint and what the displacement along the axis says for a screw.
+    """
+    measured = np.atleast_2d(np.asarray(position, dtype=float))
+    if measured.ndim != 2 or measured.shape[1] != 3:
+        raise InputError(f"positions must have shape (k, 3). Got {np.shape(position)}")
+    if joint.kind == "rigid":
+        return np.full(len(measured), joint.held)
+    axis = np.array(joint.axis)
+    along = (measured - joint.position) @ axis
+    if joint.kind == "prismatic":
+        return np.asarray(along)
+    turn = _turn(joint, measured, rotation, rotation_length)
+    weight = np.abs(turn)
+    angle = np.where(weight > _NO_INFORMATION, np.angle(turn), 0.0)
+    angle = np.where(angle <= -np.pi, np.pi, angle)
+    pitch = joint.pitch if joint.kind == "screw" and abs(joint.pitch) > _NO_PITCH else 0.0
+    guess = along / pitch if pitch and near is None else near
+    if guess is not None:
+        angle = angle + 2 * np.pi * np.round((np.asarray(guess, dtype=float) - angle) / (2 * np.pi))
+    return _balanced(angle, weight, along, pitch) if pitch else np.asarray(angle)
+
+
+def _turn(joint: Joint, measured: Floats, rotation: Rotation | None, rotation_length: float) -> NDArray[np.complex128]:
+    """(k,) complex numbers z such that the squared error at angle c is constant - 2 Re(z e^(-ic)).
+
+    Positions contribute conj(r0) r, with r0 and r the lever arms at 0 and now in the plane normal to the axis, as
+    complex numbers. Orientations contribute rotation_length² (w + i a·v)², with (v, w) the quaternion of R R0ᵀ: its
+    argument is the angle of twist about the axis a, and it fades where the rotation is about another axis.
+    """
+    plane = axis_basis(joint.axis)
+    arms = (np.vstack([joint.position, measured]) - joint.center) @ plane.T
+    complex_arms = arms[:, 0] + 1j * arms[:, 1]
+    turn = np.conj(complex_arms[0]) * complex_arms[1:]
+    if rotation is not None:
+        quaternion = np.atleast_2d((rotation * Rotation.from_quat(joint.quaternion).inv()).as_quat())
+        turn = turn + rotation_length**2 * (quaternion[:, 3] + 1j * (quaternion[:, :3] @ joint.axis)) ** 2
+    return np.asarray(turn)
+
+
+def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: float) -> Floats:
+    """Minimise -2 weight cos(c - angle) + (along - pitch c)² over c, starting at c = angle.
+
+    Each step minimises a parabola that touches the error from above, so the error cannot grow.
+    """
+    c = angle
+    for _ in range(_MOST_ITERATIONS):
+        slope = weight * np.sin(c - angle) - pitch * (along - pitch * c)
+        step = slope / (weight + pitch**2)
+        c = c - step
+        if np.abs(step).max(initial=0.0) < 1e-15:
+            break
+    return np.asarray(c)
+
+
+def jacobian(joint: Joint, c: ArrayLike) -> Floats:
+    """J: (k, 6) derivative [rotation, translation of the part's origin] of the pose by c (k,), in the base frame.
+
+    The rotation is a vector of rad per unit of c, as an angular velocity: R(c + dc) ≈ exp(rotation dc) R(c).
+    """
+    xi = twist(joint)
+    positions = forward(joint, c).translation
+    return np.concatenate([np.broadcast_to(xi[:3], positions.shape), xi[3:] + np.cross(xi[:3], positions)], axis=1)
+
+
+def inverse_jacobian(
+    joint: Joint, c: ArrayLike, displacement: ArrayLike, rotation_length: float = ROTATION_LENGTH
+) -> Floats:
+    """J⁻¹: the change of configuration that explains a small displacement best, in the least-squares sense.
+
+    Args:
+        c: (k,) configurations at which the displacement starts [rad or m].
+        displacement: (k, 6) [rotation vector (rad), translation of the part's origin (m)] or (k, 3) translation only,
+            base frame.
+        rotation_length: weight of rotation against translation [m/rad].
+
+    Returns:
+        (k,) [rad or m]; 0 for rigid, and where the displacement can say nothing (origin on the axis, no rotation).
+    """
+    given = np.atleast_2d(np.asarray(displacement, dtype=float))
+    if given.ndim != 2 or given.shape[1] not in (3, 6):
+        raise InputError(f"displacements must have shape (k, 3) or (k, 6). Got {np.shape(displacement)}")
+    direction = jacobian(joint, c)[:, 6 - given.shape[1] :]
+    weights = np.repeat([rotation_length**2, 1.0], 3)[6 - given.shape[1] :]
+    squared = (direction**2) @ weights
+    projected = (direction * given) @ weights
+    return np.where(squared > _NO_INFORMATION, projected / np.maximum(squared, _NO_INFORMATION), 0.0)
+
+
+def shifted(joint: Joint, offset: float) -> Joint:
+    """The same motion counted from configuration `offset`: c' = c - offset, so f'(c') = f(c).
+
+    The covariance keeps the parameters that do not depend on where counting starts (axis, pitch, and the centre of a
+    revolute joint); those of the origin pose are dropped, except for a rigid joint, whose pose does not move.
+    """
+    if joint.kind == "rigid":
+        return replace(joint, held=joint.held - offset)
+    pose = forward(joint, offset)[0]
+    moved = _rebuilt(joint, joint.axis, joint.center, pose)
+    kept = ("axis_1", "axis_2", "pitch") + (("center_1", "center_2") if joint.kind == "revolute" else ())
+    return replace(moved, covariance=_marginal(joint.covariance, kept))
+
+
+def reversed_direction(joint: Joint) -> Joint:
+    """The same motion counted the other way: c' = -c, so f'(c') = f(c). Carries the covariance along."""
+    if joint.kind == "rigid":
+        return replace(joint, held=-joint.held)
+    # The basis of -axis is (-b1, b2), so the parameters along b1 change their sign.
+    covariance = joint.covariance
+    if covariance is not None:
+        sign = np.array([-1.0 if name in ("axis_1", "center_1") else 1.0 for name in covariance.names])
+        covariance = _covariance(covariance.names, np.outer(sign, sign) * np.array(covariance.matrix))
+    return replace(joint, axis=_tuple3(-np.array(joint.axis)), covariance=covariance)
+
+
+def rebased(joint: Joint, transform: RigidTransform) -> Joint:
+    """The same joint seen from another base: f'(c) = transform ∘ f(c). Rotates the covariance along.
+
+    Args:
+        transform: pose of the old base in the new base (single).
+    """
+    axis = transform.rotation.apply(joint.axis)
+    moved = _rebuilt(joint, axis, transform.apply(joint.center), transform * origin(joint))
+    return replace(moved, covariance=_rotated(joint, axis, transform.rotation))
+
+
+def _rebuilt(joint: Joint, axis: ArrayLike, point: ArrayLike, pose: RigidTransform) -> Joint:
+    position, quaternion = pose.translation, pose.rotation.as_quat()
+    if joint.kind == "rigid":
+        return rigid(position, quaternion, joint.held)
+    if joint.kind == "prismatic":
+        return prismatic(axis, position, quaternion)
+    if joint.kind == "revolute":
+        return revolute(axis, point, position, quaternion)
+    return screw(axis, point, joint.pitch, position, quaternion)
+
+
+def _rotated(joint: Joint, axis: Floats, rotation: Rotation) -> ParameterCovariance | None:
+    """The covariance in a rotated base; None if one of a pair or triple of parameters is missing."""
+    covariance = joint.covariance
+    if covariance is None:
+        return None
+    matrix = rotation.as_matrix()
+    blocks: dict[str, Floats] = {"pitch": np.eye(1), "rotation": matrix, "position": matrix}
+    if joint.kind != "rigid":
+        in_plane = axis_basis(axis) @ matrix @ axis_basis(joint.axis).T
+        blocks |= {"axis": in_plane, "center": in_plane}
+    names = covariance.names
+    change = np.zeros((len(names), len(names)))
+    for group, block in blocks.items():
+        members = [group] if group == "pitch" else [f"{group}_{i + 1}" for i in range(len(block))]
+        present = [name for name in members if name in names]
+        if not present:
+            continue
+        if len(present) != len(members):
+            return None
+        index = [names.index(name) for name in members]
+        change[np.ix_(index, index)] = block
+    return _covariance(names, change @ np.array(covariance.matrix) @ change.T)
+
+
+def _marginal(covariance: ParameterCovariance | None, kept: tuple[str, ...]) -> ParameterCovariance | None:
+    if covariance is None:
+        return None
+    index = [i for i, name in enumerate(covariance.names) if name in kept]
+    if not index:
+        return None
+    return _covariance(tuple(covariance.names[i] for i in index), np.array(covariance.matrix)[np.ix_(index, index)])
+
+
+def _covariance(names: tuple[str, ...], matrix: Floats) -> ParameterCovariance:
+    return ParameterCovariance(names, tuple(tuple(float(v) for v in row) for row in matrix))
+
+
+def _tuple3(vector: Floats) -> tuple[float, float, float]:
+    return (float(vector[0]), float(vector[1]), float(vector[2]))
