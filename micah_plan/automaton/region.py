@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,14 +23,14 @@ class HalfSpace:
         b: (m,) weights of the input.
         c: threshold, in the unit of the left-hand side.
         strict: whether the boundary itself lies outside.
-        name: how messages and constraint rows call it, e.g. ``"door >= 1.2"``.
+        name: how messages and constraint rows call it, e.g. ``"door >= 1.2"``; a label that sets compare without.
     """
 
     a: tuple[float, ...]
     b: tuple[float, ...]
     c: float
     strict: bool = False
-    name: str = ""
+    name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if not all(np.isfinite([*self.a, *self.b, self.c])):
