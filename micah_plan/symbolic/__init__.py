@@ -1,1 +1,1 @@
-"""The automaton as CasADi functions. The only package of the models that imports CasADi, with planning/transcription."""
+"""The automaton as CasADi functions. Only this package and planning/transcription import CasADi."""

@@ -1,0 +1,94 @@
+"""One Gaussian in NumPy: prediction, measurement, reset, pins, half-spaces. The twin of the compiled CasADi functions.
+
+A Gaussian is a mean (n,) and the lower Cholesky factor L (n, n) of its covariance P = L L'. Factors are propagated by
+QR decompositions (array algorithms; Kailath, Sayed and Hassibi, "Linear Estimation", ch. 12), so P is never formed and
+stays positive semi-definite at any scale. The symbolic package computes the same by Givens rotations and scalar
+updates; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_ndtr, ndtr
+
+from micah_plan.automaton.hybrid import Pin, Reset
+from micah_plan.automaton.region import HalfSpace
+
+Floats = NDArray[np.float64]
+
+# As in the symbolic twin: the smallest std that the arithmetic resolves [rad or m].
+SMALLEST_STD = 1e-9
+
+
+def lower_factor(matrix: Floats) -> Floats:
+    """Lower triangular L (n, n) with non-negative diagonal and L L' = M M', for M (n, k)."""
+    n, k = matrix.shape
+    padded = matrix if k >= n else np.hstack([matrix, np.zeros((n, n - k))])
+    factor = np.asarray(np.linalg.qr(padded.T, mode="r")).T
+    signs = np.where(np.diag(factor) < 0, -1.0, 1.0)
+    return np.asarray(np.tril(factor * signs))
+
+
+def predict(mean: Floats, factor: Floats, displacement: Floats, process_std: ArrayLike) -> tuple[Floats, Floats]:
+    """Mean and factor after a displacement (n,) and process noise of that std (n,) per coordinate."""
+    noise = np.diag(np.asarray(process_std, dtype=float))
+    return mean + displacement, lower_factor(np.hstack([factor, noise]))
+
+
+def update(mean: Floats, factor: Floats, z: Floats, observation_std: ArrayLike) -> tuple[Floats, Floats, float]:
+    """Mean, factor and log likelihood after measuring z (n,), NaN where there is no measurement.
+
+    A coordinate with infinite `observation_std` is not measured either.
+    """
+    std = np.asarray(observation_std, dtype=float)
+    seen = np.flatnonzero(np.isfinite(z) & np.isfinite(std))
+    if not seen.size:
+        return mean, factor, 0.0
+    k, n = seen.size, mean.size
+    noise = np.diag(np.maximum(std[seen], SMALLEST_STD))
+    joint = np.block([[noise, factor[seen]], [np.zeros((n, k)), factor]])
+    array = lower_factor(joint)
+    root, gain_root, posterior = array[:k, :k], array[k:, :k], array[k:, k:]
+    whitened = np.linalg.solve(root, z[seen] - mean[seen])
+    log_likelihood = (
+        -0.5 * float(whitened @ whitened) - float(np.log(np.diag(root)).sum()) - 0.5 * k * np.log(2 * np.pi)
+    )
+    return mean + gain_root @ whitened, posterior, float(log_likelihood)
+
+
+def reset(mean: Floats, factor: Floats, u: Floats, transition: Reset) -> tuple[Floats, Floats]:
+    """Mean and factor after the affine reset of a transition."""
+    a, _, _ = transition.matrices(mean.size, u.size)
+    return transition.apply(mean, u), factor if transition.A is None else lower_factor(a @ factor)
+
+
+def condition_on_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Mean and factor given that a mode holds its pins: each pin is one measurement of its coordinate."""
+    for pin in pins:
+        z, std = np.full(mean.size, np.nan), np.full(mean.size, np.inf)
+        z[pin.coordinate], std[pin.coordinate] = pin.value, pin.std
+        mean, factor, _ = update(mean, factor, z, std)
+    return mean, factor
+
+
+def margin(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> tuple[float, float]:
+    """Mean and std of a'x + b'u - c."""
+    deviation = np.sqrt(np.square(np.array(half_space.a) @ factor).sum() + SMALLEST_STD**2)
+    return float(half_space.margin(mean, u)), float(deviation)
+
+
+def half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> float:
+    """Probability of a'x + b'u >= c: Φ(margin / std). For a half-space on u alone it is 0 or 1."""
+    value, deviation = margin(mean, factor, u, half_space)
+    if not any(half_space.a):
+        return float(value > 0 or (value == 0 and not half_space.strict))
+    return float(ndtr(value / deviation))
+
+
+def log_half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> float:
+    """Logarithm of the probability of a'x + b'u >= c, accurate far into the tail."""
+    value, deviation = margin(mean, factor, u, half_space)
+    return float(log_ndtr(value / deviation))

@@ -1,0 +1,188 @@
+"""The hybrid automaton as CasADi functions, one set per mode and per edge.
+
+Inputs and outputs: x, mean (n, 1); u (m, 1); factor (n, n), structurally lower triangular: the lower Cholesky factor L
+of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton.
+
+Noise and pins: the process noise acts on the coordinates that a mode leaves free. A pinned coordinate is held, so it
+gets none; that the mode holds it at a known value is one piece of information (N(value, std²)), counted once, when
+the mode is entered (`CompiledEdge.belief_reset`) or when a belief starts in it (`CompiledMode.condition`). Counting it
+at every step would shrink the belief without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.region import Region
+from micah_plan.symbolic.square_root import add_noise, lower_factor, norm, observe
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledMode:
+    """The CasADi functions of one mode.
+
+    Attributes:
+        mode: what was compiled.
+        step: (x, u) -> x_next: the mode's flow, without guards.
+        invariant: (x, u) -> margins (k, 1), positive inside; rows named by `invariant_names`; k may be 0.
+        inputs: (x, u) -> margins (k, 1) of the admissible inputs; rows named by `input_names`; k may be 0.
+        invariant_belief: (mean, factor, u) -> (margin, std), each (k, 1): std is that of the margin, ||L'a||.
+        observation: x -> z (n, 1).
+        predict: (mean, factor, u) -> (mean, factor): flow and process noise.
+        update: (mean, factor, z) -> (mean, factor, log_likelihood): the EKF measurement update.
+        belief_step: (mean, factor, u) -> (mean_next, factor_next): predict, then update with the most likely
+            observation.
+        condition: (mean, factor) -> (mean, factor): given that the mode holds its pins.
+    """
+
+    mode: Mode
+    step: ca.Function
+    invariant: ca.Function
+    inputs: ca.Function
+    invariant_belief: ca.Function
+    observation: ca.Function
+    predict: ca.Function
+    update: ca.Function
+    belief_step: ca.Function
+    condition: ca.Function
+
+    @property
+    def invariant_names(self) -> tuple[str, ...]:
+        return tuple(h.name for h in self.mode.invariant.half_spaces)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return tuple(h.name for h in self.mode.inputs.half_spaces)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledEdge:
+    """The CasADi functions of one transition.
+
+    Attributes:
+        edge: what was compiled.
+        guard: (x, u) -> margins (k, 1), positive where the transition is taken; rows named by `names`.
+        guard_belief: (mean, factor, u) -> (margin, std), each (k, 1).
+        reset: (x, u) -> x.
+        belief_reset: (mean, factor, u) -> (mean, factor): the affine reset through the covariance, then conditioning
+            on the pins of the target mode (a contact is information).
+    """
+
+    edge: Edge
+    guard: ca.Function
+    guard_belief: ca.Function
+    reset: ca.Function
+    belief_reset: ca.Function
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(h.name for h in self.edge.guard.half_spaces)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledAutomaton:
+    """A compiled automaton: `modes` by name, `edges` in the order of `automaton.edges`."""
+
+    automaton: HybridAutomaton
+    modes: Mapping[str, CompiledMode]
+    edges: tuple[CompiledEdge, ...]
+
+
+@dataclass(frozen=True)
+class _Symbols:
+    """The arguments of all functions: x (also the mean), factor, u, z."""
+
+    x: ca.SX
+    factor: ca.SX
+    u: ca.SX
+    z: ca.SX
+
+
+def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
+    """All CasADi functions of an automaton. Pure: the same automaton gives the same functions."""
+    n, m = automaton.n, automaton.m
+    symbols = _Symbols(ca.SX.sym("x", n), ca.SX.sym("L", ca.Sparsity.lower(n)), ca.SX.sym("u", m), ca.SX.sym("z", n))
+    modes = {mode.name: _compile_mode(automaton, mode, symbols) for mode in automaton.modes}
+    edges = tuple(_compile_edge(automaton, edge, symbols) for edge in automaton.edges)
+    return CompiledAutomaton(automaton, modes, edges)
+
+
+def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
+    stds = automaton.noise.observation_std
+    flowed = s.x + ca.mtimes(ca.DM(mode.B), s.u)
+    spread = add_noise(s.factor, automaton.free_process_std(mode))
+    updated = _update(s.x, s.factor, stds, s.z)
+    stepped = _update(flowed, spread, stds, None)
+    held = _condition(s.x, s.factor, mode.pins)
+    belief = [s.x, s.factor, s.u]
+    names = ["mean", "factor"]
+    return CompiledMode(
+        mode=mode,
+        step=ca.Function("step", [s.x, s.u], [flowed], ["x", "u"], ["x_next"]),
+        invariant=_margins("invariant", mode.invariant, s),
+        inputs=_margins("inputs", mode.inputs, s),
+        invariant_belief=_margins_of_belief("invariant_belief", mode.invariant, s),
+        observation=ca.Function("observation", [s.x], [s.x], ["x"], ["z"]),
+        predict=ca.Function("predict", belief, [flowed, spread], [*names, "u"], ["mean_next", "factor_next"]),
+        update=ca.Function(
+            "update", [s.x, s.factor, s.z], list(updated), [*names, "z"], ["mean_next", "factor_next", "log_likelihood"]
+        ),
+        belief_step=ca.Function("belief_step", belief, list(stepped[:2]), [*names, "u"], ["mean_next", "factor_next"]),
+        condition=ca.Function("condition", [s.x, s.factor], list(held), names, ["mean_next", "factor_next"]),
+    )
+
+
+def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> CompiledEdge:
+    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
+    moved = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), s.u) + ca.DM(c)
+    # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
+    factor = s.factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), s.factor))
+    held = _condition(moved, factor, automaton.mode(edge.target).pins)
+    return CompiledEdge(
+        edge=edge,
+        guard=_margins("guard", edge.guard, s),
+        guard_belief=_margins_of_belief("guard_belief", edge.guard, s),
+        reset=ca.Function("reset", [s.x, s.u], [moved], ["x", "u"], ["x_next"]),
+        belief_reset=ca.Function(
+            "belief_reset", [s.x, s.factor, s.u], list(held), ["mean", "factor", "u"], ["mean_next", "factor_next"]
+        ),
+    )
+
+
+def _margins(name: str, region: Region, s: _Symbols) -> ca.Function:
+    return ca.Function(name, [s.x, s.u], [_margin_rows(region, s)], ["x", "u"], ["margins"])
+
+
+def _margins_of_belief(name: str, region: Region, s: _Symbols) -> ca.Function:
+    stds = [norm(ca.mtimes(s.factor.T, ca.DM(h.a))) for h in region.half_spaces]
+    outputs = [_margin_rows(region, s), ca.vertcat(*stds) if stds else ca.SX(0, 1)]
+    return ca.Function(name, [s.x, s.factor, s.u], outputs, ["mean", "factor", "u"], ["margin", "std"])
+
+
+def _margin_rows(region: Region, s: _Symbols) -> ca.SX:
+    rows = [ca.dot(ca.DM(h.a), s.x) + ca.dot(ca.DM(h.b), s.u) - h.c for h in region.half_spaces]
+    return ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
+
+
+def _update(mean: ca.SX, factor: ca.SX, stds: tuple[float, ...], z: ca.SX | None) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Sequential scalar updates, exact because the observation noise is diagonal; infinite std: not observed."""
+    log_likelihood = ca.SX(0)
+    for index, std in enumerate(stds):
+        if not np.isfinite(std):
+            continue
+        seen = observe(mean, factor, index, std, None if z is None else z[index])
+        mean, factor = seen.mean, seen.factor
+        log_likelihood -= (ca.log(2 * np.pi * seen.variance) + seen.innovation**2 / seen.variance) / 2
+    return ca.densify(mean), factor, log_likelihood
+
+
+def _condition(mean: ca.SX, factor: ca.SX, pins: tuple[Pin, ...]) -> tuple[ca.SX, ca.SX]:
+    for pin in pins:
+        seen = observe(mean, factor, pin.coordinate, pin.std, pin.value)
+        mean, factor = seen.mean, seen.factor
+    return ca.densify(mean), factor

@@ -1,0 +1,113 @@
+"""Gaussian arithmetic on lower Cholesky factors, as CasADi SX expressions without a matrix inverse.
+
+The factor itself is the state (Maybeck, "Stochastic Models, Estimation and Control", vol. 1, ch. 7: square-root
+filtering; Carlson, AIAA Journal 1973, for the triangular update). Nothing squares the factor and takes its Cholesky
+decomposition again, so no pivot can become negative by rounding, whatever the scale of the belief.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+# Smallest std that the arithmetic resolves [rad or m]: far below any sensor, far above rounding. It keeps every square
+# root and quotient differentiable where a belief is exactly known.
+SMALLEST_STD = 1e-9
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The Gaussian after the measurement of one coordinate.
+
+    Attributes:
+        mean, factor: (n, 1) and lower triangular (n, n).
+        innovation: measured minus predicted value; zero for a maximum-likelihood observation.
+        variance: of the predicted measurement.
+    """
+
+    mean: ca.SX
+    factor: ca.SX
+    innovation: ca.SX
+    variance: ca.SX
+
+
+def norm(vector: ca.SX) -> ca.SX:
+    """Euclidean norm of a column, smoothed at zero."""
+    return ca.sqrt(ca.sumsqr(vector) + SMALLEST_STD**2)
+
+
+def lower_factor(matrix: ca.SX) -> ca.SX:
+    """Lower triangular L with positive diagonal and L L' = M M', for M (n, k): LQ decomposition by Givens rotations."""
+    n, k = matrix.shape
+    columns = [[matrix[i, j] for i in range(n)] for j in range(k)]
+    for row in range(n):
+        filled = [column for column in columns[row:] if not column[row].is_zero()]
+        if not filled:
+            # The coordinate is exactly known: it gets a column of its own, nothing may correlate with it.
+            columns.insert(row, [ca.SX(0)] * n)
+            filled = [columns[row]]
+        at = next(j for j in range(row, len(columns)) if columns[j] is filled[0])
+        columns[row], columns[at] = columns[at], columns[row]
+        sign = ca.if_else(columns[row][row] < 0, -1, 1)
+        columns[row] = [sign * entry for entry in columns[row]]
+        for other in filled[1:] or [[ca.SX(0)] * n]:
+            _rotate(columns[row], other, row)
+    return _lower(columns, n)
+
+
+def add_noise(factor: ca.SX, std: tuple[float, ...]) -> ca.SX:
+    """Factor of L L' + diag(std²): one rank-one update per coordinate that has noise."""
+    n = factor.shape[0]
+    columns = [[factor[i, j] for i in range(n)] for j in range(n)]
+    for start, deviation in enumerate(std):
+        if deviation == 0.0:
+            continue
+        added = [ca.SX(deviation) if i == start else ca.SX(0) for i in range(n)]
+        for row in range(start, n):
+            if not added[row].is_zero():
+                _rotate(columns[row], added, row)
+    return _lower(columns, n)
+
+
+def observe(mean: ca.SX, factor: ca.SX, index: int, std: float, value: ca.SX | float | None) -> Observed:
+    """Condition on a measurement of coordinate `index` with that std; value None: the most likely one.
+
+    With v the coordinate's row of L and α = v'v + std², the posterior factor is L chol(I - v v'/α), and that Cholesky
+    factor is known in closed form: partial sums of v² from the last entry to the first (Carlson 1973).
+    """
+    n = factor.shape[0]
+    noise = max(std, SMALLEST_STD)
+    sums: list[ca.SX] = [ca.SX(0)] * (index + 2)
+    sums[index + 1] = ca.SX(noise**2)
+    for j in range(index, -1, -1):
+        sums[j] = sums[j + 1] + factor[index, j] ** 2
+    shrink = ca.SX.eye(n)
+    for j in range(index + 1):
+        shrink[j, j] = ca.sqrt(sums[j + 1] / sums[j])
+        for i in range(j + 1, index + 1):
+            shrink[i, j] = -(factor[index, i] / ca.sqrt(sums[j + 1])) * (factor[index, j] / ca.sqrt(sums[j]))
+    innovation = ca.SX(0) if value is None else value - mean[index]
+    gain = ca.mtimes(factor, factor[index, :].T) / sums[0]
+    return Observed(mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink)), innovation, sums[0])
+
+
+def _rotate(kept: list[ca.SX], other: list[ca.SX], row: int) -> None:
+    """Rotate two columns so that `other` vanishes in that row; kept[row] >= 0 and the rows above are zero in both.
+
+    kept[row] is floored smoothly rather than the radius, so that the map stays a rotation (loses no variance) at zero.
+    """
+    floored = ca.sqrt(kept[row] ** 2 + SMALLEST_STD**2)
+    radius = ca.sqrt(floored**2 + other[row] ** 2)
+    cosine, sine = floored / radius, other[row] / radius
+    for i in range(row + 1, len(kept)):
+        kept[i], other[i] = cosine * kept[i] + sine * other[i], cosine * other[i] - sine * kept[i]
+    kept[row], other[row] = radius, ca.SX(0)
+
+
+def _lower(columns: list[list[ca.SX]], n: int) -> ca.SX:
+    factor = ca.SX(ca.Sparsity.lower(n))
+    for j in range(n):
+        for i in range(j, n):
+            factor[i, j] = columns[j][i]
+    return factor

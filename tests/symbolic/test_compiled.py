@@ -1,0 +1,243 @@
+"""The compiled functions against their NumPy twins, textbook formulas and finite differences."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.belief import gaussian
+from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
+
+N, M = 3, 2
+JOINT = Joint("prismatic", (0.0, 0.0, 0.0), axis=(1.0, 0.0, 0.0))
+SEEDS = range(8)
+
+
+def tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(v) for v in row) for row in matrix)
+
+
+def region(rng: np.random.Generator, k: int, label: str) -> Region:
+    return Region(
+        tuple(
+            HalfSpace(tuple(rng.normal(size=N)), tuple(rng.normal(size=M)), float(rng.normal()), name=f"{label} {i}")
+            for i in range(k)
+        )
+    )
+
+
+def example(seed: int = 0) -> HybridAutomaton:
+    """Three coupled coordinates: a free mode, a mode with two pins and rows of zeros, resets of every kind."""
+    rng = np.random.default_rng(seed)
+    names = tuple(Coordinate(f"c{i}", "m") for i in range(N))
+    inputs = tuple(Coordinate(f"u{i}", "m") for i in range(M))
+    held = rng.normal(size=(N, M))
+    held[[0, 2]] = 0.0
+    free = Mode("free", (JOINT,), tuples(rng.normal(size=(N, M))), region(rng, 3, "inside"), region(rng, 2, "input"))
+    pinned = Mode("pinned", (JOINT,), tuples(held), pins=(Pin(0, 0.4, 0.05), Pin(2, -0.2, 0.2)))
+    general = Reset(tuples(rng.normal(size=(N, N))), tuples(rng.normal(size=(N, M))), tuple(rng.normal(size=N)))
+    clamp = Reset(A=((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), c=(0.0, 0.7, 0.0))
+    return HybridAutomaton(
+        names,
+        inputs,
+        (),
+        (),
+        (free, pinned),
+        (
+            Edge("free", "pinned", region(rng, 2, "shut")),
+            Edge("pinned", "free", region(rng, 1, "open"), general),
+            Edge("free", "free", Region(), clamp),
+        ),
+        Noise((0.02, 0.0, 0.1), (0.05, np.inf, 0.2)),
+    )
+
+
+def sample(rng: np.random.Generator, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """mean, factor, u, z"""
+    factor = np.tril(rng.normal(size=(N, N)) * scale)
+    np.fill_diagonal(factor, np.abs(np.diag(factor)) + 0.1 * scale)
+    return rng.normal(size=N), factor, rng.normal(size=M), rng.normal(size=N)
+
+
+def call(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
+    """All outputs as arrays; columns as one-dimensional arrays."""
+    outputs = function.call([ca.DM(a) for a in arguments])
+    return [o.full().ravel() if o.shape[1] == 1 else o.full() for o in outputs]
+
+
+def everything(compiled: CompiledAutomaton) -> list[tuple[str, ca.Function]]:
+    """Every compiled function with a unique name."""
+    modes = ("step", "invariant", "inputs", "invariant_belief", "observation", "predict", "update", "belief_step")
+    named = [(f"{q}.{f}", getattr(mode, f)) for q, mode in compiled.modes.items() for f in (*modes, "condition")]
+    edges = ("guard", "guard_belief", "reset", "belief_reset")
+    return named + [(f"{i}.{f}", getattr(edge, f)) for i, edge in enumerate(compiled.edges) for f in edges]
+
+
+@pytest.fixture(scope="module")
+def compiled() -> CompiledAutomaton:
+    return compile_automaton(example())
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_maps_equal_the_automaton(seed: int) -> None:
+    automaton = example(seed)
+    compiled = compile_automaton(automaton)
+    x, factor, u, _ = sample(np.random.default_rng(seed))
+    for mode in automaton.modes:
+        functions = compiled.modes[mode.name]
+        assert np.allclose(call(functions.step, x, u)[0], mode.flow(x, u), atol=1e-13)
+        assert np.allclose(call(functions.invariant, x, u)[0], mode.invariant.margins(x, u), atol=1e-13)
+        assert np.allclose(call(functions.inputs, x, u)[0], mode.inputs.margins(x, u), atol=1e-13)
+        assert np.array_equal(call(functions.observation, x)[0], x)
+        assert functions.invariant_names == tuple(h.name for h in mode.invariant.half_spaces)
+        assert functions.input_names == tuple(h.name for h in mode.inputs.half_spaces)
+        margin, std = call(functions.invariant_belief, x, factor, u)
+        expected = [gaussian.margin(x, factor, u, h) for h in mode.invariant.half_spaces]
+        assert np.allclose(np.stack([margin, std], axis=1), np.array(expected).reshape(-1, 2), atol=1e-13)
+    for edge, functions in zip(automaton.edges, compiled.edges, strict=True):
+        assert functions.edge is edge
+        assert functions.names == tuple(h.name for h in edge.guard.half_spaces)
+        assert np.allclose(call(functions.guard, x, u)[0], edge.guard.margins(x, u), atol=1e-13)
+        assert np.allclose(call(functions.reset, x, u)[0], edge.reset.apply(x, u), atol=1e-13)
+        margin, std = call(functions.guard_belief, x, factor, u)
+        expected = [gaussian.margin(x, factor, u, h) for h in edge.guard.half_spaces]
+        assert np.allclose(np.stack([margin, std], axis=1), np.array(expected).reshape(-1, 2), atol=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_belief_functions_equal_their_numpy_twins(seed: int, scale: float) -> None:
+    automaton = example(seed)
+    compiled = compile_automaton(automaton)
+    mean, factor, u, z = sample(np.random.default_rng(seed), scale)
+    close = {"rtol": 1e-9, "atol": 1e-9 * max(1.0, scale)}
+    observed = automaton.noise.observation_std
+    for mode in automaton.modes:
+        functions = compiled.modes[mode.name]
+        predicted = gaussian.predict(mean, factor, mode.B @ u, automaton.free_process_std(mode))
+        for ours, twin in zip(call(functions.predict, mean, factor, u), predicted, strict=True):
+            assert np.allclose(ours, twin, **close)
+        updated = gaussian.update(mean, factor, z, observed)
+        for ours, twin in zip(call(functions.update, mean, factor, z), updated, strict=True):
+            assert np.allclose(ours, twin, **close)
+        likely = gaussian.update(*predicted, predicted[0], observed)[:2]
+        for ours, twin in zip(call(functions.belief_step, mean, factor, u), likely, strict=True):
+            assert np.allclose(ours, twin, **close)
+        held = gaussian.condition_on_pins(mean, factor, mode.pins)
+        for ours, twin in zip(call(functions.condition, mean, factor), held, strict=True):
+            assert np.allclose(ours, twin, **close)
+    for edge, functions in zip(automaton.edges, compiled.edges, strict=True):
+        moved = gaussian.reset(mean, factor, u, edge.reset)
+        twins = gaussian.condition_on_pins(*moved, automaton.mode(edge.target).pins)
+        ours = call(functions.belief_reset, mean, factor, u)
+        assert np.allclose(ours[0], twins[0], **close)
+        assert np.allclose(ours[1] @ ours[1].T, twins[1] @ twins[1].T, rtol=1e-8, atol=1e-9 * max(1.0, scale**2))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_update_is_the_textbook_kalman_update(compiled: CompiledAutomaton, seed: int) -> None:
+    mean, factor, _, z = sample(np.random.default_rng(seed))
+    seen = [0, 2]
+    P = factor @ factor.T
+    S = P[np.ix_(seen, seen)] + np.diag(np.array([0.05, 0.2]) ** 2)
+    K = P[:, seen] @ np.linalg.inv(S)
+    new_mean, new_factor, log_likelihood = call(compiled.modes["free"].update, mean, factor, z)
+    assert np.allclose(new_mean, mean + K @ (z[seen] - mean[seen]), atol=1e-12)
+    assert np.allclose(new_factor @ new_factor.T, P - K @ P[seen], atol=1e-12)
+    assert np.allclose(log_likelihood, multivariate_normal(mean[seen], S).logpdf(z[seen]), atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_predict_adds_process_noise_to_free_coordinates_only(seed: int) -> None:
+    automaton = example(seed)
+    compiled = compile_automaton(automaton)
+    mean, factor, u, _ = sample(np.random.default_rng(seed))
+    for name, variances in (("free", [0.02**2, 0.0, 0.1**2]), ("pinned", [0.0, 0.0, 0.0])):
+        new_mean, new_factor = call(compiled.modes[name].predict, mean, factor, u)
+        assert np.allclose(new_mean, mean + automaton.mode(name).B @ u, atol=1e-13)
+        assert np.allclose(new_factor @ new_factor.T, factor @ factor.T + np.diag(variances), atol=1e-12)
+
+
+def test_a_mode_of_pins_is_not_counted_twice() -> None:
+    """Staying in a pinned mode without a sensor leaves the belief as the contact made it."""
+    automaton = example()
+    blind = HybridAutomaton(
+        automaton.coordinates, automaton.inputs, (), (), automaton.modes, automaton.edges,
+        Noise(automaton.noise.process_std, (np.inf,) * N),
+    )  # fmt: skip
+    mean, factor, u, _ = sample(np.random.default_rng(1))
+    entered = call(compile_automaton(blind).edges[0].belief_reset, mean, factor, u)
+    assert np.all(np.diag(entered[1] @ entered[1].T)[[0, 2]] < np.array([0.05, 0.2]) ** 2)
+    stayed = call(compile_automaton(blind).modes["pinned"].belief_step, *entered, np.zeros(M))
+    assert np.allclose(stayed[1], entered[1], atol=1e-15)
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1e-3, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_factors_stay_factors(compiled: CompiledAutomaton, seed: int, scale: float) -> None:
+    """Lower triangular, positive diagonal, finite; measuring never increases a variance, in any direction."""
+    mean, factor, u, z = sample(np.random.default_rng(seed), scale)
+    outputs = {
+        name: call(f, *({"mean": mean, "factor": factor, "u": u, "z": z}[f.name_in(i)] for i in range(f.n_in())))
+        for name, f in everything(compiled)
+        if f.name() in ("predict", "update", "belief_step", "belief_reset", "condition")
+    }
+    for _new_mean, new_factor, *_ in outputs.values():
+        assert np.all(np.isfinite(new_factor))
+        assert np.array_equal(new_factor, np.tril(new_factor))
+        assert np.all(np.diag(new_factor) > 0)
+    for name in ("free.update", "pinned.update", "pinned.condition"):
+        gained = factor @ factor.T - outputs[name][1] @ outputs[name][1].T
+        assert np.linalg.eigvalsh(gained).min() > -1e-12 * scale**2
+
+
+def test_upper_triangle_of_the_input_is_ignored(compiled: CompiledAutomaton) -> None:
+    mean, factor, u, _ = sample(np.random.default_rng(0))
+    step = compiled.modes["free"].belief_step
+    assert np.array_equal(call(step, mean, factor + np.triu(np.ones((N, N)), 1), u)[1], call(step, mean, factor, u)[1])
+
+
+def test_exactly_known_beliefs_have_finite_values_and_derivatives() -> None:
+    automaton = example()
+    exact = HybridAutomaton(
+        automaton.coordinates, automaton.inputs, (), (), automaton.modes, automaton.edges, Noise((0.0,) * N, (0.0,) * N)
+    )
+    arguments = {"mean": np.zeros(N), "factor": np.zeros((N, N)), "u": np.zeros(M), "z": np.zeros(N), "x": np.zeros(N)}
+    for model in (automaton, exact):
+        for name, function in everything(compile_automaton(model)):
+            values = [ca.DM(arguments[function.name_in(i)]) for i in range(function.n_in())]
+            outputs = function.call(values) + function.jacobian().call(values + function.call(values))
+            assert all(np.all(np.isfinite(o.full())) for o in outputs), name
+
+
+NAMES = [name for name, _ in everything(compile_automaton(example()))]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_jacobians_equal_finite_differences(compiled: CompiledAutomaton, name: str) -> None:
+    function = dict(everything(compiled))[name]
+    mean, factor, u, z = sample(np.random.default_rng(3))
+    arguments = {"mean": mean, "x": mean, "factor": factor, "u": u, "z": z}
+    values = [arguments[function.name_in(i)] for i in range(function.n_in())]
+    jacobians = function.jacobian().call([ca.DM(v) for v in values] + function.call([ca.DM(v) for v in values]))
+    for index, value in enumerate(values):
+        for entry in range(value.size):
+            row, column = entry % len(value), entry // len(value)
+            if column > row:
+                continue  # above the diagonal of the factor
+            plus, minus = (function.call(shifted(values, index, row, column, step)) for step in (1e-6, -1e-6))
+            for output in range(function.n_out()):
+                numeric = (plus[output] - minus[output]).full().ravel(order="F") / 2e-6
+                exact = jacobians[output * function.n_in() + index].full()[:, entry]
+                assert np.allclose(exact, numeric, rtol=1e-5, atol=1e-7), (name, output, index, entry)
+
+
+def shifted(values: list[np.ndarray], index: int, row: int, column: int, step: float) -> list[ca.DM]:
+    moved = [ca.DM(v) for v in values]
+    moved[index][row, column] += step
+    return moved
