@@ -1,0 +1,64 @@
+"""Whole files in and out: bounded reads with clear errors, and writes that replace a file at once or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from micah_plan.errors import InputError
+
+LARGEST_FILE_BYTES = 256 * 1024 * 1024
+
+
+def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
+    """The content of a file of at most `limit` bytes.
+
+    Raises:
+        InputError: if the file is missing, a directory, not readable or larger.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(limit + 1)
+    except FileNotFoundError:
+        raise InputError("the file does not exist", source=path, remedy="check the path") from None
+    except IsADirectoryError:
+        raise InputError("expected a file, found a directory", source=path, remedy="name a file in it") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
+        problem = f"cannot be read ({_reason(error)})"
+        raise InputError(problem, source=path, remedy="check its path and permissions") from None
+    if len(data) > limit:
+        problem = f"expected at most {limit // 1024 // 1024} MiB, found a larger file"
+        raise InputError(problem, source=path, remedy="split it into several files")
+    return data
+
+
+def replace_file(path: str | Path, data: bytes) -> None:
+    """Write a file so that a reader sees the old content or the new, never half of it.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    target = Path(os.path.realpath(path))  # a link keeps pointing to its file
+    try:
+        if target.exists() and not target.is_file() and not target.is_dir():
+            target.write_bytes(data)  # a pipe or device such as /dev/stdout must never be replaced
+            return
+        temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+        try:
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except (OSError, ValueError) as error:
+        remedy = "name a file in a directory that exists and may be written"
+        raise InputError(f"cannot be written ({_reason(error)})", source=path, remedy=remedy) from None
+
+
+def _reason(error: OSError | ValueError) -> str:
+    """What the system said, in lower case and without its numbers and paths."""
+    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,179 @@
+"""What makes rows a recording, whatever file they came from: finite values, time order, unit quaternions, actions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError, shown
+from micah_plan.recording.columns import ACTION, FORCE, KNOWN, LARGEST, MAY_BE_EMPTY, POSITION, QUATERNION
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+Place = Callable[[int, str], str]
+"""How a message names row i (0-based) and column c, e.g. "line 7, column 'x'"."""
+
+NORM_TOLERANCE = 0.01 + 1e-12  # a norm of 0.99 is within 1 %, though 1 - 0.99 rounds to more than 0.01
+# Quaternions this close to unit norm are left as they are, so that reading what was written changes no bit.
+_EXACT = 1e-12
+# No file format here can hold these in a text: line breaks, NUL and halves of surrogate pairs.
+_UNSTORABLE = re.compile(r"[\0\r\n\ud800-\udfff]")
+
+
+def row_and_column(row: int, column: str) -> str:
+    """The place in a recording that is not (yet) a text file; rows count from 0 as in NumPy."""
+    return f"row {row}, column {shown(column)}"
+
+
+def checked(recording: Recording, *, minimum_rows: int = 1, place: Place = row_and_column) -> Recording:
+    """The recording with its quaternions normalised, if its rows are what a recording promises.
+
+    Args:
+        recording: the rows as they were found.
+        minimum_rows: how many rows every run needs of each of its parts (what a fit on it needs).
+        place: how messages name a row and column.
+
+    Raises:
+        InputError: for the first value out of range, the first quaternion whose norm is off by more than 1 %, the first
+            time that does not increase within a run and part, the first misplaced empty action and the first run that
+            is too short. Where it is, is in the error; the file is left to the caller.
+    """
+    _check_texts(recording, place)
+    _check_values(recording, place)
+    order, starts, ends = _groups(recording)
+    _check_time(recording, order, starts, place)
+    last = np.zeros(len(recording), dtype=bool)
+    last[order[ends]] = True
+    _check_actions(recording, last, place)
+    _check_length(recording, order, starts, ends, minimum_rows, place)
+    if recording.quaternion is None:
+        return recording
+    return replace(recording, quaternion=_normalised(recording.quaternion, place))
+
+
+def numeric_columns(recording: Recording) -> list[tuple[str, Floats]]:
+    """The numeric columns that the recording has, in the order of the format: name and (n,) values."""
+    groups = (
+        (("t",), recording.time[:, None]),
+        (POSITION, recording.position),
+        (QUATERNION, recording.quaternion),
+        (ACTION, recording.action),
+        (FORCE, recording.force),
+    )
+    return [(name, a[:, i]) for names, a in groups if a is not None for i, name in enumerate(names)]
+
+
+def _check_texts(recording: Recording, place: Place) -> None:
+    for name, texts in (("part", recording.part), *recording.extra.items()):
+        if (name != "part" and name.strip() in KNOWN) or _UNSTORABLE.search(name):
+            remedy = "rename it"
+            raise InputError(f"{shown(name)} is no name that an extra column can have", remedy=remedy)
+        if _UNSTORABLE.search("".join(texts)):
+            row = next(i for i, text in enumerate(texts) if _UNSTORABLE.search(text))
+            problem = f"expected text on one line, found {shown(texts[row])}"
+            raise InputError(problem, where=place(row, name), remedy="remove its line breaks and NUL characters")
+    empty = next((i for i, part in enumerate(recording.part) if not part.strip()), None)
+    if empty is not None:
+        raise InputError("the name of the part is empty", where=place(empty, "part"), remedy="name the part")
+
+
+def _check_values(recording: Recording, place: Place) -> None:
+    for name, values in numeric_columns(recording):
+        good = np.abs(values) <= LARGEST[name]  # false for NaN and infinity
+        if name in MAY_BE_EMPTY:
+            good |= np.isnan(values)
+        if not good.all():
+            row = int(np.argmin(good))
+            problem = f"expected a finite number of at most {LARGEST[name]:g} in size, found {values[row]:g}"
+            raise InputError(problem, where=place(row, name), remedy="give measured values in SI units (s, m, N)")
+    for names, array in ((ACTION, recording.action), (FORCE, recording.force)):
+        if array is None:
+            continue
+        empty = np.isnan(array)
+        partly = empty.any(axis=1) & ~empty.all(axis=1)
+        if partly.any():
+            row = int(np.argmax(partly))
+            column = names[int(np.argmax(empty[row]))]
+            problem = f"expected {','.join(names)} all filled or all empty, found only '{column}' empty"
+            if empty[row].sum() > 1:
+                problem = f"expected {','.join(names)} all filled or all empty, found only some of them filled"
+            raise InputError(problem, where=place(row, column), remedy="fill in the others or empty all three")
+
+
+def _groups(recording: Recording) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Rows sorted by (run, part), file order kept within; first and last place of each group in that order."""
+    numbers: dict[tuple[int, str], int] = {}
+    keys = zip(recording.run.tolist(), recording.part, strict=True)
+    group = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
+    order = np.argsort(group, kind="stable")
+    change = np.flatnonzero(np.diff(group[order])) + 1
+    n = len(group)
+    starts = np.concatenate([[0], change]) if n else change
+    ends = np.concatenate([change, [n]]) - 1 if n else change
+    return order, starts.astype(np.intp), ends.astype(np.intp)
+
+
+def _check_time(recording: Recording, order: NDArray[np.intp], starts: NDArray[np.intp], place: Place) -> None:
+    step = np.diff(recording.time[order], prepend=0.0)
+    step[starts] = 1.0
+    wrong = np.flatnonzero(step <= 0.0)
+    if not wrong.size:
+        return
+    at = wrong[np.argmin(order[wrong])]
+    row, before = int(order[at]), int(order[at - 1])
+    says = "stands still" if step[at] == 0.0 else "goes backwards"
+    problem = f"time {says}: {float(recording.time[row])!r} s after {float(recording.time[before])!r} s"
+    remedy = "sort the rows by time, drop repeated rows, or give each run its number in a column 'run'"
+    raise InputError(problem + _of(recording, row), where=place(row, "t"), remedy=remedy)
+
+
+def _check_actions(recording: Recording, last: NDArray[np.bool_], place: Place) -> None:
+    if recording.action is None:
+        return
+    misplaced = np.isnan(recording.action[:, 0]) & ~last
+    if misplaced.any():
+        row = int(np.argmax(misplaced))
+        problem = "the action is empty, which is only allowed in the last row of a run" + _of(recording, row)
+        remedy = "fill in the commanded displacement (0 where nothing was commanded) or remove ax,ay,az"
+        raise InputError(problem, where=place(row, ACTION[0]), remedy=remedy)
+
+
+def _check_length(
+    recording: Recording,
+    order: NDArray[np.intp],
+    starts: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    minimum_rows: int,
+    place: Place,
+) -> None:
+    if not len(recording):
+        raise InputError("expected rows of measurements, found none", remedy="record at least one row")
+    short = np.flatnonzero(ends - starts + 1 < minimum_rows)
+    if short.size:
+        at = short[0]
+        row, count = int(order[ends[at]]), int(ends[at] - starts[at] + 1)
+        problem = f"expected at least {minimum_rows} rows, found {count}" + _of(recording, row)
+        raise InputError(problem, where=place(row, "t"), remedy="record a longer motion or leave these rows out")
+
+
+def _normalised(quaternion: Floats, place: Place) -> Floats:
+    norm = np.linalg.norm(quaternion, axis=1)
+    off = np.abs(norm - 1.0)
+    if (off > NORM_TOLERANCE).any():
+        row = int(np.argmax(off > NORM_TOLERANCE))
+        problem = f"expected a unit quaternion, found the norm {norm[row]:.6g}"
+        remedy = "give the measured orientation, scalar last, or remove qx,qy,qz,qw if it was not measured"
+        raise InputError(problem, where=place(row, QUATERNION[0]), remedy=remedy)
+    scale = np.where(off > _EXACT, norm, 1.0)
+    return np.asarray(quaternion / scale[:, None])
+
+
+def _of(recording: Recording, row: int) -> str:
+    """Which run and part a message is about, where the recording tells them apart."""
+    names = [f"run {recording.run[row]}"] if recording.has_run else []
+    names += [f"part {shown(recording.part[row])}"] if recording.has_part else []
+    return f" ({', '.join(names)})" if names else ""

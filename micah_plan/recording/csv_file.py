@@ -1,0 +1,159 @@
+"""The recording CSV: one header line, comma separated, UTF-8, SI units, rows in time order.
+
+Columns, in any order: ``t,x,y,z`` and optionally ``run``, ``part``, ``qx,qy,qz,qw``, ``ax,ay,az`` (empty only in the
+last row of a run) and ``fx,fy,fz``. All others are kept as the text they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError, shown
+from micah_plan.files import replace_file
+from micah_plan.recording.checks import Place, checked, numeric_columns
+from micah_plan.recording.columns import (
+    ACTION,
+    FORCE,
+    KNOWN,
+    MAY_BE_EMPTY,
+    NUMERIC,
+    POSITION,
+    QUATERNION,
+    check_header,
+)
+from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
+from micah_plan.recording.value import DEFAULT_PART, Recording
+
+
+def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+    """Read a recording CSV.
+
+    Quaternions whose norm is within 1 % of one are normalised.
+
+    Args:
+        path: the file.
+        minimum_rows: how many rows every run needs of each of its parts.
+
+    Raises:
+        InputError: with file, line, column and remedy, for whatever is not as the format says.
+    """
+    try:
+        names, rows, line_numbers = _table(read_lines(path))
+        columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+
+        def place(row: int, column: str) -> str:
+            return f"line {line_numbers[row]}, column {shown(column)}"
+
+        return checked(_recording(columns, place), minimum_rows=minimum_rows, place=place)
+    except InputError as error:
+        raise error.located(path) from None
+
+
+def write_csv(recording: Recording, path: str | Path) -> None:
+    """Write a recording CSV, at once or not at all, so that reading it gives the same values to the last bit.
+
+    Raises:
+        InputError: if the file cannot be written or the recording is not one that could be read back.
+    """
+    try:
+        columns = _texts(checked(recording))
+    except InputError as error:
+        raise error.located(path) from None
+    header = ",".join(_quoted(name) for name in columns)
+    rows = (",".join(row) for row in zip(*columns.values(), strict=True))
+    replace_file(path, ("\n".join((header, *rows)) + "\n").encode())
+
+
+def _table(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
+    """Column names, fields per row, and the line number of each row; blank lines are skipped."""
+    filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
+    header, numbers = filled[0], filled[1:]
+    raw = _fields(lines[header - 1], header)
+    names = [name.strip() if name.strip() in KNOWN else name for name in raw]
+    where = f"line {header}"
+    if all(is_number(name) for name in names):
+        problem = f"expected a header line, found {shown(','.join(raw))}"
+        raise InputError(problem, where=where, remedy="put the names of the columns first, such as t,x,y,z")
+    check_header(names, where=where)
+    if not numbers:
+        raise InputError("the header is followed by no rows", where=where, remedy="record at least one row")
+    rows = [_fields(lines[number - 1], number) for number in numbers]
+    for number, row in zip(numbers, rows, strict=True):
+        if len(row) != len(names):
+            problem = f"expected {len(names)} fields as in the header, found {len(row)}"
+            remedy = "separate by commas, write numbers with a point, quote text that holds a comma"
+            raise InputError(problem, where=f"line {number}", remedy=remedy)
+    return names, rows, numbers
+
+
+def _fields(line: str, number: int) -> list[str]:
+    if '"' not in line:
+        return line.split(",")
+    try:
+        return next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        problem = f"a quoted field does not end on its line or is malformed ({error})"
+        remedy = 'quote text as "a, b", double the quotes in it and keep it on one line'
+        raise InputError(problem, where=f"line {number}", remedy=remedy) from None
+
+
+def _recording(columns: Mapping[str, tuple[str, ...]], place: Place) -> Recording:
+    """The columns as values; of several unreadable ones the first in the file is reported."""
+    values: dict[str, NDArray[Any]] = {}
+    unreadable: list[tuple[int, int, str, UnreadableValue]] = []
+    for index, (name, texts) in enumerate(columns.items()):
+        try:
+            if name == "run":
+                values[name] = integers(texts)
+            elif name in NUMERIC:
+                values[name] = floats(texts, may_be_empty=name in MAY_BE_EMPTY)
+        except UnreadableValue as error:
+            unreadable.append((error.row, index, name, error))
+    if unreadable:
+        row, _, name, found = min(unreadable, key=lambda item: item[:2])
+        if columns[name][row].strip() == name:
+            remedy = "keep one header line; join recordings by a column 'run'"
+            raise InputError("a second header line", where=place(row, name), remedy=remedy)
+        raise InputError(found.problem, where=place(row, name), remedy=found.remedy)
+
+    def group(names: Sequence[str]) -> NDArray[Any] | None:
+        return np.stack([values[name] for name in names], axis=1) if names[0] in values else None
+
+    position = np.stack([values[name] for name in POSITION], axis=1)
+    return Recording(
+        time=values["t"],
+        position=position,
+        quaternion=group(QUATERNION),
+        action=group(ACTION),
+        force=group(FORCE),
+        run=values.get("run"),  # type: ignore[arg-type]  # None: the value fills it in
+        part=columns.get("part", ()),
+        has_run="run" in columns,
+        has_part="part" in columns,
+        extra={name: texts for name, texts in columns.items() if name not in KNOWN},
+    )
+
+
+def _texts(recording: Recording) -> dict[str, list[str]]:
+    """The fields of every column, as the file holds them."""
+    columns: dict[str, list[str]] = {}
+    if recording.has_run or recording.run.any():
+        columns["run"] = [str(run) for run in recording.run.tolist()]
+    if recording.has_part or recording.parts != (DEFAULT_PART,):
+        columns["part"] = [_quoted(name) for name in recording.part]
+    for name, array in numeric_columns(recording):
+        columns[name] = ["" if math.isnan(value) else repr(value) for value in array.tolist()]
+    for name, texts in recording.extra.items():
+        columns[name] = [_quoted(text) for text in texts]
+    return columns
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if '"' in text or "," in text else text

@@ -1,0 +1,184 @@
+"""Recordings as NPZ: the arrays of the value under their own names, without any parsing of text.
+
+Keys: ``time``, ``position`` and optionally ``quaternion``, ``action``, ``force``, ``run``, ``part``; further columns as
+``extra_names`` (k,) and ``extra`` (k, n), both text. Shapes and units are those of `Recording`.
+"""
+
+from __future__ import annotations
+
+import io
+import lzma
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError, shown
+from micah_plan.files import LARGEST_FILE_BYTES, read_bytes, replace_file
+from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.value import DEFAULT_PART, Recording
+
+_NUMBERS = {"time": 1, "position": 2, "quaternion": 2, "action": 2, "force": 2}
+_TEXTS = {"part": 1, "extra_names": 1, "extra": 2}
+_DIMENSIONS = {**_NUMBERS, "run": 1, **_TEXTS}
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    OSError,
+    KeyError,
+    IndexError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    OverflowError,
+    SyntaxError,
+    MemoryError,
+    Warning,
+)  # what zipfile and NumPy are seen to raise on damaged archives
+_REMEDY = "write it again with write_recording or numpy.savez"
+
+
+def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+    """Read a recording from an NPZ archive; pickled objects are refused, and so is what unpacks to over 256 MiB.
+
+    Quaternions whose norm is within 1 % of one are normalised.
+
+    Args:
+        path: the file.
+        minimum_rows: how many rows every run needs of each of its parts.
+
+    Raises:
+        InputError: with file, row (from 0), column and remedy, for whatever is not as the format says.
+    """
+    data = read_bytes(path)
+    if not data:
+        raise InputError("the file is empty", source=path, remedy="write a recording into it")
+    try:
+        arrays = _arrays(data)
+        _check_arrays(arrays)
+        return checked(_recording(arrays), minimum_rows=minimum_rows, place=row_and_column)
+    except InputError as error:
+        raise error.located(path) from None
+    except _BROKEN as error:
+        problem = f"expected an NPZ archive of arrays, found one that cannot be read ({_first_words(error)})"
+        raise InputError(problem, source=path, remedy=_REMEDY) from None
+
+
+def write_npz(recording: Recording, path: str | Path) -> None:
+    """Write a recording as NPZ, at once or not at all.
+
+    Raises:
+        InputError: if the file cannot be written or the recording is not one that could be read back.
+    """
+    try:
+        recording = checked(recording)
+    except InputError as error:
+        raise error.located(path) from None
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in _NUMBERS:
+        array = getattr(recording, name)
+        if array is not None:
+            arrays[name] = array
+    if recording.has_run or recording.run.any():
+        arrays["run"] = recording.run
+    if recording.has_part or recording.parts != (DEFAULT_PART,):
+        arrays["part"] = np.array(recording.part)
+    if recording.extra:
+        arrays["extra_names"] = np.array(list(recording.extra))
+        arrays["extra"] = np.array(list(recording.extra.values()))
+    size = sum(array.nbytes for array in arrays.values())
+    if size > LARGEST_FILE_BYTES:
+        raise InputError(
+            f"the arrays take {size} bytes, more than a reader accepts", source=path, remedy="write a .csv"
+        )
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    replace_file(path, buffer.getvalue())
+
+
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays of the archive, after its directory was checked."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > LARGEST_FILE_BYTES:
+            limit = LARGEST_FILE_BYTES // 1024 // 1024
+            raise InputError(
+                f"expected at most {limit} MiB of arrays, found {size} bytes", remedy="split the recording"
+            )
+        arrays: dict[str, NDArray[Any]] = {}
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            if name not in _DIMENSIONS or name in arrays:
+                known = ", ".join(_DIMENSIONS)
+                found = f"the array {shown(name)}" + (" twice" if name in arrays else "")
+                raise InputError(f"expected arrays among {known}, found {found}", remedy="rename or remove it")
+            arrays[name] = _array(archive.read(member), name)
+    return arrays
+
+
+def _array(content: bytes, name: str) -> NDArray[Any]:
+    """One array; its header is believed only as far as there are bytes for it, so that it cannot reserve memory."""
+    file = io.BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    if dtype.hasobject:
+        raise InputError(f"array '{name}' holds Python objects", remedy="store numbers and text only")
+    expected = dtype.itemsize
+    for length in shape:
+        expected *= length
+    if expected != len(content) - file.tell():
+        raise InputError(f"array '{name}' is cut off or has a wrong header", remedy=_REMEDY)
+    return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+
+
+def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
+    for name in ("time", "position"):
+        if name not in arrays:
+            raise InputError(f"array '{name}' is missing", remedy="store time (n,) and position (n, 3)")
+    if ("extra" in arrays) != ("extra_names" in arrays):
+        raise InputError("expected extra and extra_names together, found one of them", remedy="add the other")
+    for name, array in arrays.items():
+        kinds, meant = ("U", "text") if name in _TEXTS else ("iu", "integers") if name == "run" else ("fiu", "numbers")
+        if array.dtype.kind not in kinds or array.ndim != _DIMENSIONS[name]:
+            problem = f"expected array '{name}' to hold {meant} in {_DIMENSIONS[name]} dimensions"
+            raise InputError(f"{problem}, found {array.dtype} {array.shape}", remedy="convert it before saving")
+    n = len(arrays["time"])
+    lengths = {
+        name: array.shape[-1 if name == "extra" else 0] for name, array in arrays.items() if name != "extra_names"
+    }
+    for name, length in lengths.items():
+        if length != n:
+            raise InputError(f"expected {n} rows in array '{name}' as in 'time', found {length}", remedy=_REMEDY)
+    names = arrays["extra_names"].tolist() if "extra" in arrays else []
+    if "extra" in arrays and len(set(names)) != len(arrays["extra"]):
+        raise InputError("expected one name of its own for each row of 'extra'", remedy="rename the extra columns")
+    if "run" in arrays and arrays["run"].size and int(arrays["run"].max()) > np.iinfo(np.int64).max:
+        raise InputError("expected run numbers of at most 63 bits", remedy="number the runs 0, 1, 2 and so on")
+
+
+def _recording(arrays: Mapping[str, NDArray[Any]]) -> Recording:
+    extra = {}
+    if "extra" in arrays:
+        extra = dict(zip(arrays["extra_names"].tolist(), map(tuple, arrays["extra"].tolist()), strict=True))
+    return Recording(
+        **{name: arrays[name] for name in (*_NUMBERS, "run") if name in arrays},
+        part=tuple(arrays["part"].tolist()) if "part" in arrays else (),
+        has_run="run" in arrays,
+        has_part="part" in arrays,
+        extra=extra,
+    )
+
+
+def _first_words(error: BaseException) -> str:
+    return shown(str(error) or type(error).__name__)

@@ -1,0 +1,62 @@
+"""One way in and out for recordings: the reader and writer that fit a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes
+from micah_plan.recording.csv_file import read_csv, write_csv
+from micah_plan.recording.npz_file import read_npz, write_npz
+from micah_plan.recording.tum_file import read_tum, write_tum
+from micah_plan.recording.value import Recording
+
+_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory) or .npz (arrays)"
+
+
+def read_recording(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+    """Read a recording from a .csv, .tum, .txt or .npz file.
+
+    A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
+    TUM trajectory.
+
+    Args:
+        path: the file.
+        minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
+
+    Raises:
+        InputError: one line with file, place, what was expected and found, and a remedy.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".npz":
+        return read_npz(path, minimum_rows=minimum_rows)
+    if suffix == ".csv" or (suffix == ".txt" and _has_commas(path)):
+        return read_csv(path, minimum_rows=minimum_rows)
+    if suffix in {".txt", ".tum"}:
+        return read_tum(path, minimum_rows=minimum_rows)
+    read_bytes(path)  # that it does not exist or is a directory is the better message
+    raise _unknown(path, suffix)
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write a recording in the format that the extension names: .csv, .tum, .txt (TUM trajectory) or .npz.
+
+    Raises:
+        InputError: if the file cannot be written or its format cannot hold all that the recording has.
+    """
+    suffix = Path(path).suffix.lower()
+    writer = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum}.get(suffix)
+    if writer is None:
+        raise _unknown(path, suffix)
+    writer(recording, path)
+
+
+def _has_commas(path: str | Path) -> bool:
+    lines = (line.strip() for line in read_bytes(path).splitlines())
+    first = next((line for line in lines if line and not line.startswith(b"#")), b"")
+    return b"," in first
+
+
+def _unknown(path: str | Path, suffix: str) -> InputError:
+    found = f"the extension {shown(suffix)}" if suffix else "no extension"
+    return InputError(f"expected a recording, found {found}", source=path, remedy=_REMEDY)

@@ -1,0 +1,121 @@
+"""Text files as numbered lines, and text as numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
+_END_OF_LINE = re.compile(r"\r\n|\n|\r")
+NUMBER_REMEDY = "write a decimal number such as 0.25"
+
+
+def read_lines(path: str | Path) -> list[str]:
+    """The lines of a UTF-8 file, without their ends (LF, CRLF or CR) and without a byte order mark.
+
+    Raises:
+        InputError: if the file cannot be read, is empty, binary or not UTF-8, with the line where that shows.
+    """
+    data = read_bytes(path)
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError("expected UTF-8, found UTF-16", source=path, where="line 1", remedy="save the file as UTF-8")
+    nul = data.find(b"\0")
+    if nul >= 0:
+        where = f"line {_line_of(data, nul)}"
+        raise InputError("expected text, found a binary file", source=path, where=where, remedy="choose the text file")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        where = f"line {_line_of(error.object, error.start)}"
+        problem = f"expected UTF-8 text, found the byte 0x{error.object[error.start]:02x}"
+        raise InputError(problem, source=path, where=where, remedy="save the file as UTF-8") from None
+    if not text.strip():
+        raise InputError("the file is empty", source=path, where="line 1", remedy="write a recording into it")
+    return _END_OF_LINE.split(text)  # not str.splitlines, which also splits at characters a name may hold
+
+
+def _line_of(data: bytes, offset: int) -> int:
+    return len(re.findall(rb"\r\n|\n|\r", data[:offset])) + 1
+
+
+class UnreadableValue(Exception):  # noqa: N818 - the value is at fault; it becomes an InputError once its place is known
+    """A text that is no number: the row in the column, what is wrong and what to do."""
+
+    def __init__(self, row: int, problem: str, remedy: str) -> None:
+        super().__init__(problem)
+        self.row = row
+        self.problem = problem
+        self.remedy = remedy
+
+
+def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.float64]:
+    """The numbers that a column of texts spells in decimal; NaN for an empty text where that is allowed.
+
+    Raises:
+        UnreadableValue: for the first text that is not one finite number.
+    """
+    values = _plain_floats(texts, may_be_empty)
+    if values is not None:
+        return values
+    return np.array([_float(row, text.strip(), may_be_empty) for row, text in enumerate(texts)])
+
+
+def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float64] | None:
+    """The fast path for columns in order; None if a value needs the closer look that finds the message."""
+    try:
+        if may_be_empty:
+            values = np.array([float(text) if text else np.nan for text in texts])
+        else:
+            values = np.array([float(text) for text in texts])
+    except ValueError:
+        return None
+    joined = "".join(texts)
+    if "_" in joined or not joined.isascii():  # float() takes 1_000 and digits of other scripts
+        return None
+    empty = sum(not text for text in texts) if may_be_empty else 0
+    return values if np.count_nonzero(~np.isfinite(values)) == empty else None
+
+
+def _float(row: int, text: str, may_be_empty: bool) -> float:
+    if not text:
+        if may_be_empty:
+            return float("nan")
+        raise UnreadableValue(row, "expected a number, found nothing", "fill in the value or remove the row")
+    if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
+        raise UnreadableValue(
+            row, f"expected a finite number, found {shown(text)}", "fill in the value or remove the row"
+        )
+    if not is_number(text):
+        raise UnreadableValue(row, f"expected a number, found {shown(text)}", NUMBER_REMEDY)
+    value = float(text)
+    if not np.isfinite(value):
+        raise UnreadableValue(
+            row, f"expected a number in range, found {shown(text)}", "give measured values in SI units"
+        )
+    return value
+
+
+def is_number(text: str) -> bool:
+    """Whether the text spells a number in decimal."""
+    return _NUMBER.fullmatch(text.strip()) is not None
+
+
+def integers(texts: Sequence[str]) -> NDArray[np.int64]:
+    """The integers that a column of texts spells in decimal.
+
+    Raises:
+        UnreadableValue: for the first text that is not an integer of at most 18 digits.
+    """
+    for row, text in enumerate(texts):
+        if not _INTEGER.fullmatch(text.strip()):
+            problem = f"expected an integer of at most 18 digits, found {shown(text)}"
+            raise UnreadableValue(row, problem, "number the runs 0, 1, 2 and so on")
+    return np.array([int(text) for text in texts], dtype=np.int64)
