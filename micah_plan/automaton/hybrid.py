@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,6 +210,11 @@ class HybridAutomaton:
     def m(self) -> int:
         """Number of inputs."""
         return len(self.inputs)
+
+    @cached_property
+    def derived(self) -> dict[str, Any]:
+        """Memo for what algorithms compute once per automaton, by a name of theirs; no part of the value."""
+        return {}
 
     @cached_property
     def _modes_by_name(self) -> dict[str, Mode]:

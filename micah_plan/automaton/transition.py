@@ -1,0 +1,321 @@
+"""One step of a hybrid automaton, with every event located exactly, in the order in which the motion meets it.
+
+Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid automata; MICAH, section II-C. MICAH
+tests guards between steps; here they are located within the step, so that the result does not depend on how finely the
+motion is cut into steps and no threshold is overrun.
+
+**Motion.** Within a step, s runs from 0 to 1 and x moves along the straight line x + s d with d = B_q u + disturbance
+(the disturbance on a pinned coordinate is ignored: the mode holds it). Guards are half-spaces, so their margins are
+affine in s and events are found by division, not by search.
+
+**When a guard fires.** At the first s at which for *every* one of its half-spaces the state is inside (margin > 0), or
+on the boundary and going inside (margin = 0, growing), or staying on a boundary that belongs to it (margin = 0,
+constant, not strict). So an intersection fires when the last of its half-spaces is entered, provided that none has been
+left by then; and a guard ``c >= t`` does not fire while the flow leads away from t: a state on the boundary between two
+modes belongs to the mode that it moves into. A guard that is true when the step starts fires at s = 0, also if the
+motion leads out of it. A guard on inputs alone is constant during a step: it holds from the moment its mode is entered
+or not at all. A margin, or its change over a step, counts as 0 within ``guard_table.TOLERANCE`` (relative to
+thresholds above 1).
+
+**Order.** Earlier events first. Of several guards that hold at one instant, mode changes go before self transitions
+(clamps), then the first listed edge goes first. After each event guards are asked again, those of the new mode, at the
+same instant and from where the reset put the state; so one step can run through a chain of modes.
+
+**What an event does.** The reset is applied with the full u. After a mode change d is computed anew from the new mode's
+flow; a self transition keeps the motion but passes d through the linear part of its reset (a clamped coordinate stops,
+the others go on).
+
+**Chattering.** At one instant no mode is entered twice (the one at the start of the instant included) and no self
+transition is taken twice. An edge that this rule blocks is a wall: if the flow leads into its guard, the component of d
+along the guard's normal is taken out and the state slides along the boundary for the rest of the step. If its guard
+holds already, away from the boundary, it is passed over until the next instant at which an event happens. A step has
+at most ``MOST_EVENTS`` events (a reset that throws the state back in front of its own guard could go on for ever); then
+the state rests where it is and ``Step.complete`` is false.
+
+**Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
+clips.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from micah_plan.automaton.guard_table import Exit, ModeTable, Row, entry, margin_and_rate, mode_tables, next_entry
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError, shown
+
+Floats = NDArray[np.float64]
+
+MOST_EVENTS = 256
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Event:
+    """A transition that happened within a step.
+
+    Attributes:
+        edge: index into the automaton's edges.
+        fraction: s in [0, 1] of the step at which it happened.
+        x_before, x_after: (n,) state before and after the reset [rad or m].
+        source, target: modes; equal for a self transition.
+    """
+
+    edge: int
+    fraction: float
+    x_before: Floats
+    x_after: Floats
+    source: str
+    target: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Step:
+    """The result of one step.
+
+    Attributes:
+        mode, x: at the end of the step; x is (n,).
+        events: in the order in which they happened.
+        complete: false if the limit on events ended the motion early.
+    """
+
+    mode: str
+    x: Floats
+    events: tuple[Event, ...] = ()
+    complete: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The result of `simulate` over k steps.
+
+    Attributes:
+        modes: (k+1,) from the initial mode on.
+        states: (k+1, n) from the initial state on [rad or m].
+        events: (step, event) of all events, step counted from 0.
+        complete: whether all steps were.
+    """
+
+    modes: tuple[str, ...]
+    states: Floats
+    events: tuple[tuple[int, Event], ...]
+    complete: bool
+
+
+def step(
+    automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike, disturbance: ArrayLike | None = None
+) -> Step:
+    """The state after one step from x (n,) in `mode` with the input u (m,), as the module's docstring defines it.
+
+    Args:
+        disturbance: (n,) displacement over the whole step that adds to the flow [rad or m].
+
+    Raises:
+        InputError: unknown mode, wrong number of values, or a value that is not finite.
+    """
+    tables = mode_tables(automaton)
+    table = tables.get(mode) or tables[automaton.mode(mode).name]
+    start = _values(x, automaton.n, "x")
+    given = _values(u, automaton.m, "u")
+    pushed = None if disturbance is None else _values(disturbance, automaton.n, "disturbance")
+    end, final, events, complete = _advance(tables, table, start, given, pushed)
+    return Step(end.name, np.array(final), tuple(events), complete)
+
+
+def simulate(
+    automaton: HybridAutomaton, mode: str, x0: ArrayLike, inputs: ArrayLike, disturbances: ArrayLike | None = None
+) -> Run:
+    """`step` after `step` with inputs (k, m) and disturbances (k, n), from x0 (n,) in `mode`.
+
+    Raises:
+        InputError: as `step`, or the number of disturbances is not that of inputs.
+    """
+    tables = mode_tables(automaton)
+    table = tables[automaton.mode(mode).name]
+    rows = _rows(inputs, automaton.m, "inputs")
+    pushes = [None] * len(rows) if disturbances is None else _rows(disturbances, automaton.n, "disturbances")
+    if len(pushes) != len(rows):
+        raise InputError(f"disturbances must have as many rows as inputs, {len(rows)}. Got {len(pushes)}")
+    x = _values(x0, automaton.n, "x0")
+    modes, states, all_complete = [table.name], [x], True
+    log: list[tuple[int, Event]] = []
+    for k, (u, pushed) in enumerate(zip(rows, pushes, strict=True)):
+        table, x, events, complete = _advance(tables, table, x, u, pushed)
+        modes.append(table.name)
+        states.append(x)
+        log.extend((k, event) for event in events)
+        all_complete = all_complete and complete
+    return Run(tuple(modes), np.array(states).reshape(len(states), automaton.n), tuple(log), all_complete)
+
+
+def admissible(automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike, tolerance: float = 0.0) -> bool:
+    """Whether u (m,) is in φ(q, x), the mode's admissible inputs at x (n,)."""
+    state, given = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+    return bool(automaton.mode(mode).inputs.contains(state, given, tolerance))
+
+
+def saturate(automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike) -> Floats:
+    """u (m,) with each input clipped to φ(q, x), for sets that bound one input at a time (the bounds may depend on x).
+
+    Raises:
+        InputError: if a half-space couples several inputs or none, or the bounds leave no room.
+    """
+    state, clipped = np.asarray(x, dtype=float), np.array(u, dtype=float)
+    lower, upper = np.full(automaton.m, -np.inf), np.full(automaton.m, np.inf)
+    for half_space in automaton.mode(mode).inputs.half_spaces:
+        bounded = [j for j, weight in enumerate(half_space.b) if weight]
+        if len(bounded) != 1:
+            raise InputError(
+                f"mode {mode}: admissible inputs '{half_space.name}' must bound one input. Got weights {half_space.b}"
+            )
+        j = bounded[0]
+        bound = (half_space.c - float(state @ np.array(half_space.a))) / half_space.b[j]
+        if half_space.b[j] > 0:
+            lower[j] = max(lower[j], bound)
+        else:
+            upper[j] = min(upper[j], bound)
+    if (lower > upper).any():
+        raise InputError(f"mode {mode}: no input is admissible at x = {state.tolist()}")
+    return np.asarray(np.clip(clipped, lower, upper))
+
+
+def _advance(
+    tables: dict[str, ModeTable], table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None
+) -> tuple[ModeTable, list[float], list[Event], bool]:
+    """Move from s = 0 to s = 1, alternately on to the next instant with an event and through the events there.
+
+    Returns:
+        mode table and state at the end, the events, and whether the step was completed.
+    """
+    events: list[Event] = []
+    s = 0.0
+    d = _displacement(table, u, pushed)
+    while True:
+        # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
+        upcoming = next_entry(table, x, d, u, 1.0 - s, later_only=bool(events))
+        if upcoming is None:
+            return table, [xi + (1.0 - s) * di for xi, di in zip(x, d, strict=True)], events, True
+        ahead, arrived = upcoming
+        if ahead > 0.0:
+            x = [xi + ahead * di for xi, di in zip(x, d, strict=True)]
+            s = min(1.0, s + ahead)
+        instant = _Instant(tables, table, x, d, u, pushed, s, events)
+        if not instant.settle(arrived):
+            return instant.table, instant.x, events, False
+        table, x, d = instant.table, instant.x, instant.d
+
+
+@dataclass(slots=True)
+class _Instant:
+    """The state of a step at one instant s; `settle` takes it through all events that happen there."""
+
+    tables: dict[str, ModeTable]
+    table: ModeTable
+    x: list[float]
+    d: list[float]
+    u: list[float]
+    pushed: list[float] | None
+    s: float
+    events: list[Event]
+
+    def settle(self, arrived: int) -> bool:
+        """Take all events, among them the edge whose guard the motion arrived at. False if there are too many."""
+        entered, taken, walls = {self.table.name}, set[int](), set[int]()
+        while True:
+            # Where rounding left the state a hair short of the guard it arrived at, asking the guard would miss it.
+            holding = [
+                e
+                for e in self.table.exits
+                if (not taken and e.edge == arrived) or entry(e, self.x, self.d, self.u, 0.0) is not None
+            ]
+            free = next((e for e in holding if e.edge not in taken and (e.is_self or e.target not in entered)), None)
+            if free is not None:
+                if len(self.events) >= MOST_EVENTS:
+                    return False
+                self._take(free)
+                taken.add(free.edge)
+                entered.add(free.target)
+                continue
+            wall = next((e for e in holding if self._is_entering(e)), None)
+            if wall is None:
+                return True
+            if wall.edge in walls:  # Sliding along one wall leads into another and back: there is no way on.
+                self.d = [0.0] * len(self.d)
+            walls.add(wall.edge)
+            self._slide(wall)
+
+    def _take(self, chosen: Exit) -> None:
+        before, self.x = self.x, _reset(chosen, self.x, self.u)
+        self.events.append(Event(chosen.edge, self.s, np.array(before), np.array(self.x), chosen.source, chosen.target))
+        if chosen.is_self:
+            self.d = self.d if chosen.A is None else _times(chosen.A, self.d)
+        else:
+            self.table = self.tables[chosen.target]
+            self.d = _displacement(self.table, self.u, self.pushed)
+
+    def _is_entering(self, blocked: Exit) -> bool:
+        return any(self._pressure(row) for row in blocked.rows)
+
+    def _pressure(self, row: Row) -> float:
+        """Rate at which the flow goes into a half-space on whose boundary the state is, else 0."""
+        margin, rate = margin_and_rate(row, self.x, self.d, self.u)
+        return rate if rate > row.tolerance and abs(margin) <= row.tolerance else 0.0
+
+    def _slide(self, wall: Exit) -> None:
+        """Take the normal part out of d for the first half-space that the flow enters; pinned coordinates stay."""
+        for row in wall.rows:
+            rate = self._pressure(row)
+            if rate:
+                normal = [(i, w) for i, w in row.states if self.table.flow[i] is not None]
+                squared = sum(w * w for _, w in normal)
+                for i, w in normal:
+                    self.d[i] -= w * rate / squared
+                return
+
+
+def _displacement(table: ModeTable, u: list[float], pushed: list[float] | None) -> list[float]:
+    """d = B u + disturbance of a mode, over a whole step."""
+    d = []
+    for i, terms in enumerate(table.flow):
+        if terms is None:
+            d.append(0.0)
+            continue
+        moved = 0.0 if pushed is None else pushed[i]
+        for j, w in terms:
+            moved += w * u[j]
+        d.append(moved)
+    return d
+
+
+def _reset(chosen: Exit, x: list[float], u: list[float]) -> list[float]:
+    if chosen.A is None or chosen.B is None or chosen.c is None:
+        return list(x)
+    moved = zip(_times(chosen.A, x), _times(chosen.B, u), chosen.c, strict=True)
+    return [a + b + c for a, b, c in moved]
+
+
+def _times(matrix: list[list[float]], vector: list[float]) -> list[float]:
+    return [sum(w * v for w, v in zip(row, vector, strict=True)) for row in matrix]
+
+
+def _values(value: ArrayLike, size: int, name: str) -> list[float]:
+    array = value if isinstance(value, np.ndarray) else np.asarray(value, dtype=float)
+    values: list[float] = array.tolist()
+    if array.shape != (size,) or not math.isfinite(sum(values)):
+        raise InputError(f"{name} must be {size} finite numbers. Got {shown(values)}")
+    return values
+
+
+def _rows(value: ArrayLike, width: int, name: str) -> list[list[float]]:
+    array = np.asarray(value, dtype=float)
+    if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite and have shape (k, {width}). Got shape {array.shape}")
+    rows: list[list[float]] = array.tolist()
+    return rows
