@@ -1,0 +1,113 @@
+"""The layout of a problem file, `format: micah-plan/problem/1`. What it means is built in `problem_values`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from micah_plan.planning.problem import PlannerSettings
+from micah_plan.spec.fields import Document, Line, Name, NonNegative, Positive
+
+PROBLEM_FORMAT = "micah-plan/problem/1"
+Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class StartDocument(Document):
+    mean: dict[Name, float] = Field(description="Mean of every coordinate [rad or m].")
+    std: dict[Name, Positive] = Field(description="Standard deviation of every coordinate [rad or m].")
+    mode: Name | None = Field(
+        default=None, description="Mode at first; default: the first whose invariant holds the mean."
+    )
+
+
+class TargetDocument(Document):
+    value: float = Field(description="Wanted value [rad or m].")
+    tolerance: Positive = Field(description="Largest accepted distance from it [rad or m].")
+
+
+class GoalDocument(Document):
+    target: dict[Name, TargetDocument] = Field(
+        default_factory=dict, description="Wanted value of any subset of the coordinates."
+    )
+    modes: list[Name] = Field(default_factory=list, description="Modes that count as reached; empty: any.")
+
+
+class ProblemNoiseDocument(Document):
+    process_std: dict[Name, NonNegative] = Field(
+        default_factory=dict, description="Std of what the dynamics leave unexplained [rad or m, per step]."
+    )
+    observation_std: dict[Name, Positive] = Field(
+        default_factory=dict, description="Std of one measurement of the configuration [rad or m]."
+    )
+
+
+class PlannerDocument(Document):
+    samples_per_mode: Count = Field(
+        default=PlannerSettings.samples_per_mode, description="Roadmap states per mode of the high-level search."
+    )
+    candidates: Count = Field(
+        default=PlannerSettings.candidates, description="How many of the cheapest mode sequences are optimised."
+    )
+    max_step: dict[Name, Positive] | None = Field(
+        default=None, description="Largest input per step, by input [rad or m]; default: from the model."
+    )
+    max_knots: Annotated[int, Field(ge=2, le=100_000)] = Field(
+        default=PlannerSettings.max_knots, description="Upper limit of knots over the whole plan."
+    )
+    weight_goal: NonNegative = Field(
+        default=PlannerSettings.weight_goal,
+        description="Weight of the final squared goal error over the squared tolerance.",
+    )
+    weight_covariance: NonNegative = Field(
+        default=PlannerSettings.weight_covariance,
+        description="Weight of the final variance over the squared tolerance.",
+    )
+    weight_effort: NonNegative = Field(
+        default=PlannerSettings.weight_effort, description="Weight of the squared inputs over the squared largest step."
+    )
+    time_limit_s: Positive = Field(
+        default=PlannerSettings.time_limit_s, description="Wall-clock limit of each optimisation [s]."
+    )
+    verification_trials: Count = Field(PlannerSettings.verification_trials, description="Roll-outs that check a plan.")
+
+
+class PlantDocument(Document):
+    mass: Positive | None = Field(default=None, description="Of each moving part [kg].")
+    damping: NonNegative | None = Field(default=None, description="Viscous resistance at the handle [N s/m].")
+    friction: NonNegative | None = Field(default=None, description="Dry friction at the handle [N].")
+    latch_force: NonNegative | None = Field(default=None, description="Pull at the handle that opens a latch [N].")
+    latch_capture: NonNegative | None = Field(
+        default=None, description="Distance of the handle from the latched position within which the latch catches [m]."
+    )
+    stiffness: Positive | None = Field(default=None, description="Of the hand [N/m].")
+    max_force: Positive | None = Field(default=None, description="Largest force of the hand [N].")
+    control_period: Positive | None = Field(default=None, description="Duration of one control step [s].")
+    motion_share: Annotated[float, Field(gt=0, le=1)] | None = Field(
+        default=None, description="Share of the control step in which the hand's target moves."
+    )
+    gravity: NonNegative | None = Field(default=None, description="Acceleration along -z of the base frame [m/s^2].")
+    position_noise: NonNegative | None = Field(default=None, description="White tracker noise per axis, std [m].")
+    rotation_noise: NonNegative | None = Field(default=None, description="White tracker noise per axis, std [rad].")
+    position_wander: NonNegative | None = Field(default=None, description="Slowly wandering tracker error, std [m].")
+    rotation_wander: NonNegative | None = Field(default=None, description="Slowly wandering tracker error, std [rad].")
+    wander_time: Positive | None = Field(default=None, description="Correlation time of the wander [s].")
+
+
+class ProblemDocument(Document):
+    """Move an articulated object from an uncertain start into a goal set."""
+
+    format: Literal["micah-plan/problem/1"] = Field(description="Format and version of this file.")
+    model: Line = Field(description="Model file, relative to this file.")
+    start: StartDocument = Field(description="Initial belief.")
+    goal: GoalDocument = Field(description="Goal set.")
+    noise: ProblemNoiseDocument = Field(
+        default_factory=ProblemNoiseDocument, description="Noise instead of the model's, for the named coordinates."
+    )
+    confidence: Confidence = Field(
+        default=PlannerSettings.confidence,
+        description="Probability that guards, invariants and goal are planned to hold with.",
+    )
+    planner: PlannerDocument = Field(default_factory=PlannerDocument, description="Settings of the planner.")
+    plant: PlantDocument = Field(default_factory=PlantDocument, description="Physical parameters for MuJoCo.")
