@@ -1,0 +1,264 @@
+"""The structure that the design promises: layers without cycles, one importer per heavy library, a cheap import."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import micah_plan
+
+PACKAGE = Path(micah_plan.__file__).parent
+
+# Lowest first. A module may import from its own entry and from the lines above, never from its own line's neighbours
+# or from below. The nouns of planning are plain values, so that files can be read into them and plans drawn and
+# executed without a planner.
+LAYERS: tuple[tuple[str, ...], ...] = (
+    ("errors",),
+    ("files",),
+    ("recording",),
+    ("automaton",),
+    ("planning.problem", "planning.plan"),
+    ("spec", "learn", "symbolic"),
+    ("belief",),
+    ("planning",),
+    ("execution",),
+    ("residual",),
+    ("view",),
+    ("workflow",),
+    ("summaries",),
+    ("cli",),
+    ("__main__",),
+)
+
+# Where each heavy library may be imported, and whether only one file there may.
+IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
+    "casadi": (("symbolic.", "planning.transcription"), False),
+    "ompl": (("planning.mode_search",), True),
+    "pinocchio": (("robot.",), False),
+    "coal": (("robot.",), False),
+    "meshcat": (("view.",), True),
+    "mujoco": (("execution.",), True),
+    "matplotlib": (("view.",), False),
+    "ruamel": (("spec.",), True),
+    "pydantic": (("spec.",), False),
+    "typer": (("cli",), False),
+    "rich": (("cli",), False),
+}
+SLOW_TO_LOAD = ("ompl", "pinocchio", "coal", "meshcat", "mujoco", "casadi", "matplotlib")
+LIGHT = ("errors", "files", "recording", "automaton", "planning.problem", "planning.plan", "spec", "learn", "workflow")
+
+
+def _sources(root: Path) -> dict[str, ast.Module]:
+    """Syntax tree of every module, by its name below the root package ('' for the package itself)."""
+    trees = {}
+    for file in sorted(root.rglob("*.py")):
+        parts = file.relative_to(root).with_suffix("").parts
+        trees[".".join(part for part in parts if part != "__init__")] = ast.parse(file.read_text(encoding="utf-8"))
+    return trees
+
+
+def _is_type_checking(test: ast.expr) -> bool:
+    return (isinstance(test, ast.Name) and test.id == "TYPE_CHECKING") or (
+        isinstance(test, ast.Attribute) and test.attr == "TYPE_CHECKING"
+    )
+
+
+def _runtime_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes that can run, those inside functions too, without what only type checkers see."""
+    yield node
+    skipped: list[ast.stmt] = node.body if isinstance(node, ast.If) and _is_type_checking(node.test) else []
+    for child in ast.iter_child_nodes(node):
+        if child not in skipped:
+            yield from _runtime_nodes(child)
+
+
+def _imported(tree: ast.Module) -> Iterator[str]:
+    """Absolute dotted names that a module imports anywhere; for ``from a import b`` it is a.b."""
+    for node in _runtime_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"relative import in line {node.lineno}"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in {"import_module", "__import__"}:
+                yield str(node.args[0].value)
+
+
+def _edges(trees: Mapping[str, ast.Module], package: str = "micah_plan") -> dict[str, set[str]]:
+    """Which modules of the package each of its modules imports."""
+    edges: dict[str, set[str]] = {name: set() for name in trees}
+    for name, tree in trees.items():
+        for target in _imported(tree):
+            if target.split(".")[0] == package:
+                inner = target.removeprefix(package).lstrip(".")
+                edges[name].add(inner if inner in trees else inner.rpartition(".")[0])
+    return edges
+
+
+def _layer(module: str) -> tuple[int, str]:
+    """Level and entry of the longest layer name that holds the module."""
+    holding = [
+        (len(entry), level, entry)
+        for level, entries in enumerate(LAYERS)
+        for entry in entries
+        if module == entry or module.startswith(f"{entry}.")
+    ]
+    assert holding, f"micah_plan.{module} belongs to no layer: add it to LAYERS where it fits"
+    _, level, entry = max(holding)
+    return level, entry
+
+
+def _cycle(edges: Mapping[str, set[str]]) -> list[str]:
+    try:
+        TopologicalSorter(edges).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+TREES = _sources(PACKAGE)
+EDGES = _edges(TREES)
+
+
+def test_the_tools_of_this_file_see_cycles_hidden_in_functions_but_not_those_of_types(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("def f():\n    from p.b import x\n")
+    (tmp_path / "b.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import p.a\nelse:\n    import mujoco\n"
+    )
+    trees = _sources(tmp_path)
+    assert _edges(trees, "p") == {"a": {"b"}, "b": set()}
+    assert "mujoco" in set(_imported(trees["b"]))
+    (tmp_path / "b.py").write_text("import importlib\nimportlib.import_module('p.a')\n")
+    assert set(_cycle(_edges(_sources(tmp_path), "p"))) == {"a", "b"}
+
+
+def test_every_imported_module_of_the_package_exists() -> None:
+    assert {name: targets - TREES.keys() for name, targets in EDGES.items() if targets - TREES.keys()} == {}
+
+
+def test_no_import_cycle() -> None:
+    assert not _cycle(EDGES)
+
+
+def test_imports_only_go_down_the_layers() -> None:
+    wrong = []
+    for module, targets in EDGES.items():
+        if not module:  # the package itself is a shop window over all layers; cycles through it are found above
+            continue
+        level, entry = _layer(module)
+        for target in filter(None, targets):
+            target_level, target_entry = _layer(target)
+            if target_entry != entry and target_level >= level:
+                wrong.append(f"{module} imports {target}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("library", IMPORTERS)
+def test_each_heavy_library_has_one_importer(library: str) -> None:
+    allowed, one_file = IMPORTERS[library]
+    users = {module for module, tree in TREES.items() if library in {name.split(".")[0] for name in _imported(tree)}}
+    assert not {module for module in users if not module.startswith(allowed)}
+    assert not one_file or len(users) <= 1
+
+
+def _run(code: str, *options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, check=False)
+
+
+def _import_without(libraries: tuple[str, ...], modules: list[str]) -> str:
+    """What goes wrong when the modules are imported one after the other where the libraries are not installed."""
+    code = f"""
+import importlib, sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {libraries!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+for module in {modules!r}:
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        print(f"{{module}}: {{error}}")
+print(*sorted(set({libraries!r}) & set(sys.modules)), sep="\\n", end="")
+"""
+    result = _run(code)
+    return (result.stdout + result.stderr).strip()
+
+
+def _full(module: str) -> str:
+    return f"micah_plan.{module}".rstrip(".")
+
+
+def test_a_missing_library_is_noticed_by_these_tests() -> None:
+    assert _import_without(("numpy",), ["micah_plan.recording.value"]) == (
+        "micah_plan.recording.value: No module named 'numpy'"
+    )
+
+
+def test_the_package_imports_without_any_heavy_library() -> None:
+    assert _import_without(SLOW_TO_LOAD, ["micah_plan"]) == ""
+
+
+def test_the_lower_layers_import_without_any_heavy_library() -> None:
+    light = [module for module in TREES if any(module == name or module.startswith(f"{name}.") for name in LIGHT)]
+    assert len(light) > len(LIGHT)
+    assert _import_without(SLOW_TO_LOAD, [_full(module) for module in light]) == ""
+
+
+def test_all_but_one_file_imports_without_the_extra_for_simulation() -> None:
+    users = {module for module, tree in TREES.items() if "mujoco" in {name.split(".")[0] for name in _imported(tree)}}
+    assert _import_without(("mujoco",), [_full(module) for module in TREES if module not in users]) == ""
+
+
+def test_importing_the_package_loads_few_modules() -> None:
+    def loaded(code: str) -> set[str]:
+        result = _run(code, "-X", "importtime")
+        assert result.returncode == 0, result.stderr
+        return {line.rpartition("|")[2].strip() for line in result.stderr.splitlines() if "|" in line}
+
+    new = loaded("import micah_plan") - loaded("pass")
+    assert "micah_plan" in new
+    assert not {name for name in new if name.split(".")[0] in (*IMPORTERS, "numpy", "scipy")}
+    assert len(new) < 50, sorted(new)
+
+
+def test_the_package_says_that_it_is_typed() -> None:
+    assert (PACKAGE / "py.typed").is_file()
+
+
+def _own_code(repository: Path) -> list[Path]:
+    folders = (PACKAGE, repository / "examples", repository / "benchmarks")
+    return [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+
+
+def test_no_source_file_is_over_400_lines(repository: Path) -> None:
+    lengths = {str(file): len(file.read_text(encoding="utf-8").splitlines()) for file in _own_code(repository)}
+    assert {file: length for file, length in lengths.items() if length > 400} == {}
+
+
+def test_no_function_is_over_60_lines(repository: Path) -> None:
+    long = {}
+    for file in _own_code(repository):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                length = (node.end_lineno or node.lineno) - node.lineno + 1
+                if length > 60:
+                    long[f"{file}:{node.lineno} {node.name}"] = length
+    assert long == {}
+
+
+def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) -> None:
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in (repository / "docs" / "reference").glob("*.md"))
+    documented = {line.removeprefix("::: ").strip() for line in pages.splitlines() if line.startswith("::: ")}
+    top = {_full(module.split(".")[0]) for module in TREES if module not in {"", "__main__"}}
+    assert {
+        name for name in top if name not in documented and not any(d.startswith(f"{name}.") for d in documented)
+    } == set()
