@@ -30,13 +30,17 @@ class Located:
     places: Mapping[KeyPath, tuple[int, int]] = field(default_factory=dict)
     prefix: KeyPath = ()
 
-    def where(self, path: Iterable[str | int]) -> str:
-        """The line and key of a key path; where the path does not exist, the line of what comes closest above it."""
+    def place(self, path: Iterable[str | int]) -> tuple[int, int] | None:
+        """Line and column of a key path, or of what comes closest above it; None if there are no lines."""
         full = (*self.prefix, *path)
-        known = next((full[:i] for i in range(len(full), -1, -1) if full[:i] in self.places), None)
-        line = [] if known is None else [f"line {self.places[known][0]}"]
-        key = [f"key '{dotted(full)}'"] if full else []
-        return ", ".join(line + key)
+        return next((self.places[full[:i]] for i in range(len(full), -1, -1) if full[:i] in self.places), None)
+
+    def where(self, path: Iterable[str | int]) -> str:
+        """The line and key of a key path, as messages write them."""
+        path = tuple(path)
+        place, full = self.place(path), (*self.prefix, *path)
+        line = [] if place is None else [f"line {place[0]}"]
+        return ", ".join(line + ([f"key '{dotted(full)}'"] if full else []))
 
     def error(self, path: Iterable[str | int], problem: str, remedy: str | None = None) -> InputError:
         """An error about the value at a key path, to be raised."""

@@ -70,7 +70,9 @@ class PlannerDocument(Document):
     time_limit_s: Positive = Field(
         default=PlannerSettings.time_limit_s, description="Wall-clock limit of each optimisation [s]."
     )
-    verification_trials: Count = Field(PlannerSettings.verification_trials, description="Roll-outs that check a plan.")
+    verification_trials: Count = Field(
+        default=PlannerSettings.verification_trials, description="Roll-outs that check a plan."
+    )
 
 
 class PlantDocument(Document):

@@ -73,10 +73,10 @@ def check_format(located: Located, document: type[Document]) -> None:
 
 
 def _first(located: Located, document: type[Document], details: list[ErrorDetails]) -> InputError:
-    def order(detail: ErrorDetails) -> tuple[int, int]:
-        path = _path(detail)
-        known = next((path[:i] for i in range(len(path), -1, -1) if path[:i] in located.places), None)
-        return located.places.get(known, (0, 0)) if known is not None else (0, 0)
+    def order(detail: ErrorDetails) -> tuple[bool, int, int]:
+        # A key that is missing is often one that is there with a typo: the unknown key tells more.
+        line, column = located.place(_path(detail)) or (0, 0)
+        return detail["type"] == "missing", line, column
 
     details = sorted(details, key=order)
     problem, remedy = _explained(details[0], document)
