@@ -1,0 +1,174 @@
+"""The HTML document around a scene: panel, legend, timeline and player, all in one file that fetches nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib import resources
+from typing import Any, Literal
+
+from micah_plan.view.scene import Scene, layer_path, viewer_javascript
+
+Status = Literal["good", "bad", "plain"]
+
+# The browser itself refuses every connection: the page can only use what it carries.
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src data:; worker-src blob:"
+)
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """A colour and what it means; with a layer, a box to hide it."""
+
+    color: str
+    label: str
+    layer: str | None = None
+    shape: Literal["line", "dot", "area"] = "area"
+
+
+@dataclass(frozen=True)
+class Band:
+    """A stretch of the timeline [s] in one colour."""
+
+    start: float
+    end: float
+    color: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What the player plays.
+
+    Attributes:
+        duration: of the animation [s]; 0 for a still scene.
+        bands: the modes or segments along it.
+        readouts: (time [s], lines of text shown from then on).
+    """
+
+    duration: float = 0.0
+    bands: tuple[Band, ...] = ()
+    readouts: tuple[tuple[float, tuple[str, ...]], ...] = ()
+
+
+@dataclass(frozen=True)
+class Document:
+    """Everything on a page except the scene. All texts are plain text; they are escaped here and only here.
+
+    Attributes:
+        title, kind: name of the thing, and what sort of thing it is.
+        badge: the outcome in a few words, with its status.
+        message: a sentence below it.
+        facts: (label, value) pairs.
+        chips: (text, colour), e.g. the mode sequence.
+        details: (heading, lines) folded away at first.
+        legend, timeline, camera: see their types.
+        hidden: layers that are switched off at first.
+    """
+
+    title: str
+    kind: str
+    camera: Mapping[str, Any]
+    badge: tuple[str, Status] | None = None
+    message: str = ""
+    facts: Sequence[tuple[str, str]] = ()
+    chips: Sequence[tuple[str, str]] = ()
+    details: Sequence[tuple[str, Sequence[str]]] = ()
+    legend: Sequence[LegendEntry] = ()
+    timeline: Timeline = field(default_factory=Timeline)
+    hidden: Sequence[str] = ()
+
+
+def render(document: Document, scene: Scene) -> str:
+    """The page as HTML text; the same document and scene give the same bytes."""
+    assets = resources.files("micah_plan.view") / "assets"
+    data = {
+        "commands": scene.encoded(),
+        "camera": document.camera,
+        "duration": document.timeline.duration,
+        "readouts": [[time, list(lines)] for time, lines in document.timeline.readouts],
+        "layers": {e.layer: layer_path(e.layer) for e in document.legend if e.layer},
+        "hidden": list(document.hidden),
+    }
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(document.title)} ({escape(document.kind)})</title>",
+            '<link rel="icon" href="data:,">',
+            f"<style>\n{(assets / 'page.css').read_text(encoding='utf-8')}</style>",
+            "</head>",
+            '<body class="still">' if document.timeline.duration <= 0 else "<body>",
+            '<main id="view"><div id="meshcat-pane"></div></main>',
+            _panel(document),
+            _player(document.timeline),
+            # A '<' in the data could otherwise end the script element.
+            f'<script type="application/json" id="page-data">{_json(data)}</script>',
+            "<!-- 3-D viewer: MeshCat and three.js (MIT licence) -->",
+            f"<script>{viewer_javascript()}</script>",
+            f"<script>\n{(assets / 'player.js').read_text(encoding='utf-8')}</script>",
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
+
+
+def _panel(document: Document) -> str:
+    parts = ['<aside id="panel">', f'<p class="kind">{escape(document.kind)}</p>', f"<h1>{escape(document.title)}</h1>"]
+    if document.badge:
+        text, status = document.badge
+        parts.append(f'<p class="badge {status}">{escape(text)}</p>')
+    if document.message:
+        parts.append(f'<p class="message">{escape(document.message)}</p>')
+    if document.chips:
+        chips = "".join(f'<li style="--tint:{escape(color)}">{escape(text)}</li>' for text, color in document.chips)
+        parts.append(f'<ol class="chips">{chips}</ol>')
+    if document.facts:
+        rows = "".join(f"<dt>{escape(label)}</dt><dd>{escape(value)}</dd>" for label, value in document.facts)
+        parts.append(f'<dl class="facts">{rows}</dl>')
+    if document.legend:
+        parts.append(f'<h2>Legend</h2><ul class="legend">{"".join(map(_legend_entry, document.legend))}</ul>')
+    for heading, lines in document.details:
+        items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+        parts.append(f"<details><summary>{escape(heading)}</summary><ul>{items}</ul></details>")
+    parts.append("</aside>")
+    return "\n".join(parts)
+
+
+def _legend_entry(entry: LegendEntry) -> str:
+    swatch = f'<i class="{entry.shape}" style="--tint:{escape(entry.color)}"></i><span>{escape(entry.label)}</span>'
+    if entry.layer is None:
+        return f"<li>{swatch}</li>"
+    box = f'<input type="checkbox" checked data-layer="{escape(entry.layer)}" title="show or hide">'
+    return f"<li><label>{swatch}{box}</label></li>"
+
+
+def _player(timeline: Timeline) -> str:
+    if timeline.duration <= 0:
+        return ""
+    bands = "".join(
+        f'<div style="left:{100 * b.start / timeline.duration:.3f}%;'
+        f'width:{100 * (b.end - b.start) / timeline.duration:.3f}%;--tint:{escape(b.color)}" title="{escape(b.label)}">'
+        f"<span>{escape(b.label)}</span></div>"
+        for b in timeline.bands
+    )
+    return (
+        '<footer id="player"><button id="play" type="button" aria-label="play or pause" title="play or pause (space)">'
+        f'</button><div id="track"><div id="bands">{bands}</div>'
+        f'<input id="time" type="range" min="0" max="{timeline.duration:.4f}" step="any" value="0" aria-label="time">'
+        '</div><output id="readout"></output></footer>'
+    )
+
+
+def _json(data: Any) -> str:
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

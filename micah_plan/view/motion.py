@@ -1,0 +1,127 @@
+"""An automaton's parts set in motion: keyframes of states, and everything in the scene that follows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners
+from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian, part_poses
+from micah_plan.view.scene import Scene, slug, transforms
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """States to show in time order.
+
+    Attributes:
+        times: (k,) [s], strictly increasing.
+        modes: (k,) mode names.
+        states: (k, n) [rad or m].
+        factors: (k, n, n) Cholesky factors of the belief's covariance; None if there is no belief.
+    """
+
+    times: Floats
+    modes: tuple[str, ...]
+    states: Floats
+    factors: Floats | None = None
+
+    @property
+    def duration(self) -> float:
+        return float(self.times[-1])
+
+
+def poses_over_time(
+    automaton: HybridAutomaton, keys: Keyframes, offset: Floats | None = None
+) -> dict[str, RigidTransform]:
+    """(k,) poses by part; `offset` (k, n) is added to the states."""
+    states = keys.states if offset is None else keys.states + offset
+    single = [part_poses(automaton, automaton.mode(q), x) for q, x in zip(keys.modes, states, strict=True)]
+    return {link.child: transforms([poses[link.child] for poses in single]) for link in automaton.links}
+
+
+def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Floats:
+    """(k, 3) positions of a part's handle [m, base frame]."""
+    return np.asarray(poses_over_time(automaton, keys)[part].apply(handle_in_part(automaton, part)))
+
+
+def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) -> None:
+    """The moving parts with their shapes."""
+    for number, (name, poses) in enumerate(poses_over_time(automaton, keys).items()):
+        path = f"object/{slug(name, number)}"
+        shapes = link_shapes(automaton, number)
+        draw_shapes(scene, path, shapes)
+        scene.animate(path, keys.times, poses)
+        for i in range(0, len(poses), max(1, len(poses) // 12)):
+            scene.reserve(shape_corners(shapes, poses[i]))
+
+
+def animate_attached(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Sequence[str]) -> None:
+    """What is drawn in the frame of each link's parent (`paths`, one per link) moves with that parent."""
+    poses = poses_over_time(automaton, keys)
+    for link, path in zip(automaton.links, paths, strict=True):
+        if link.parent in poses:
+            scene.animate(path, keys.times, poses[link.parent])
+
+
+def animate_ghosts(
+    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, sigmas: float, layer: str, color: str
+) -> None:
+    """Pale copies of the parts where each coordinate is `sigmas` standard deviations ahead of and behind the mean."""
+    if keys.factors is None:
+        return
+    spread = sigmas * np.sqrt((keys.factors**2).sum(axis=2))
+    for side, sign in (("ahead", 1.0), ("behind", -1.0)):
+        for number, (name, poses) in enumerate(poses_over_time(automaton, keys, sign * spread).items()):
+            path = f"{layer}/{side}/{slug(name, number)}"
+            draw_shapes(scene, path, link_shapes(automaton, number), color=color, opacity=0.16)
+            scene.animate(path, keys.times, poses)
+
+
+def belief_ellipsoids(
+    automaton: HybridAutomaton, keys: Keyframes, part: str, factor: float, floor: float
+) -> tuple[RigidTransform, Floats]:
+    """(k,) poses and (k, 3) radii [m] of the ellipsoid {p: p' (J P J')⁻¹ p <= factor²} of a part's handle.
+
+    J is the handle's Jacobian and P the belief's covariance; radii smaller than `floor` are drawn as `floor`.
+    """
+    poses, radii = [], []
+    before: Floats | None = None
+    for name, x, L in zip(keys.modes, keys.states, _factors(keys), strict=True):
+        mode = automaton.mode(name)
+        spread = handle_jacobian(automaton, mode, x, part) @ L
+        axes, size = ellipsoid(spread @ spread.T, factor, floor)
+        if before is not None:
+            axes, size = _matched(axes, size, before)
+        before = axes
+        center = part_poses(automaton, mode, x)[part].apply(handle_in_part(automaton, part))
+        poses.append(RigidTransform.from_components(center, Rotation.from_matrix(axes)))
+        radii.append(size)
+    return transforms(poses), np.stack(radii)
+
+
+def _factors(keys: Keyframes) -> Floats:
+    n = keys.states.shape[1]
+    return np.zeros((len(keys.states), n, n)) if keys.factors is None else keys.factors
+
+
+def _matched(axes: Floats, radii: Floats, before: Floats) -> tuple[Floats, Floats]:
+    """The same ellipsoid with its axes in the order and sense closest to those before, so that it does not tumble."""
+    overlap = before.T @ axes
+    order = np.zeros(3, dtype=int)
+    free = np.abs(overlap).copy()
+    for _ in range(3):
+        i, j = np.unravel_index(np.argmax(free), free.shape)
+        order[i] = j
+        free[i, :] = free[:, j] = -1.0
+    turned = axes[:, order] * np.where(np.diag(overlap[:, order]) < 0, -1.0, 1.0)
+    if np.linalg.det(turned) < 0:
+        turned = turned * np.array([1.0, 1.0, -1.0])
+    return turned, radii[order]

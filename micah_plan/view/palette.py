@@ -1,0 +1,36 @@
+"""The colours of pages and figures: one palette, told apart with every common colour-vision deficiency.
+
+Source: Okabe and Ito, "Color Universal Design", 2008.
+"""
+
+from __future__ import annotations
+
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+GREEN = "#009E73"
+PINK = "#CC79A7"
+SKY = "#56B4E9"
+ORANGE = "#E69F00"
+
+OLIVE = "#999933"
+SLATE = "#5A5A8A"
+
+CATEGORIES = (SKY, VERMILLION, PINK, OLIVE, SLATE)
+"""Segments and modes, in their order of appearance; none is a colour that means something else below."""
+
+BELIEF = BLUE
+EXECUTED = ORANGE
+GOAL = GREEN
+INK = "#1F2933"
+MUTED = "#7B8794"
+START = "#9AA5B1"
+GUARD = "#52606D"
+BODY = "#CBD2D9"
+GRID = "#C3CCD5"
+FRAME_AXES = ("#C0392B", "#27AE60", "#2F6FDE")
+"""x, y and z of a coordinate frame."""
+
+
+def category(index: int) -> str:
+    """Colour of segment or mode number `index`; the palette repeats after its last colour."""
+    return CATEGORIES[index % len(CATEGORIES)]

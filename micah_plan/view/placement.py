@@ -1,0 +1,145 @@
+"""Where an automaton's parts are at a state, over which range they move, and how uncertain a belief leaves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.region import HalfSpace, Region
+
+Floats = NDArray[np.float64]
+
+_RANGE_IF_UNSTATED = {"rad": 1.0, "m": 0.2}
+_DIFFERENCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """A configurational changepoint: where a coordinate makes the mode change [rad or m]."""
+
+    source: str
+    target: str
+    coordinate: int
+    value: float
+
+
+def part_poses(automaton: HybridAutomaton, mode: Mode, x: Floats) -> dict[str, RigidTransform]:
+    """Pose of every linked part in the base frame at the state x (n,), by part name."""
+    poses: dict[str, RigidTransform] = {}
+    for link, joint in zip(automaton.links, mode.joints, strict=True):
+        relative = forward(joint, x[link.coordinate])[0]
+        poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
+    return poses
+
+
+def handle_in_part(automaton: HybridAutomaton, part: str) -> Floats:
+    """(3,) the point of a part whose motion is shown: its handle, or its origin [m, part frame]."""
+    handle = automaton.part(part).handle
+    return np.zeros(3) if handle is None else np.array(handle)
+
+
+def handle_position(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:
+    """(3,) position of a part's handle in the base frame at the state x (n,) [m]."""
+    return np.asarray(part_poses(automaton, mode, x)[part].apply(handle_in_part(automaton, part)))
+
+
+def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:
+    """(3, n) derivative of the handle's position by the state, by central differences along the chain of links."""
+    columns = []
+    for step in _DIFFERENCE * np.eye(automaton.n):
+        ahead = handle_position(automaton, mode, x + step, part)
+        behind = handle_position(automaton, mode, x - step, part)
+        columns.append((ahead - behind) / (2 * _DIFFERENCE))
+    return np.stack(columns, axis=1)
+
+
+def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:
+    """The coordinates that move a part: those of the links from the base to it."""
+    by_child = {link.child: link for link in automaton.links}
+    found: list[int] = []
+    while part in by_child:
+        found.append(by_child[part].coordinate)
+        part = by_child[part].parent
+    return tuple(sorted(set(found)))
+
+
+def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) -> tuple[float, float, bool]:
+    """Lower and upper end of a coordinate in a mode, and whether the automaton states both.
+
+    Looked for in the mode's invariant, then in its clamps (self transitions), then in its guards; an end that none
+    states is put 1 rad or 0.2 m away from the other end, or from 0.
+    """
+    lower, upper = _bounds(mode.invariant, coordinate)
+    for own in (True, False):
+        for edge in automaton.edges_from(mode.name):
+            if edge.is_self_transition == own:
+                above, below = _bounds(edge.guard, coordinate)
+                # A guard that holds above a value ends the mode there.
+                upper = above if np.isinf(upper) and np.isfinite(above) else upper
+                lower = below if np.isinf(lower) and np.isfinite(below) else lower
+    stated = bool(np.isfinite(lower) and np.isfinite(upper))
+    length = _RANGE_IF_UNSTATED.get(automaton.coordinates[coordinate].unit, 1.0)
+    if np.isinf(lower):
+        lower = upper - length if np.isfinite(upper) else min(0.0, -length / 2)
+    if np.isinf(upper):
+        upper = lower + length
+    return float(lower), float(upper), stated
+
+
+def representative_state(automaton: HybridAutomaton, mode: Mode) -> Floats:
+    """(n,) a state inside the mode to draw it at: pinned values, else the value closest to 0."""
+    x = np.zeros(automaton.n)
+    for i in range(automaton.n):
+        lower, upper = _bounds(mode.invariant, i)
+        x[i] = min(max(0.0, lower), upper)
+    for pin in mode.pins:
+        x[pin.coordinate] = pin.value
+    return x
+
+
+def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
+    """The guards between different modes that are a limit on one coordinate; one per coordinate, value and modes."""
+    found: dict[tuple[int, float, frozenset[str]], Threshold] = {}
+    for edge in automaton.edges:
+        for half_space in edge.guard.half_spaces:
+            limit = _single(half_space)
+            if limit is not None and not edge.is_self_transition:
+                coordinate, value, _ = limit
+                key = (coordinate, round(value, 9), frozenset((edge.source, edge.target)))
+                found.setdefault(key, Threshold(edge.source, edge.target, coordinate, value))
+    return tuple(found.values())
+
+
+def ellipsoid(covariance: Floats, factor: float, floor: float) -> tuple[Floats, Floats]:
+    """Axes (3, 3, columns, right-handed) and radii (3,) of {p: p' C⁻¹ p <= factor²}, each radius at least `floor`."""
+    values, axes = np.linalg.eigh(covariance)
+    if np.linalg.det(axes) < 0:
+        axes = axes * np.array([1.0, 1.0, -1.0])
+    return axes, np.maximum(factor * np.sqrt(np.maximum(values, 0.0)), floor)
+
+
+def _bounds(region: Region, coordinate: int) -> tuple[float, float]:
+    """The limits that a region's half-spaces put on one coordinate alone; infinite where there are none."""
+    lower, upper = -np.inf, np.inf
+    for half_space in region.half_spaces:
+        limit = _single(half_space)
+        if limit is not None and limit[0] == coordinate:
+            if limit[2] > 0:
+                lower = max(lower, limit[1])
+            else:
+                upper = min(upper, limit[1])
+    return lower, upper
+
+
+def _single(half_space: HalfSpace) -> tuple[int, float, float] | None:
+    """(coordinate, threshold, sign) of a half-space on one coordinate alone, else None."""
+    used = np.flatnonzero(half_space.a)
+    if len(used) != 1 or any(half_space.b):
+        return None
+    weight = half_space.a[used[0]]
+    return int(used[0]), half_space.c / weight, float(np.sign(weight))

@@ -1,0 +1,252 @@
+"""The page of a plan: the object along the belief's mean, with the belief around its handle; or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.planning.plan import Plan, Trajectory
+from micah_plan.planning.problem import Problem
+from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
+from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners
+from micah_plan.view.model_page import (
+    draw_mode_joints,
+    draw_object,
+    draw_surroundings,
+    mode_colors,
+    surroundings_legend,
+)
+from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids, handle_path
+from micah_plan.view.palette import BELIEF, GOAL, INK, START
+from micah_plan.view.placement import chain_coordinates, part_poses
+from micah_plan.view.scene import Scene, slug
+from micah_plan.view.solids import tube
+from micah_plan.view.text import length, percent, quantity, short_quantity
+
+Floats = NDArray[np.float64]
+
+_DURATION_S = 10.0
+_FRAMES_PER_STEP = 3
+_TRANSITION_S = 0.02
+_BADGES: dict[str, tuple[str, Status]] = {
+    "solved": ("SOLVED", "good"),
+    "no_plan": ("NO PLAN", "bad"),
+    "not_verified": ("NOT VERIFIED", "bad"),
+}
+
+
+@dataclass(frozen=True)
+class _Sigmas:
+    """How far the belief is drawn.
+
+    Attributes:
+        ghosts: standard deviations that the plan keeps as a margin, k with Phi(k) = confidence.
+        floor: smallest radius that an ellipsoid is drawn with [m].
+    """
+
+    ghosts: float
+    floor: float
+
+
+def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
+    """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal."""
+    automaton = problem.automaton
+    scene = Scene()
+    size = object_size(automaton)
+    sigmas = _Sigmas(float(norm.ppf(problem.settings.confidence)), 0.025 * size)
+    keys, bands = keyframes(plan.trajectory, automaton) if plan.trajectory else (_still(problem), ())
+    draw_object(scene, automaton, keys)
+    draw_mode_joints(scene, automaton, keys, size)
+    _draw_state(scene, "start", problem, np.array(problem.start.mean), start_mode(problem), START)
+    _draw_state(scene, "goal", problem, *_goal(problem, keys), GOAL)
+    if plan.trajectory:
+        _draw_belief(scene, problem, keys, sigmas, size)
+        animate_ghosts(scene, automaton, keys, sigmas.ghosts, "spread", BELIEF)
+    spacing = draw_surroundings(scene, size)
+    points = np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])
+    goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), link.child) for link in automaton.links])
+    document = Document(
+        title=title,
+        kind="plan",
+        camera=camera(scene, np.concatenate([points, goal_points])),
+        badge=_BADGES[plan.outcome],
+        message=plan.reason,
+        chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
+        facts=_facts(plan, problem),
+        legend=_legend(plan, problem, sigmas, spacing),
+        details=_details(plan, problem),
+        timeline=Timeline(keys.duration, bands, _readouts(plan.trajectory, automaton))
+        if plan.trajectory
+        else Timeline(),
+        hidden=["spread"],
+    )
+    return render(document, scene)
+
+
+def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
+    """(K,) number of time steps before each knot; a transition takes none."""
+    return np.concatenate([[0], np.cumsum(~trajectory.is_transition)]).astype(np.int64)
+
+
+def start_mode(problem: Problem) -> str:
+    """The mode that the problem starts in."""
+    at = problem.automaton.modes_at(np.array(problem.start.mean), 1e-9)
+    return problem.start.mode or (at[0] if at else problem.automaton.modes[0].name)
+
+
+def keyframes(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
+    """The belief trajectory on the page's clock: steps of equal length, a transition in passing."""
+    knot_times = _knot_times(trajectory)
+    times: list[float] = []
+    modes: list[str] = []
+    states: list[Floats] = []
+    factors: list[Floats] = []
+    last = len(knot_times) - 1
+    for k in range(last):
+        count = 1 if trajectory.is_transition[k] else _FRAMES_PER_STEP
+        for share in np.arange(count) / count:
+            times.append(float((1 - share) * knot_times[k] + share * knot_times[k + 1]))
+            modes.append(trajectory.modes[k])
+            states.append((1 - share) * trajectory.means[k] + share * trajectory.means[k + 1])
+            factors.append((1 - share) * trajectory.factors[k] + share * trajectory.factors[k + 1])
+    keys = Keyframes(
+        np.array([*times, knot_times[last]]),
+        (*modes, trajectory.modes[last]),
+        np.stack([*states, trajectory.means[last]]),
+        np.stack([*factors, trajectory.factors[last]]),
+    )
+    colors = mode_colors(automaton)
+    starts = [0] + [k for k in range(1, last + 1) if trajectory.modes[k] != trajectory.modes[k - 1]]
+    ends = [float(knot_times[k]) for k in starts[1:]] + [keys.duration]
+    bands = [
+        Band(float(knot_times[k]), end, colors[trajectory.modes[k]], trajectory.modes[k])
+        for k, end in zip(starts, ends, strict=True)
+    ]
+    return keys, tuple(bands)
+
+
+def _knot_times(trajectory: Trajectory) -> Floats:
+    """(K,) [s] on the page's clock, strictly increasing."""
+    steps = step_times(trajectory)
+    passed = np.concatenate([[0], np.cumsum(trajectory.is_transition)])
+    return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed * _TRANSITION_S)
+
+
+def _still(problem: Problem) -> Keyframes:
+    return Keyframes(np.zeros(1), (start_mode(problem),), np.array([problem.start.mean]))
+
+
+def _goal(problem: Problem, keys: Keyframes) -> tuple[Floats, str]:
+    """A state (n,) in the middle of the goal set, the free coordinates as at the end, and a mode to draw it in."""
+    x = keys.states[-1].copy()
+    for index, value, _ in problem.goal.target:
+        x[index] = value
+    inside = [q for q in problem.automaton.modes_at(x, 1e-9) if q in problem.goal.modes or not problem.goal.modes]
+    return x, (inside[0] if inside else (problem.goal.modes or (keys.modes[-1],))[0])
+
+
+def _draw_state(scene: Scene, layer: str, problem: Problem, x: Floats, mode: str, color: str) -> None:
+    """A pale copy of the moving parts at one state."""
+    automaton = problem.automaton
+    poses = part_poses(automaton, automaton.mode(mode), x)
+    for number, link in enumerate(automaton.links):
+        path = f"{layer}/{slug(link.child, number)}"
+        shapes = link_shapes(automaton, number)
+        draw_shapes(scene, path, shapes, color=color, opacity=0.28)
+        scene.place(path, poses[link.child])
+        scene.reserve(shape_corners(shapes, poses[link.child]))
+
+
+def _handle_at(automaton: HybridAutomaton, x: Floats, mode: str, part: str) -> Floats:
+    return handle_path(automaton, Keyframes(np.zeros(1), (mode,), x[None]), part)
+
+
+def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigmas, size: float) -> None:
+    """The ellipsoid of each part's handle along the plan, and the path of its centre."""
+    automaton = problem.automaton
+    for number, link in enumerate(automaton.links):
+        freedoms = len(chain_coordinates(automaton, link.child))
+        factor = float(np.sqrt(chi2.ppf(problem.settings.confidence, freedoms)))
+        poses, radii = belief_ellipsoids(automaton, keys, link.child, factor, sigmas.floor)
+        path = f"belief/{slug(link.child, number)}"
+        scene.unit_sphere(path, BELIEF, opacity=0.65)
+        scene.animate(path, keys.times, poses, scales=radii)
+        centers = poses.translation
+        scene.mesh(f"path/{slug(link.child, number)}", tube(centers, 0.006 * size), INK)
+        scene.reserve(centers)
+
+
+def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> list[LegendEntry]:
+    confidence = percent(problem.settings.confidence)
+    entries = []
+    if plan.trajectory:
+        entries += [
+            LegendEntry(
+                BELIEF,
+                f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least "
+                f"{length(sigmas.floor)})",
+                "belief",
+                "dot",
+            ),
+            LegendEntry(BELIEF, f"object at the mean ± {sigmas.ghosts:.2f} σ", "spread"),
+            LegendEntry(INK, "planned path of the handle", "path", "line"),
+        ]
+    entries += [LegendEntry(START, "start", "start"), LegendEntry(GOAL, "goal", "goal")]
+    colors = mode_colors(problem.automaton)
+    entries.append(LegendEntry(INK, "joint axes, and paths by mode:", "joints", "line"))
+    entries += [LegendEntry(colors[mode.name], f"mode {mode.name}", shape="line") for mode in problem.automaton.modes]
+    return [*entries, *surroundings_legend(spacing)]
+
+
+def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
+    coordinates = problem.automaton.coordinates
+    units = {coordinates[index].unit for index, _, _ in problem.goal.target}
+    unit = units.pop() if len(units) == 1 else ""
+    facts = [("Confidence asked", percent(problem.settings.confidence))]
+    for index, value, tolerance in problem.goal.target:
+        named = coordinates[index]
+        facts.append((f"Goal: {named.name}", f"{value:.3f} ± {short_quantity(tolerance, named.unit)}"))
+    if problem.goal.modes:
+        facts.append(("Goal modes", ", ".join(problem.goal.modes)))
+    if plan.goal_error is not None:
+        facts.append(("Predicted error", quantity(plan.goal_error, unit)))
+    if plan.goal_std is not None:
+        facts.append(("Predicted σ", quantity(plan.goal_std, unit)))
+    if plan.success_probability is not None:
+        facts.append(("Success probability", percent(plan.success_probability)))
+        facts.append(("Verified with", f"{plan.verification_trials} roll-outs"))
+    if plan.cost is not None:
+        facts.append(("Cost", f"{plan.cost:.4g}"))
+    if plan.trajectory is not None:
+        facts.append(("Steps", str(int(step_times(plan.trajectory)[-1]))))
+    return [*facts, ("Seed", str(plan.seed))]
+
+
+def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
+    tried = []
+    for candidate in plan.candidates:
+        cost = "failed" if candidate.cost is None else f"cost {candidate.cost:.4g}"
+        tried.append(f"{' → '.join(candidate.modes)}: {cost}. {candidate.message}")
+    details = [("Mode sequences tried", tried)] if tried else []
+    start = [
+        f"{c.name} = {quantity(mean, c.unit)}, σ {quantity(std, c.unit)}"
+        for c, mean, std in zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)
+    ]
+    return [*details, ("Start belief", [*start, f"mode {start_mode(problem)}"])]
+
+
+def _readouts(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[tuple[float, tuple[str, ...]], ...]:
+    steps = step_times(trajectory)
+    stds = np.sqrt((trajectory.factors**2).sum(axis=2))
+    found = []
+    for k, time in enumerate(_knot_times(trajectory)):
+        lines = [f"step {steps[k]} of {steps[-1]}, mode {trajectory.modes[k]}"]
+        for i, c in enumerate(automaton.coordinates):
+            mean, std = float(trajectory.means[k, i]), float(stds[k, i])
+            lines.append(f"{c.name} = {mean:.3f} {c.unit}, σ {std:.4f}")
+        found.append((float(time), tuple(lines)))
+    return tuple(found)

@@ -1,0 +1,187 @@
+"""The page of a recording: the measured track by segment, the fitted joints, and the part moving as it was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.recording.value import Recording
+from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
+from micah_plan.view.drawing import camera, draw_frame, draw_ground, draw_joint
+from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED, category
+from micah_plan.view.scene import Scene, slug
+from micah_plan.view.solids import beads
+from micah_plan.view.text import length, short_quantity
+
+Floats = NDArray[np.float64]
+
+_MOST_BEADS = 1500
+_MOST_KEYFRAMES = 400
+_SHORTEST_S, _LONGEST_S = 4.0, 15.0
+UNITS = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad"}
+
+
+@dataclass(frozen=True)
+class ColoredSegment:
+    """A segment with the colour that pages and figures give it, and its name in legends."""
+
+    segment: Segment
+    edge: KinematicEdge
+    color: str
+    label: str
+
+
+def colored_segments(graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
+    """All segments of a graph in order, each with its colour."""
+    edges = () if graph is None else graph.edges
+    several = len(edges) > 1
+    found: list[ColoredSegment] = []
+    for edge in edges:
+        for segment in edge.segments:
+            label = f"{segment.joint.kind}, rows {segment.start} to {segment.end}"
+            label = f"{edge.child}: {label}" if several else label
+            found.append(ColoredSegment(segment, edge, category(len(found)), label))
+    return tuple(found)
+
+
+def rows_of(recording: Recording, colored: ColoredSegment) -> NDArray[np.int64]:
+    """Rows of the recording that belong to a segment: of its part and run, from its start to its end."""
+    segment = colored.segment
+    rows = np.arange(segment.start, min(segment.end, len(recording) - 1) + 1)
+    child = colored.edge.child
+    of_part = [child not in recording.parts or recording.part[i] == child for i in rows]
+    return np.asarray(rows[np.array(of_part, dtype=bool) & (recording.run[rows] == segment.run)])
+
+
+def recording_page(recording: Recording, graph: KinematicGraph | None = None, *, title: str = "Recording") -> str:
+    """The page as HTML text.
+
+    Args:
+        recording: at least one row.
+        graph: the segments learned from it; None shows the track alone.
+    """
+    scene = Scene()
+    scene.reserve(recording.position)
+    size = max(float(np.linalg.norm(np.ptp(recording.position, axis=0))), 0.02)
+    segments = colored_segments(graph)
+    shown_rows = np.zeros(len(recording), dtype=bool)
+    for number, colored in enumerate(segments):
+        rows = rows_of(recording, colored)
+        shown_rows[rows] = True
+        _draw_track(scene, f"track/{number}", recording.position[rows], colored.color, size)
+        _draw_segment_joint(scene, f"joints/{number}", recording, colored, size)
+    _draw_track(scene, "track/rest", recording.position[~shown_rows], MUTED, size)
+    timeline = _animate(scene, recording, segments, size)
+    spacing = draw_ground(scene)
+    legend = [LegendEntry(c.color, c.label, shape="dot") for c in segments]
+    if segments and not shown_rows.all():
+        legend.append(LegendEntry(MUTED, "rows of no segment", shape="dot"))
+    legend.append(LegendEntry(MUTED, "all measured positions" if segments else "measured positions", "track", "dot"))
+    if segments:
+        legend.append(LegendEntry(INK, "fitted joints: axis, arc, line, ring (rigid)", "joints", "line"))
+    legend.append(LegendEntry(FRAME_AXES[0], "measured frame of the part (x red, y green, z blue)", "frames", "line"))
+    legend.append(LegendEntry(GRID, f"grid of {length(spacing)}, base frame, z up", "ground", "line"))
+    document = Document(
+        title=title,
+        kind="recording",
+        camera=camera(scene, recording.position),
+        facts=_facts(recording, segments),
+        details=[("Fitted joints", [_described(c) for c in segments])] if segments else [],
+        legend=legend,
+        timeline=timeline,
+    )
+    return render(document, scene)
+
+
+def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float) -> None:
+    if len(points):
+        thinned = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_BEADS)).astype(int))]
+        scene.mesh(path, beads(thinned, 0.014 * size), color)
+
+
+def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: ColoredSegment, size: float) -> None:
+    """The joint in the frame of its parent, which stands where it was measured at the segment's first row."""
+    segment = colored.segment
+    draw_joint(scene, path, segment.joint, segment.configuration_range, INK, size, thickness=0.5)
+    scene.place(path, parent_pose(recording, colored))
+
+
+def parent_pose(recording: Recording, colored: ColoredSegment) -> RigidTransform:
+    """Measured pose (single) of a joint's parent at the segment's first row; identity for the base."""
+    parent, start = colored.edge.parent, colored.segment.start
+    if parent == BASE or parent not in recording.parts:
+        return RigidTransform.identity()
+    rows = np.flatnonzero([name == parent for name in recording.part] & (recording.run == colored.segment.run))
+    nearest = rows[np.argmin(np.abs(recording.time[rows] - recording.time[start]))]
+    return recording.poses()[int(nearest)]
+
+
+def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment, ...], size: float) -> Timeline:
+    """Runs one after the other, each part's frame along its own rows; the clock shows the recording's time."""
+    starts: dict[int, float] = {}
+    clock = 0.0
+    for run in recording.runs:
+        time = recording.time[recording.run == run]
+        starts[run] = clock - float(time.min())
+        clock += float(np.ptp(time)) + (0.1 * float(np.ptp(time)) if run != recording.runs[-1] else 0.0)
+    if clock <= 0.0:
+        return Timeline()
+    scale = min(max(clock, _SHORTEST_S), _LONGEST_S) / clock
+    shown = scale * (recording.time + np.array([starts[int(run)] for run in recording.run]))
+    poses = recording.poses()
+    for number, part in enumerate(recording.parts):
+        rows = np.flatnonzero([name == part for name in recording.part])
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_KEYFRAMES)).astype(int))]
+        path = f"frames/{slug(part, number)}"
+        draw_frame(scene, path, 0.3 * size)
+        scene.animate(path, shown[rows], poses[rows])
+    bands = []
+    for colored in segments if len({c.edge.child for c in segments}) == 1 else ():
+        rows = rows_of(recording, colored)
+        end = shown[min(rows[-1] + 1, len(recording) - 1)]
+        end = end if end > shown[rows[0]] else shown[rows[-1]]
+        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.segment.joint.kind))
+    several = len(recording.runs) > 1
+    order = np.argsort(shown, kind="stable")
+    order = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _MOST_KEYFRAMES)).astype(int))]
+    readouts = []
+    for row in order:
+        lines = [f"row {row}, t = {recording.time[row]:.2f} s"]
+        lines += [f"run {recording.run[row]}"] if several else []
+        lines += [f"{c.segment.joint.kind} segment" for c in segments if row in rows_of(recording, c)][:1]
+        readouts.append((float(shown[row]), tuple(lines)))
+    return Timeline(clock * scale, tuple(bands), tuple(readouts))
+
+
+def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[tuple[str, str]]:
+    changepoints = [str(c.segment.start) for c in segments if c.segment is not c.edge.segments[0]]
+    facts = [
+        ("Rows", str(len(recording))),
+        ("Runs", str(len(recording.runs))),
+        ("Parts", ", ".join(recording.parts)),
+        ("Orientation", "measured" if recording.has_orientation else "not measured"),
+        ("Actions", "recorded" if recording.has_actions else "none"),
+    ]
+    return facts + (
+        [("Changepoints", "rows " + ", ".join(changepoints) if changepoints else "none")] if segments else []
+    )
+
+
+def _described(colored: ColoredSegment) -> str:
+    joint, segment = colored.segment.joint, colored.segment
+    text = colored.label
+    if joint.kind in ("revolute", "screw"):
+        radius = float(np.linalg.norm(np.array(joint.position) - joint.center))
+        text += f": radius {length(radius)}"
+    if joint.kind == "screw":
+        text += f", pitch {joint.pitch:.4f} m/rad"
+    if joint.kind != "rigid":
+        low, high = segment.configuration_range
+        unit = UNITS[joint.kind]
+        axis = ", ".join(f"{a:.3f}" for a in joint.axis)
+        text += f", axis ({axis}), from {short_quantity(low, unit)} to {short_quantity(high, unit)}"
+    return f"{text}; probability {segment.probability:.3f}"

@@ -1,0 +1,170 @@
+"""The 3-D scene of a page, written down as MeshCat commands. The only importer of meshcat.
+
+MeshCat's own `Visualizer` starts a server that listens on all interfaces. Here its commands go to a list instead of
+to a server, and the page carries the list: no process, no port.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.hybrid import Primitive
+from micah_plan.errors import InputError, shown
+from micah_plan.view.solids import Mesh
+
+with warnings.catch_warnings():
+    # meshcat's server module imports a pyzmq module that announces its own removal.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import meshcat
+    import umsgpack  # type: ignore[import-untyped]
+    from meshcat import geometry
+    from meshcat.animation import Animation
+
+Floats = NDArray[np.float64]
+
+FRAMES_PER_SECOND = 30
+_ROOT = "meshcat"
+_REFERENCES = ("uuid", "geometry", "material")
+
+
+def viewer_javascript() -> str:
+    """MeshCat's viewer (three.js included), as its wheel ships it."""
+    return Path(meshcat.viewer_assets_path(), "dist", "main.min.js").read_text(encoding="utf-8")
+
+
+class Scene:
+    """Objects at slash-separated paths, their poses and one animation.
+
+    The first name of a path is its layer, which the page can hide. Paths are made of `slug`s.
+    """
+
+    def __init__(self) -> None:
+        self._commands: list[dict[str, Any]] = []
+        self._identifiers: dict[str, str] = {}
+        self._root = meshcat.Visualizer(window=self)
+        self._animation = Animation(default_framerate=FRAMES_PER_SECOND)
+        self._corners: list[Floats] = []
+
+    def send(self, command: Any) -> None:
+        """Record a command, with identifiers that repeat from run to run; `meshcat.Visualizer` calls this."""
+        self._commands.append(self._renumbered(command.lower()))
+
+    def primitive(self, path: str, shape: Primitive, *, color: str | None = None, opacity: float = 1.0) -> None:
+        """Draw a shape of a part at its pose below `path`."""
+        turn = Rotation.identity()
+        if shape.kind == "box":
+            solid = geometry.Box([float(length) for length in shape.size])
+        elif shape.kind == "cylinder":
+            solid = geometry.Cylinder(height=float(shape.size[1]), radius=float(shape.size[0]))
+            turn = Rotation.from_euler("x", 90, degrees=True)  # the viewer's cylinders stand along y
+        elif shape.kind == "sphere":
+            solid = geometry.Sphere(float(shape.size[0]))
+        else:
+            raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder or sphere")
+        self._root[path].set_object(solid, _material(color or shape.color, opacity))
+        rotation = Rotation.from_quat(shape.quaternion) * turn
+        self.place(path, RigidTransform.from_components(shape.position, rotation))
+
+    def mesh(self, path: str, mesh: Mesh, color: str, *, opacity: float = 1.0) -> None:
+        """Draw triangles; nothing if there are none."""
+        if len(mesh.faces):
+            solid = geometry.TriangularMeshGeometry(mesh.vertices, mesh.faces)
+            self._root[path].set_object(solid, _material(color, opacity))
+
+    def unit_sphere(self, path: str, color: str, *, opacity: float) -> None:
+        """A sphere of radius 1 m, to be placed and scaled by an animation; seen through whatever stands before it."""
+        self._root[path].set_object(geometry.Sphere(1.0), _material(color, opacity, depthTest=False))
+
+    def lines(self, path: str, ends: Floats, color: str) -> None:
+        """Thin line segments between the pairs of points in `ends` (2 k, 3)."""
+        points = geometry.PointsGeometry(np.asarray(ends, dtype=np.float32).T)
+        self._root[path].set_object(geometry.LineSegments(points, geometry.LineBasicMaterial(color=_number(color))))
+
+    def place(self, path: str, pose: RigidTransform) -> None:
+        """Set the pose of everything below `path` in its parent."""
+        self._root[path].set_transform(pose.as_matrix())
+
+    def animate(self, path: str, times: Floats, poses: RigidTransform, *, scales: Floats | None = None) -> None:
+        """Move everything below `path`.
+
+        Args:
+            times: (k,) [s], increasing.
+            poses: (k,) in the parent of `path`.
+            scales: (k, 3), or None for 1.
+        """
+        frames = np.asarray(times, dtype=float) * FRAMES_PER_SECOND
+        matrices = poses.as_matrix()
+        self.place(path, RigidTransform.from_matrix(matrices[0]))
+        for i, frame in enumerate(frames):
+            with self._animation.at_frame(self._root[path], float(frame)) as view:
+                view.set_transform(matrices[i])
+                if scales is not None:
+                    view.set_property("scale", "vector3", [float(s) for s in scales[i]])
+
+    def reserve(self, points: Floats) -> None:
+        """Make sure that the camera sees these points (..., 3)."""
+        flat = np.asarray(points, dtype=float).reshape(-1, 3)
+        if len(flat):
+            self._corners.append(np.array([flat.min(axis=0), flat.max(axis=0)]))
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper corner, (3,) each, of what was reserved; a box of 0.2 m around the origin if nothing was."""
+        if not self._corners:
+            return np.full(3, -0.1), np.full(3, 0.1)
+        stacked = np.concatenate(self._corners)
+        return np.asarray(stacked.min(axis=0)), np.asarray(stacked.max(axis=0))
+
+    def encoded(self) -> list[str]:
+        """The commands in the viewer's own encoding (MessagePack), as base64 text."""
+        commands = list(self._commands)
+        if self._animation.clips:
+            self._root.set_animation(self._animation, play=False)
+            self._commands, commands = commands, list(self._commands)
+        return [base64.b64encode(umsgpack.packb(command)).decode("ascii") for command in commands]
+
+    def _renumbered(self, value: Any, key: str = "") -> Any:
+        """MeshCat names objects by the clock; here the n-th name is always the same."""
+        if isinstance(value, dict):
+            return {name: self._renumbered(item, name) for name, item in value.items()}
+        if isinstance(value, list):
+            return [self._renumbered(item) for item in value]
+        if key in _REFERENCES and isinstance(value, str):
+            return self._identifiers.setdefault(value, f"00000000-0000-4000-8000-{len(self._identifiers):012d}")
+        return value
+
+
+def slug(name: str, index: int) -> str:
+    """A path entry for a user's name: safe characters only, and unique by its index."""
+    return f"{index}_{re.sub(r'[^0-9A-Za-z]+', '_', name)[:40]}"
+
+
+def layer_path(layer: str) -> list[str]:
+    """Where the viewer's scene tree keeps a layer."""
+    return [_ROOT, layer]
+
+
+def transforms(poses: Sequence[RigidTransform]) -> RigidTransform:
+    """(k,) poses of k single ones."""
+    return RigidTransform.from_matrix(np.stack([pose.as_matrix() for pose in poses]))
+
+
+def _material(color: str, opacity: float, **properties: Any) -> Any:
+    solid = opacity == 1.0
+    return geometry.MeshPhongMaterial(
+        color=_number(color), opacity=opacity, shininess=20, depthWrite=solid, **properties
+    )
+
+
+def _number(color: str) -> int:
+    if not re.fullmatch(r"#[0-9a-fA-F]{6}", color):
+        raise InputError(f"a colour must be '#rrggbb'. Got {shown(color)}")
+    return int(color[1:], 16)
