@@ -49,6 +49,16 @@ class ModeTable:
     name: str
     flow: tuple[Terms | None, ...]
     exits: tuple[Exit, ...]
+    pins: tuple[tuple[int, float], ...]
+
+    def pinned(self, x: list[float]) -> list[float]:
+        """x with the pinned coordinates at their values."""
+        if not self.pins:
+            return x
+        held = list(x)
+        for i, value in self.pins:
+            held[i] = value
+        return held
 
 
 def mode_tables(automaton: HybridAutomaton) -> dict[str, ModeTable]:
@@ -62,8 +72,8 @@ def mode_tables(automaton: HybridAutomaton) -> dict[str, ModeTable]:
 
 def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
     mode = automaton.mode(name)
-    pinned = {pin.coordinate for pin in mode.pins}
-    flow = tuple(None if i in pinned else _terms(row) for i, row in enumerate(mode.input_matrix))
+    pins = tuple((pin.coordinate, pin.value) for pin in mode.pins)
+    flow = tuple(None if i in dict(pins) else _terms(row) for i, row in enumerate(mode.input_matrix))
     exits = []
     for index, edge in enumerate(automaton.edges):
         if edge.source != name:
@@ -72,7 +82,7 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
         a, b, c = (None,) * 3 if identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
         exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
     exits.sort(key=lambda e: e.is_self)
-    return ModeTable(name, flow, tuple(exits))
+    return ModeTable(name, flow, tuple(exits), pins)
 
 
 def _guard_rows(guard: Region) -> tuple[Row, ...]:

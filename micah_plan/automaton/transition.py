@@ -4,9 +4,10 @@ Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid a
 tests guards between steps; here they are located within the step, so that the result does not depend on how finely the
 motion is cut into steps and no threshold is overrun.
 
-**Motion.** Within a step, s runs from 0 to 1 and x moves along the straight line x + s d with d = B_q u + disturbance
-(the disturbance on a pinned coordinate is ignored: the mode holds it). Guards are half-spaces, so their margins are
-affine in s and events are found by division, not by search.
+**Motion.** Within a step, s runs from 0 to 1 and x moves along the straight line x + s d with d = B_q u + disturbance.
+Guards are half-spaces, so their margins are affine in s and events are found by division, not by search. A mode holds
+its pinned coordinates at their values: no input and no disturbance moves them, and a state that is elsewhere when the
+step starts or the mode is entered (a sample of a belief, a measurement) is put there.
 
 **When a guard fires.** At the first s at which for *every* one of its half-spaces the state is inside (margin > 0), or
 on the boundary and going inside (margin = 0, growing), or staying on a boundary that belongs to it (margin = 0,
@@ -196,6 +197,7 @@ def _advance(
     """
     events: list[Event] = []
     s = 0.0
+    x = table.pinned(x)
     d = _displacement(table, u, pushed)
     while True:
         # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
@@ -252,10 +254,12 @@ class _Instant:
             self._slide(wall)
 
     def _take(self, chosen: Exit) -> None:
-        before, self.x = self.x, _reset(chosen, self.x, self.u)
+        before = self.x
+        self.x = self.tables[chosen.target].pinned(_reset(chosen, before, self.u))
         self.events.append(Event(chosen.edge, self.s, np.array(before), np.array(self.x), chosen.source, chosen.target))
         if chosen.is_self:
-            self.d = self.d if chosen.A is None else _times(chosen.A, self.d)
+            kept = self.d if chosen.A is None else _times(chosen.A, self.d)
+            self.d = [0.0 if flow is None else di for flow, di in zip(self.table.flow, kept, strict=True)]
         else:
             self.table = self.tables[chosen.target]
             self.d = _displacement(self.table, self.u, self.pushed)

@@ -1,0 +1,177 @@
+"""The hybrid automaton of an articulated object from its extended kinematic graph.
+
+Source: MICAH, section III-C, "Hybrid Automaton Construction". Followed as there: Q is the Cartesian product of the
+edges' local models, X and U have one coordinate per edge, transitions change one edge's model at a time to a
+neighbouring one, guards come from the configurational changepoints, the ends of the range are clamped self
+transitions, resets are the identity. Where it differs, and why:
+
+- **Absolute coordinates.** The paper subtracts x^q, the configurations passed so far, from x in each mode, so that
+  every local model starts at 0. Here all models of an edge share one coordinate (`graph.Segment`), x⁺ = x + B u, and a
+  value means the same in every mode: beliefs, goals and guards need no translation and the identity reset is really one.
+- **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
+  coordinate is pinned to the configuration at which the part was held (being there is information), and it is left
+  by pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a
+  pinned x would never be reached again. A rigid model at an end of the range needs no clamp; its pin holds it.
+- **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
+  exactly (`transition`), so a state can be on the boundary in either model. A rigid model's invariant is what a
+  measurement cannot tell from it: ``local_models.RESOLUTION`` std around its configuration.
+- **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
+
+An edge that never moved keeps its coordinate, as in the paper; the pin of its only model holds it. Neighbours are
+connected both ways, so every mode of the product can be reached from every other. `Init` is left to the task, as there.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
+from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
+from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
+from micah_plan.errors import InputError
+
+SMALLEST_STD = 1e-6
+
+
+def build_automaton(
+    graph: KinematicGraph,
+    *,
+    parts: Sequence[Part] = (),
+    noise: Noise | None = None,
+    release: float = 0.0,
+    input_limits: Sequence[float] | None = None,
+    provenance: Mapping[str, str] | None = None,
+) -> HybridAutomaton:
+    """H = (Q, X, U, Init, f, I, E, G, R, φ) of a kinematic graph, as the module's docstring defines it.
+
+    Args:
+        parts: bodies with their shapes and handles; parts of the graph that are not among them get no shapes.
+        noise: process and observation noise; None: root mean square over the segments of each edge, by rows.
+        release: displacement per step that an input must exceed to pull a part out of a rigid model [rad or m].
+        input_limits: largest displacement per step and coordinate [rad or m]; None: any input is admissible.
+        provenance: where the model came from.
+
+    Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``).
+
+    Raises:
+        InputError: no edges, segments that do not follow one another along one coordinate, or bad arguments.
+    """
+    if not graph.edges:
+        raise InputError("kinematic graph must have at least one edge. Got none")
+    if not release >= 0:
+        raise InputError(f"release must be >= 0. Got {release}")
+    chains = [local_models(edge) for edge in graph.edges]
+    n = len(chains)
+    if input_limits is not None and (len(input_limits) != n or not all(limit > 0 for limit in input_limits)):
+        raise InputError(f"input_limits must be {n} positive numbers. Got {list(input_limits)}")
+    names = [edge.child for edge in graph.edges]
+    coordinates = tuple(Coordinate(name, _unit(chain)) for name, chain in zip(names, chains, strict=True))
+    admissible = Region() if input_limits is None else input_box([-v for v in input_limits], input_limits, n, names)
+    product = list(itertools.product(*(range(len(chain)) for chain in chains)))
+    automaton = HybridAutomaton(
+        coordinates=coordinates,
+        inputs=coordinates,
+        links=tuple(Link(edge.parent, edge.child, i) for i, edge in enumerate(graph.edges)),
+        parts=_parts(graph, parts),
+        modes=tuple(_mode(chains, choice, names, admissible) for choice in product),
+        edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
+        noise=noise or Noise(*(tuple(stds) for stds in zip(*map(_noise, graph.edges), strict=True))),
+        provenance=dict(provenance or {}),
+    )
+    check_automaton(automaton)
+    return automaton
+
+
+def _mode(
+    chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...], names: Sequence[str], admissible: Region
+) -> Mode:
+    models = [chain[k] for chain, k in zip(chains, choice, strict=True)]
+    n = len(models)
+    slack = [RESOLUTION * _pin_std(model) if model.is_rigid else 0.0 for model in models]
+    pins = tuple(Pin(i, m.joint.held, _pin_std(m)) for i, m in enumerate(models) if m.is_rigid)
+    flow = np.diag([0.0 if model.is_rigid else 1.0 for model in models])
+    lower = [model.lower - wide for model, wide in zip(models, slack, strict=True)]
+    upper = [model.upper + wide for model, wide in zip(models, slack, strict=True)]
+    return Mode(
+        name=_mode_name(chains, choice),
+        joints=tuple(model.joint for model in models),
+        input_matrix=tuple(tuple(float(v) for v in row) for row in flow),
+        invariant=box(lower, upper, n, names),
+        inputs=admissible,
+        pins=pins,
+    )
+
+
+def _edges(
+    chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...], names: Sequence[str], release: float
+) -> list[Edge]:
+    """Transitions out of one mode: to the next and the previous local model of each edge, then the clamps."""
+    source = _mode_name(chains, choice)
+    changes: list[Edge] = []
+    clamps: list[Edge] = []
+    for i, (chain, k) in enumerate(zip(chains, choice, strict=True)):
+        for forward in (True, False):
+            neighbour = k + 1 if forward else k - 1
+            if 0 <= neighbour < len(chain):
+                target = _mode_name(chains, (*choice[:i], neighbour, *choice[i + 1 :]))
+                guard = _leaving(chain[k], forward, i, len(chains), names[i], release)
+                changes.append(Edge(source, target, Region((guard,))))
+            elif not chain[k].is_rigid:
+                clamps.append(_clamp(source, chain[k], forward, i, len(chains), names[i]))
+    return changes + clamps
+
+
+def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, release: float) -> HalfSpace:
+    """The paper's guards {c >= upper} and {c < lower}; out of a rigid model the input decides."""
+    if model.is_rigid and forward:
+        return input_above(i, release, n, n, strict=True, name=f"input {name}")
+    if model.is_rigid:
+        return input_below(i, -release, n, n, strict=True, name=f"input {name}")
+    if forward:
+        return above(i, model.upper, n, n, name=name)
+    return below(i, model.lower, n, n, strict=True, name=name)
+
+
+def _clamp(source: str, model: LocalModel, upper: bool, i: int, n: int, name: str) -> Edge:
+    end = model.upper if upper else model.lower
+    guard = (above if upper else below)(i, end, n, n, strict=True, name=name)
+    keep = np.eye(n)
+    keep[i, i] = 0.0
+    offset = tuple(end if j == i else 0.0 for j in range(n))
+    return Edge(source, source, Region((guard,)), Reset(A=tuple(tuple(map(float, row)) for row in keep), c=offset))
+
+
+def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]) -> str:
+    return "/".join(chain[k].name for chain, k in zip(chains, choice, strict=True))
+
+
+def _pin_std(model: LocalModel) -> float:
+    """That of one measurement: errors of a tracker wander, so averaging over the rows would promise too much."""
+    return max(model.observation_std, SMALLEST_STD)
+
+
+def _unit(chain: Sequence[LocalModel]) -> str:
+    """rad if the first model that moves rotates, m otherwise; the other models of the edge count in their own unit."""
+    kind = next((model.joint.kind for model in chain if not model.is_rigid), "rigid")
+    return "rad" if kind in ("revolute", "screw") else "m"
+
+
+def _noise(edge: KinematicEdge) -> tuple[float, float]:
+    """(process std, observation std) of an edge, from its moving segments if there are any."""
+    moving = [segment for segment in edge.segments if segment.joint.kind != "rigid"] or list(edge.segments)
+    rows = [segment.end - segment.start + 1 for segment in moving]
+    process = np.average([segment.process_std**2 for segment in moving], weights=rows)
+    observation = np.average([segment.observation_std**2 for segment in moving], weights=rows)
+    return max(float(np.sqrt(process)), SMALLEST_STD), max(float(np.sqrt(observation)), SMALLEST_STD)
+
+
+def _parts(graph: KinematicGraph, given: Sequence[Part]) -> tuple[Part, ...]:
+    names = dict.fromkeys(name for edge in graph.edges for name in (edge.parent, edge.child))
+    known = {part.name: part for part in given}
+    found = tuple(known.get(name, Part(name)) for name in names if name != BASE or name in known)
+    return found + tuple(part for part in given if part.name not in names)

@@ -1,0 +1,179 @@
+"""Validation of hybrid automata: what a model file or Python code can get wrong, each with one line that says where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.region import Region
+from micah_plan.errors import InputError, shown
+
+UNITS = ("rad", "m")
+_ROOM = 1e-9
+
+
+def check_automaton(automaton: HybridAutomaton) -> None:
+    """Refuse an automaton that the algorithms could not use.
+
+    Raises:
+        InputError: names that are not unique or not known, dimensions that do not fit, an invariant, guard or set of
+            inputs that nothing satisfies, a pin on a coordinate that moves, a self transition without effect,
+            process noise below 0, observation noise that is not above 0.
+    """
+    _check_names(automaton)
+    _check_links(automaton)
+    for mode in automaton.modes:
+        _check_mode(automaton, mode)
+    for edge in automaton.edges:
+        _check_edge(automaton, edge)
+    for name, region in automaton.init:
+        automaton.mode(name)
+        _check_region(automaton, region, f"init of mode {name}")
+    _check_noise(automaton)
+
+
+def _check_names(automaton: HybridAutomaton) -> None:
+    groups: tuple[tuple[str, Iterable[str]], ...] = (
+        ("mode", (mode.name for mode in automaton.modes)),
+        ("coordinate", (coordinate.name for coordinate in automaton.coordinates)),
+        ("input", (coordinate.name for coordinate in automaton.inputs)),
+        ("part", (part.name for part in automaton.parts)),
+    )
+    for what, names in groups:
+        seen: set[str] = set()
+        for name in names:
+            if name in seen:
+                raise InputError(f"{what} names must be unique. Got {shown(name)} twice")
+            seen.add(name)
+    if not automaton.modes or not automaton.coordinates:
+        raise InputError("an automaton must have at least one coordinate and one mode")
+    for coordinate in (*automaton.coordinates, *automaton.inputs):
+        if coordinate.unit not in UNITS:
+            raise InputError(
+                f"unit of {coordinate.name} must be one of {', '.join(UNITS)}. Got {shown(coordinate.unit)}"
+            )
+
+
+def _check_links(automaton: HybridAutomaton) -> None:
+    placed = {BASE}
+    for link in automaton.links:
+        if not 0 <= link.coordinate < automaton.n:
+            raise InputError(f"link to {link.child}: coordinate must be 0 to {automaton.n - 1}. Got {link.coordinate}")
+        if link.parent not in placed:
+            raise InputError(
+                f"link to {link.child}: parent must be {BASE} or the child of an earlier link. Got {shown(link.parent)}"
+            )
+        if link.child in placed:
+            raise InputError(f"part {link.child} must be the child of one link. Got a second one")
+        placed.add(link.child)
+
+
+def _check_mode(automaton: HybridAutomaton, mode: Mode) -> None:
+    n, m = automaton.n, automaton.m
+    where = f"mode {mode.name}"
+    if len(mode.joints) != len(automaton.links):
+        raise InputError(f"{where}: must have one joint per link, {len(automaton.links)}. Got {len(mode.joints)}")
+    _check_shape(mode.input_matrix, n, m, f"{where}: input matrix B")
+    for what, region in (("invariant", mode.invariant), ("admissible inputs", mode.inputs)):
+        _check_region(automaton, region, f"{where}: {what}")
+    for pin in mode.pins:
+        if not 0 <= pin.coordinate < n:
+            raise InputError(f"{where}: pinned coordinate must be 0 to {n - 1}. Got {pin.coordinate}")
+        if any(mode.input_matrix[pin.coordinate]):
+            name = automaton.coordinates[pin.coordinate].name
+            raise InputError(f"{where}: B must have a zero row for the pinned coordinate {name}")
+        if not (math.isfinite(pin.value) and math.isfinite(pin.std) and pin.std > 0):
+            raise InputError(f"{where}: a pin must have a finite value and a std > 0. Got {pin.value}, {pin.std}")
+
+
+def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
+    n, m = automaton.n, automaton.m
+    where = f"edge {edge.name}"
+    names = [mode.name for mode in automaton.modes]
+    for end in (edge.source, edge.target):
+        if end not in names:
+            raise InputError(f"{where}: unknown mode {shown(end)}", remedy=f"choose one of {', '.join(names)}")
+    if edge.guard.is_everything:
+        raise InputError(f"{where}: a guard must have at least one half-space, else its mode is never stayed in")
+    _check_region(automaton, edge.guard, f"{where}: guard")
+    if edge.is_self_transition and edge.reset.is_identity:
+        raise InputError(f"{where}: a self transition must have a reset, else it has no effect")
+    if edge.reset.A is not None:
+        _check_shape(edge.reset.A, n, n, f"{where}: reset matrix A")
+    if edge.reset.B is not None:
+        _check_shape(edge.reset.B, n, m, f"{where}: reset matrix B")
+    if edge.reset.c is not None:
+        _check_shape((edge.reset.c,), 1, n, f"{where}: reset offset c")
+
+
+def _check_noise(automaton: HybridAutomaton) -> None:
+    """Process noise may be 0 (known motion) and observation noise infinite (a coordinate that is not measured)."""
+    n, process, observation = automaton.n, automaton.noise.process_std, automaton.noise.observation_std
+    if len(process) != n or not all(math.isfinite(std) and std >= 0 for std in process):
+        raise InputError(f"noise: process_std must be {n} finite numbers >= 0. Got {shown(list(process))}")
+    if len(observation) != n or not all(std > 0 for std in observation):
+        raise InputError(f"noise: observation_std must be {n} numbers > 0. Got {shown(list(observation))}")
+
+
+def _check_shape(matrix: Sequence[Sequence[float]], rows: int, columns: int, where: str) -> None:
+    if len(matrix) != rows or any(len(row) != columns for row in matrix):
+        found = f"{len(matrix)} rows of {sorted({len(row) for row in matrix})}"
+        raise InputError(f"{where} must have shape ({rows}, {columns}). Got {found}")
+    if not all(math.isfinite(value) for row in matrix for value in row):
+        raise InputError(f"{where} must be finite. Got {shown(matrix)}")
+
+
+def _check_region(automaton: HybridAutomaton, region: Region, where: str) -> None:
+    for half_space in region.half_spaces:
+        if len(half_space.a) != automaton.n or len(half_space.b) != automaton.m:
+            raise InputError(
+                f"{where}: half-space '{half_space.name}' must have {automaton.n} state and {automaton.m} input "
+                f"weights. Got {len(half_space.a)} and {len(half_space.b)}"
+            )
+    if is_empty(region):
+        names = " and ".join(half_space.name or "an unnamed half-space" for half_space in region.half_spaces)
+        raise InputError(f"{where} must not be empty. Got {names}")
+
+
+def is_empty(region: Region) -> bool:
+    """Whether no (x, u) is in an intersection of half-spaces; strict ones need room inside their boundary."""
+    rows = region.half_spaces
+    if not rows:
+        return False
+    if all(sum(map(bool, (*h.a, *h.b))) <= 1 for h in rows):
+        return _is_empty_box(region)
+    # Only sets that couple variables need a linear programme; the import takes longer than all other checks.
+    from scipy.optimize import linprog
+
+    weights = np.array([[*h.a, *h.b] for h in rows])
+    slack = np.array([[1.0 if h.strict else 0.0] for h in rows])
+    bounds = [(None, None)] * weights.shape[1] + [(0.0, 1.0)]
+    objective = np.append(np.zeros(weights.shape[1]), -1.0)
+    found = linprog(objective, np.hstack([-weights, slack]), [-h.c for h in rows], bounds=bounds, method="highs")
+    strict = any(h.strict for h in rows)
+    return bool(found.status == 2 or (strict and found.status == 0 and found.x[-1] <= _ROOM))
+
+
+def _is_empty_box(region: Region) -> bool:
+    """The same for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
+    uppers: dict[int, list[tuple[float, bool]]] = {}
+    lower: dict[int, tuple[float, bool]] = {}
+    for h in region.half_spaces:
+        weights = (*h.a, *h.b)
+        index = next((i for i, w in enumerate(weights) if w), None)
+        if index is None:
+            if h.c > 0 or (h.strict and h.c == 0):
+                return True
+        elif weights[index] > 0:
+            lower[index] = max(lower.get(index, (-math.inf, False)), (h.c / weights[index], h.strict))
+        else:
+            uppers.setdefault(index, []).append((h.c / weights[index], h.strict))
+    for index, several in uppers.items():
+        least, least_strict = lower.get(index, (-math.inf, False))
+        if any(least > upper or (least == upper and (strict or least_strict)) for upper, strict in several):
+            return True
+    return False

@@ -1,0 +1,180 @@
+"""From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
+
+Source: MICAH, section III-C. The paper takes the segments of one sweep as they come; a recording may also stop on the
+way, return, or pass through a region several times, and all these segments tell about the same models. What is done:
+
+1. Moving segments that cover the same configurations (more than half of the shorter range) are one model, with the
+   joint of the longest of them; rigid segments at the same configuration (within ``RESOLUTION`` std) are one model.
+2. A rigid segment inside the range of a moving model is dropped: the part was seen to move through that configuration,
+   so it merely rested there.
+3. What remains is ordered by configuration. Two neighbouring rigid models are one (the longer): a coordinate that was
+   never seen to move between them cannot tell them apart.
+4. Neighbours meet at the configurational changepoint: at the configuration that a rigid model holds, else where the
+   recording changed from one to the other, else half way between their ranges.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from micah_plan.automaton.graph import KinematicEdge, Segment
+from micah_plan.automaton.joint import Joint
+from micah_plan.errors import InputError
+
+RESOLUTION = 3.0
+
+
+@dataclass(frozen=True)
+class LocalModel:
+    """A joint that governs an edge between two configurations.
+
+    Attributes:
+        name: kind of the joint, numbered if the edge has several of the kind (``"prismatic_2"``).
+        joint: its joint.
+        lower, upper: the configurations between which it governs [rad or m]; equal for rigid.
+        observation_std: of one pose measurement expressed as configuration [rad or m].
+    """
+
+    name: str
+    joint: Joint
+    lower: float
+    upper: float
+    observation_std: float
+
+    @property
+    def is_rigid(self) -> bool:
+        return self.joint.kind == "rigid"
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Segments (numbered in time) that one model explains; `leading` is the longest of them."""
+
+    members: tuple[int, ...]
+    leading: Segment
+    rows: int
+    lower: float
+    upper: float
+
+    @property
+    def is_rigid(self) -> bool:
+        return self.leading.joint.kind == "rigid"
+
+    @property
+    def center(self) -> float:
+        return self.leading.joint.held if self.is_rigid else (self.lower + self.upper) / 2
+
+    @property
+    def blur(self) -> float:
+        return RESOLUTION * self.leading.observation_std
+
+
+def local_models(edge: KinematicEdge) -> tuple[LocalModel, ...]:
+    """The local models of an edge, in order of configuration.
+
+    Raises:
+        InputError: the edge has no segments, or its segments cannot be ordered along one coordinate.
+    """
+    if not edge.segments:
+        raise InputError(f"edge {edge.parent} -> {edge.child} must have at least one segment. Got none")
+    groups = _merged([_group(index, segment) for index, segment in enumerate(edge.segments)])
+    moving = [group for group in groups if not group.is_rigid]
+    groups = [group for group in groups if not any(_rests_within(group, mover) for mover in moving)]
+    groups = _without_rigid_neighbours(sorted(groups, key=lambda group: group.center))
+    bounds = _bounds(edge, groups)
+    names = _names([group.leading.joint.kind for group in groups])
+    return tuple(
+        LocalModel(name, group.leading.joint, lower, upper, group.leading.observation_std)
+        for name, group, lower, upper in zip(names, groups, bounds[:-1], bounds[1:], strict=True)
+    )
+
+
+def _group(index: int, segment: Segment) -> _Group:
+    lower, upper = segment.configuration_range
+    return _Group((index,), segment, segment.end - segment.start + 1, lower, upper)
+
+
+def _merged(groups: list[_Group]) -> list[_Group]:
+    """Join groups of one model until no two are left that are; each pass makes the list shorter, so it ends."""
+    for i, first in enumerate(groups):
+        for j in range(i + 1, len(groups)):
+            if _is_same_model(first, groups[j]):
+                return _merged([*groups[:i], _joined(first, groups[j]), *groups[i + 1 : j], *groups[j + 1 :]])
+    return groups
+
+
+def _is_same_model(first: _Group, second: _Group) -> bool:
+    if first.is_rigid != second.is_rigid:
+        return False
+    if first.is_rigid:
+        return abs(first.center - second.center) <= float(np.hypot(first.blur, second.blur))
+    overlap = min(first.upper, second.upper) - max(first.lower, second.lower)
+    return overlap > 0.5 * min(first.upper - first.lower, second.upper - second.lower)
+
+
+def _joined(first: _Group, second: _Group) -> _Group:
+    longer = first if first.rows >= second.rows else second
+    return replace(
+        longer,
+        members=first.members + second.members,
+        rows=first.rows + second.rows,
+        lower=min(first.lower, second.lower),
+        upper=max(first.upper, second.upper),
+    )
+
+
+def _rests_within(group: _Group, mover: _Group) -> bool:
+    margin = max(group.blur, mover.blur)
+    return group.is_rigid and mover.lower + margin < group.center < mover.upper - margin
+
+
+def _without_rigid_neighbours(groups: list[_Group]) -> list[_Group]:
+    kept: list[_Group] = []
+    for group in groups:
+        if kept and kept[-1].is_rigid and group.is_rigid:
+            kept[-1] = _joined(kept[-1], group)
+        else:
+            kept.append(group)
+    return kept
+
+
+def _bounds(edge: KinematicEdge, groups: list[_Group]) -> list[float]:
+    """The k+1 configurations between and around k groups."""
+    first, last = groups[0], groups[-1]
+    bounds = [first.center if first.is_rigid else first.lower]
+    bounds += [_changepoint(edge, a, b) for a, b in pairwise(groups)]
+    bounds.append(last.center if last.is_rigid else last.upper)
+    for group, lower, upper in zip(groups, bounds[:-1], bounds[1:], strict=True):
+        if not group.is_rigid and not lower < upper:
+            raise InputError(
+                f"edge {edge.parent} -> {edge.child}: its segments must follow one another along one configuration. "
+                f"Got a {group.leading.joint.kind} segment from {lower:.4g} to {upper:.4g}",
+                remedy="record a motion through the whole range, or fewer stops",
+            )
+    return bounds
+
+
+def _changepoint(edge: KinematicEdge, below: _Group, above: _Group) -> float:
+    """The configuration at which two neighbours meet."""
+    for group in (above, below):
+        if group.is_rigid:
+            return group.center
+    switches = [
+        (edge.segments[i].configuration_end + edge.segments[i + 1].configuration_start) / 2
+        for i in range(len(edge.segments) - 1)
+        if (i in below.members and i + 1 in above.members) or (i in above.members and i + 1 in below.members)
+    ]
+    return float(np.mean(switches)) if switches else (below.upper + above.lower) / 2
+
+
+def _names(kinds: list[str]) -> list[str]:
+    total, seen = Counter(kinds), Counter[str]()
+    names = []
+    for kind in kinds:
+        seen[kind] += 1
+        names.append(kind if total[kind] == 1 else f"{kind}_{seen[kind]}")
+    return names
