@@ -1,0 +1,113 @@
+"""Make the demonstrations that the project ships: a hand shuts a microwave door and pulls a drawer, in MuJoCo.
+
+    python examples/record_demonstrations.py [FOLDER]
+
+writes microwave.csv and drawer.csv, by default into examples/demonstrations. The same seed gives the same files. As in
+the paper's "with grasp" case, the hand holds the handle, a tracker measures the part's pose at 18 Hz, and the
+action is the displacement of the part that the hand asked for, also while the shut door does not give way.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from objects import DOOR_OPEN, drawer, microwave
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.execution.mujoco_plant import MujocoPlant
+from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.pose import command
+from micah_plan.planning.problem import Start
+from micah_plan.recording.csv_file import write_csv
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+
+RATE = 18.0
+TRACKER = {"position_noise": 0.0015, "rotation_noise": 0.01}
+
+
+def demonstration(automaton: HybridAutomaton, targets: Floats, seed: int) -> Recording:
+    """Lead the object along target configurations and record it.
+
+    Args:
+        automaton: the true object, with one coordinate; it starts at configuration 0.
+        targets: (k,) where the hand wants the object to be after each step [rad or m]; it may be where the object
+            cannot go, and then the hand presses.
+        seed: of the tracker's noise.
+
+    Returns:
+        k + 1 rows.
+    """
+    # The hand follows its targets without a stop, hence motion_share 1.
+    parameters = PhysicalParameters(control_period=1 / RATE, motion_share=1.0, **TRACKER)
+    plant = MujocoPlant(automaton, Start((0.0,), (0.0,)), parameters)
+    measurements = [plant.reset(np.random.default_rng(seed))]
+    actions = []
+    moving = automaton.modes[0].name
+    for target in targets:
+        felt = plant.truth().x
+        order = command(automaton, moving, felt, target - felt)
+        measurements.append(plant.apply(order))
+        actions.append(order.origin)
+    plant.close()
+    rows = len(measurements)
+    return Recording(
+        time=_short(np.arange(rows) / RATE),
+        position=_short(np.concatenate([m.position for m in measurements])),
+        quaternion=_short(np.concatenate([m.quaternion for m in measurements])),
+        action=_short(np.concatenate([*actions, np.full((1, 3), np.nan)])),
+        force=_short(np.concatenate([m.force for m in measurements if m.force is not None])),
+        part=(automaton.links[0].child,) * rows,
+        has_part=True,
+    )
+
+
+def _short(values: Floats) -> Floats:
+    """Rounded to 9 significant digits: all that a tracker could mean, and small files."""
+    return np.array([float(f"{value:.9g}") for value in np.ravel(values)]).reshape(np.shape(values))
+
+
+def stroke(distance: float, duration: float, seed: int) -> Floats:
+    """Targets of a hand that moves `distance` [rad or m] in `duration` [s], nearly evenly, with some tremor."""
+    rng = np.random.default_rng(seed)
+    steps = round(duration * RATE)
+    s = np.linspace(0.0, 1.0, steps + 1)
+    speed = np.minimum(1.0, np.minimum((s + 0.02) / 0.12, (1.0 - s + 0.05) / 0.15))
+    tremor = np.convolve(rng.standard_normal(steps + 1), np.ones(5) / 5, mode="same")
+    speed = speed * (1.0 + 0.15 * tremor)
+    return np.asarray(distance * np.cumsum(speed[1:]) / speed[1:].sum())
+
+
+def press(at: float, depth: float, duration: float, seed: int) -> Floats:
+    """Targets of a hand that goes on pushing `depth` [rad or m] beyond `at`, with varying strength."""
+    rng = np.random.default_rng(seed)
+    steps = round(duration * RATE)
+    sway = np.convolve(rng.standard_normal(steps + 6), np.ones(7) / 7, mode="valid")
+    return np.asarray(at + depth * (1.0 + 0.4 * sway))
+
+
+def shut_microwave(seed: int = 1) -> Recording:
+    """A door swung shut from 1.2 rad in about 4.5 s, then pressed for 2.5 s."""
+    targets = np.concatenate([stroke(DOOR_OPEN, 4.6, seed), press(DOOR_OPEN, 0.025, 2.6, seed + 1)])
+    return demonstration(microwave(), targets, seed)
+
+
+def pull_drawer(seed: int = 2) -> Recording:
+    """A drawer pulled out by 0.28 m in 5 s."""
+    return demonstration(drawer(), stroke(0.28, 5.0, seed), seed)
+
+
+def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demonstrations"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, recording in (("microwave.csv", shut_microwave()), ("drawer.csv", pull_drawer())):
+        write_csv(recording, folder / name)
+        print(f"{folder / name}: {len(recording)} rows")
+
+
+if __name__ == "__main__":
+    main()

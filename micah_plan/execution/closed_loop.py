@@ -1,0 +1,177 @@
+"""Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.follower import Advice, PlanFollower
+from micah_plan.execution.log import RunLog
+from micah_plan.execution.plant import Measurement, Plant
+from micah_plan.execution.pose import command, configuration
+from micah_plan.execution.scoring import goal_error, goal_probability, true_state
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.plan import Trajectory
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.verification import is_in_goal
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+Replan = Callable[[HybridBelief], Trajectory | None]
+
+_SPARE_STEPS = 20
+_MOST_REPLANS = 5
+# Steps that a late transition or a belief held at the last knot may take before a new plan is asked for.
+_PATIENCE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """One execution and how it ended.
+
+    Attributes:
+        recording: the log; `learn` and `predict` accept it.
+        success: whether the true state at the end lies in the goal set.
+        reason: one sentence.
+        final_error: largest distance of a true constrained coordinate from its target [rad or m].
+        final_mode, final_x: the true state at the end, in the model's terms; (n,) [rad or m].
+        confidence: the belief's probability of the goal at the end.
+        steps: control steps taken.
+        replans: new plans followed.
+        beliefs: after each measurement, steps + 1 of them.
+    """
+
+    recording: Recording
+    success: bool
+    reason: str
+    final_error: float
+    final_mode: str
+    final_x: Floats
+    confidence: float
+    steps: int
+    replans: int
+    beliefs: tuple[HybridBelief, ...]
+
+
+def execute(
+    problem: Problem,
+    trajectory: Trajectory,
+    plant: Plant,
+    rng: np.random.Generator,
+    *,
+    run: int = 0,
+    max_steps: int | None = None,
+    replan: Replan | None = None,
+) -> TrialResult:
+    """Carry out a plan on a plant.
+
+    Every step measures the poses, updates the belief, stops if the belief is in the goal set with the problem's
+    confidence, and otherwise applies the plan's feedback. A new plan is asked for where the belief leaves the plan,
+    where a planned transition does not happen, and where the plan ends short of the goal.
+
+    Args:
+        problem: automaton, start belief, goal, confidence and input limits.
+        trajectory: the plan.
+        plant: where to execute; it is reset first.
+        rng: feeds the plant's start and noise.
+        run: the run's number in the log.
+        max_steps: control steps at most; None: twice the plan's plus 20.
+        replan: gives a trajectory from a belief, or None if there is none; None: never replan.
+    """
+    automaton = problem.automaton
+    longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
+    pilot = _Pilot(problem, trajectory, replan)
+    log = RunLog(automaton)
+    prior = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
+    measurement = plant.reset(rng)
+    beliefs = [_updated(automaton, prior, measurement)]
+    confidence = goal_probability(automaton, problem.goal, beliefs[-1])
+    while confidence < problem.settings.confidence and len(beliefs) <= longest:
+        belief = beliefs[-1]
+        u = pilot.input(belief)
+        order = command(automaton, automaton.modes[belief.most_likely].name, belief.means[belief.most_likely], u)
+        log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
+        measurement = plant.apply(order)
+        beliefs.append(_updated(automaton, predict(automaton, belief, u), measurement))
+        confidence = goal_probability(automaton, problem.goal, beliefs[-1])
+    mode, x = true_state(automaton, plant.truth())
+    log.add(measurement, beliefs[-1], x, None)
+    return TrialResult(
+        recording=log.recording(run),
+        success=is_in_goal(problem.goal, mode, x),
+        reason=_reason(problem, confidence, mode, x, len(beliefs) - 1),
+        final_error=goal_error(problem.goal, x),
+        final_mode=mode,
+        final_x=x,
+        confidence=confidence,
+        steps=len(beliefs) - 1,
+        replans=pilot.replans,
+        beliefs=tuple(beliefs),
+    )
+
+
+class _Pilot:
+    """Decides the input of each step: follows the plan, and asks for another when the plan no longer serves."""
+
+    def __init__(self, problem: Problem, trajectory: Trajectory, replan: Replan | None) -> None:
+        self._automaton = problem.automaton
+        self._max_step = limits_of(problem).max_step
+        self._replan = replan
+        self._waited = 0
+        self._asked = 0
+        self.replans = 0
+        self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
+
+    def input(self, belief: HybridBelief) -> Floats:
+        """(m,) the input to apply now."""
+        advice = self._follower.advise(belief)
+        self._waited = 0 if advice.fit == "on_plan" else self._waited + 1
+        if not self._wants_replan(advice) or self._replan is None:
+            return advice.u
+        self._asked += 1
+        self._waited = 0
+        fresh = self._replan(belief)
+        if fresh is None:
+            return advice.u
+        self.replans += 1
+        self._follower = PlanFollower(self._automaton, fresh, self._max_step)
+        return self._follower.advise(belief).u
+
+    def _wants_replan(self, advice: Advice) -> bool:
+        if self._asked == _MOST_REPLANS or advice.fit == "on_plan":
+            return False
+        return advice.fit == "off_plan" or self._waited > _PATIENCE
+
+
+def _updated(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measurement) -> HybridBelief:
+    number = belief.most_likely
+    z = configuration(
+        automaton, automaton.modes[number].name, measurement.position, measurement.quaternion, belief.means[number]
+    )
+    return update(automaton, belief, z)
+
+
+def _reason(problem: Problem, confidence: float, mode: str, x: Floats, steps: int) -> str:
+    stopped = confidence >= problem.settings.confidence
+    ending = (
+        f"stopped with probability {confidence:.3f} of the goal"
+        if stopped
+        else f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
+    )
+    if is_in_goal(problem.goal, mode, x):
+        return ending
+    misses = [
+        f"{problem.automaton.coordinates[i].name} is {abs(x[i] - value):.4g} {problem.automaton.coordinates[i].unit} "
+        f"from its target (tolerance {tolerance:g})"
+        for i, value, tolerance in problem.goal.target
+        if abs(x[i] - value) > tolerance
+    ]
+    if problem.goal.modes and mode not in problem.goal.modes:
+        misses.append(f"the true mode is {mode}, not {' or '.join(problem.goal.modes)}")
+    return f"{ending}, but {' and '.join(misses)}"

@@ -1,0 +1,102 @@
+"""Between configurations and poses: where the parts are, what a measurement says of x, what a hand has to be told.
+
+A link's pose is relative to its parent; measurements and commands are in the base frame. Links are parents first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.execution.plant import Command
+
+Floats = NDArray[np.float64]
+
+
+def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
+    """The mode whose joint and inputs move a coordinate, as seen from `mode`.
+
+    That is the mode itself; if it holds the coordinate still, the next mode that its edges lead to, else the first of
+    the automaton that moves it, else (nothing ever does) the mode itself.
+    """
+    here = automaton.mode(mode)
+    neighbours = [automaton.mode(edge.target) for edge in automaton.edges_from(mode)]
+    candidates = [here, *neighbours, *automaton.modes]
+    return next((candidate for candidate in candidates if candidate.B[coordinate].any()), here)
+
+
+def moving_joints(automaton: HybridAutomaton, mode: str) -> tuple[Joint, ...]:
+    """Per link, the joint that relates poses to its coordinate even while `mode` holds it still."""
+    links = enumerate(automaton.links)
+    return tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
+
+
+def chain(automaton: HybridAutomaton, joints: Sequence[Joint], x: Floats) -> tuple[RigidTransform, ...]:
+    """Pose of each link's child in the base frame, for one joint per link and x (n,)."""
+    poses: dict[str, RigidTransform] = {}
+    for link, joint in zip(automaton.links, joints, strict=True):
+        pose = forward(joint, x[link.coordinate])[0]
+        poses[link.child] = poses[link.parent] * pose if link.parent in poses else pose
+    return tuple(poses[link.child] for link in automaton.links)
+
+
+def components(poses: Sequence[RigidTransform]) -> tuple[Floats, Floats]:
+    """Positions (l, 3) [m] and quaternions (l, 4), scalar last and not negative."""
+    position = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+    quaternion = np.array([pose.rotation.as_quat(canonical=True) for pose in poses]).reshape(-1, 4)
+    return position, quaternion
+
+
+def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quaternion: Floats, near: Floats) -> Floats:
+    """The configuration that measured poses show, by each link's inverse kinematics.
+
+    Args:
+        mode: whose joints are used; a rigid joint says nothing of the configuration, so a moving one stands in.
+        position, quaternion: (l, 3) [m] and (l, 4), base frame.
+        near: (n,) estimate, to tell whole turns apart.
+
+    Returns:
+        (n,) [rad or m]; NaN for coordinates of no link.
+    """
+    x = np.full(automaton.n, np.nan)
+    rotations = Rotation.from_quat(quaternion)
+    measured = {
+        link.child: RigidTransform.from_components(position[number], rotations[number])
+        for number, link in enumerate(automaton.links)
+    }
+    for link, joint in zip(automaton.links, moving_joints(automaton, mode), strict=True):
+        pose = measured[link.child]
+        if link.parent != BASE and link.parent in measured:
+            pose = measured[link.parent].inv() * pose
+        x[link.coordinate] = inverse(joint, pose.translation, pose.rotation, near=near[link.coordinate])[0]
+    return x
+
+
+def input_effect(automaton: HybridAutomaton, mode: str) -> Floats:
+    """(n, m) change of configuration per input, also where `mode` holds a coordinate and only feels the pull."""
+    rows = [moving_mode(automaton, mode, coordinate).B[coordinate] for coordinate in range(automaton.n)]
+    return np.array(rows).reshape(automaton.n, automaton.m)
+
+
+def input_towards(automaton: HybridAutomaton, mode: str, away: Floats) -> Floats:
+    """(m,) the smallest input that brings x closest to x + away (n,) [rad or m]."""
+    return np.asarray(np.linalg.pinv(input_effect(automaton, mode)) @ away)
+
+
+def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Command:
+    """The command that moves the model's parts from x (n,) by the input u (m,): a = f(x + B u) - f(x)."""
+    joints = moving_joints(automaton, mode)
+    before = chain(automaton, joints, x)
+    after = chain(automaton, joints, x + input_effect(automaton, mode) @ u)
+    handles = [automaton.part(link.child).handle or (0.0, 0.0, 0.0) for link in automaton.links]
+    origin = [b.translation - a.translation for a, b in zip(before, after, strict=True)]
+    handle = [b.apply(h) - a.apply(h) for a, b, h in zip(before, after, handles, strict=True)]
+    shape = (len(automaton.links), 3)
+    return Command(np.asarray(u, dtype=float), np.array(origin).reshape(shape), np.array(handle).reshape(shape))

@@ -1,0 +1,63 @@
+"""Goals against beliefs (to decide when to stop) and against the truth (to score)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.plant import Truth
+from micah_plan.execution.pose import configuration
+from micah_plan.planning.problem import Goal
+
+Floats = NDArray[np.float64]
+
+
+def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
+    """Probability, never overstated, that the state is in the goal set.
+
+    Within a mode, coordinates may be correlated; Bonferroni's bound 1 - Σ P(outside) holds whatever the correlation.
+    """
+    total = 0.0
+    for number, mode in enumerate(automaton.modes):
+        if goal.modes and mode.name not in goal.modes:
+            continue
+        std = np.sqrt(np.maximum(np.sum(belief.factors[number] ** 2, axis=1), 1e-24))
+        outside = 0.0
+        for index, value, tolerance in goal.target:
+            away = belief.means[number, index] - value
+            inside = ndtr((tolerance - away) / std[index]) - ndtr((-tolerance - away) / std[index])
+            outside += 1.0 - float(inside)
+        total += float(belief.weights[number]) * max(0.0, 1.0 - outside)
+    return total
+
+
+def goal_error(goal: Goal, x: Floats) -> float:
+    """Largest distance of a constrained coordinate of x (n,) from its target [rad or m]; 0 if none is constrained."""
+    return max((abs(float(x[index]) - value) for index, value, _ in goal.target), default=0.0)
+
+
+def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
+    """The truth in the terms of the executing side's model: its mode and x (n,).
+
+    A plant may be another model or physics. Then x follows from the true poses by the model's inverse kinematics, and
+    the mode is the one that pins what is latched, with the largest margin inside its invariant among those.
+    """
+    if truth.mode is not None and truth.mode in {mode.name for mode in automaton.modes}:
+        return truth.mode, truth.x
+    still = np.zeros(automaton.m)
+    x = configuration(automaton, automaton.modes[0].name, truth.position, truth.quaternion, truth.x)
+    x = np.where(np.isnan(x), truth.x, x)
+
+    def fit(number: int) -> tuple[int, float, float]:
+        mode = automaton.modes[number]
+        pinned = np.zeros(automaton.n, dtype=bool)
+        pinned[[pin.coordinate for pin in mode.pins]] = True
+        distance = sum(abs(pin.value - float(x[pin.coordinate])) for pin in mode.pins)
+        margin = float(mode.invariant.margins(x, still).min(initial=0.0))
+        return -int((pinned != truth.held).sum()), -distance, margin
+
+    best = max(range(len(automaton.modes)), key=fit)
+    return automaton.modes[best].name, x

@@ -1,0 +1,125 @@
+"""Statistics over seeded trials of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.errors import InputError
+from micah_plan.execution.closed_loop import TrialResult, execute
+from micah_plan.execution.log import concatenated
+from micah_plan.execution.mujoco_plant import MujocoPlant
+from micah_plan.execution.nominal import NominalPlant
+from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.plant import Plant
+from micah_plan.planning.plan import Plan, Trajectory
+from micah_plan.planning.problem import Problem
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+PlantKind = Literal["nominal", "mujoco"]
+ProblemReplan = Callable[[Problem, HybridBelief], Trajectory | None]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Mean, standard deviation and maximum over trials [rad or m]."""
+
+    mean: float
+    std: float
+    max: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrialStatistics:
+    """How a plan fared.
+
+    Attributes:
+        trials, successes: counts.
+        final_error: of the true state, over all trials [rad or m].
+        failures: (trial, reason) of those that did not end in the goal set.
+        recording: the logs of all trials; the run is the trial's number.
+        results: one per trial.
+    """
+
+    trials: int
+    successes: int
+    final_error: ErrorSummary
+    failures: tuple[tuple[int, str], ...]
+    recording: Recording
+    results: tuple[TrialResult, ...]
+
+
+def run_trials(
+    problem: Problem,
+    plan: Plan,
+    *,
+    plant: PlantKind | Plant = "nominal",
+    trials: int = 1,
+    seed: int = 0,
+    max_steps: int | None = None,
+    replan: ProblemReplan | None = None,
+    progress: Progress | None = None,
+) -> TrialStatistics:
+    """Execute a plan several times; trial i has its own random stream, the same whatever runs before it.
+
+    Args:
+        plant: which plant to build from the problem, or a plant.
+        max_steps: control steps per trial at most; None: twice the plan's plus 20.
+        replan: gives a trajectory from a belief; None: never replan.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: if the plan is not a solution, or `trials` is less than 1.
+        MissingDependencyError: if the plant needs a library that is not installed.
+    """
+    trajectory = plan.trajectory
+    if plan.outcome != "solved" or trajectory is None:
+        raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
+    if trials < 1:
+        raise InputError(f"trials must be at least 1. Got {trials}")
+    again = None if replan is None else (lambda belief: replan(problem, belief))
+    problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0]))
+    machine = make_plant(problem, plant) if isinstance(plant, str) else plant
+    results = []
+    try:
+        for trial in range(trials):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,)))
+            results.append(execute(problem, trajectory, machine, rng, run=trial, max_steps=max_steps, replan=again))
+            if progress is not None:
+                done = sum(result.success for result in results)
+                progress(f"trial {trial + 1} of {trials}: {done} successful", (trial + 1) / trials)
+    finally:
+        if isinstance(plant, str):
+            machine.close()
+    return summarise(results)
+
+
+def make_plant(problem: Problem, kind: PlantKind) -> Plant:
+    """The plant of that kind for a problem's model, start belief and physical parameters."""
+    parameters = PhysicalParameters.from_mapping(problem.plant)
+    if kind == "mujoco":
+        return MujocoPlant(problem.automaton, problem.start, parameters)
+    if kind == "nominal":
+        return NominalPlant(problem.automaton, problem.start, parameters.control_period)
+    raise InputError(f"unknown plant '{kind}'", remedy="choose nominal or mujoco")
+
+
+def summarise(results: list[TrialResult]) -> TrialStatistics:
+    """Counts, errors, failures and the joined log of trials (at least one)."""
+    errors = np.array([result.final_error for result in results])
+    failures = tuple((trial, result.reason) for trial, result in enumerate(results) if not result.success)
+    return TrialStatistics(
+        trials=len(results),
+        successes=len(results) - len(failures),
+        final_error=ErrorSummary(float(errors.mean()), float(errors.std()), float(errors.max())),
+        failures=failures,
+        recording=concatenated([result.recording for result in results]),
+        results=tuple(results),
+    )

@@ -1,0 +1,171 @@
+"""Closed-loop execution: it reaches goals on both plants, stops for the right reason, replans, and logs what it did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from execution_objects import SHUT, closing, door, drawer, opening, pulling, straight
+
+from micah_plan.automaton.hybrid import Noise
+from micah_plan.automaton.tracks import tracks
+from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.trials import make_plant
+from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.recording.csv_file import read_csv, write_csv
+
+TRACKER = {"position_noise": 0.003, "rotation_noise": 0.03}
+
+CLOSE = Problem(door(0.3), Start((0.0,), (0.05,)), Goal(((0, SHUT, 0.03),), ("shut",)), plant=TRACKER)
+OPEN = Problem(door(0.3), Start((SHUT,), (0.001,), "shut"), Goal(((0, 0.4, 0.04),)), plant=TRACKER)
+PULL = Problem(drawer(), Start((0.02,), (0.01,)), Goal(((0, 0.25, 0.008),)), plant=TRACKER)
+TASKS = [(CLOSE, closing()), (OPEN, opening()), (PULL, pulling())]
+
+
+def run(problem, trajectory, kind="nominal", seed=0, **options):
+    plant = make_plant(problem, kind)
+    return execute(problem, trajectory, plant, np.random.default_rng(seed), **options)
+
+
+def quiet(problem):
+    n = problem.automaton.n
+    noise = Noise((1e-9,) * n, (1e-9,) * n)
+    return replace(problem, automaton=replace(problem.automaton, noise=noise), start=replace(problem.start, std=(0.0,)))
+
+
+@pytest.mark.parametrize("kind", ["nominal", "mujoco"])
+@pytest.mark.parametrize(("problem", "trajectory"), TASKS, ids=["close", "open", "pull"])
+def test_the_goal_is_reached(problem, trajectory, kind):
+    if kind == "mujoco":
+        pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
+    result = run(problem, trajectory, kind)
+    assert result.success, result.reason
+    assert result.final_error <= problem.goal.target[0][2]
+    assert result.confidence >= problem.settings.confidence
+    assert len(result.beliefs) == result.steps + 1
+
+
+def test_a_start_in_the_goal_needs_no_step():
+    problem = replace(PULL, start=Start((0.25,), (0.001,)))
+    result = run(problem, pulling())
+    assert result.steps == 0
+    assert result.success
+    assert len(result.recording) == 1
+    assert np.isnan(result.recording.action).all()
+
+
+def test_it_stops_where_the_steps_end_and_says_how_sure_it_was():
+    result = run(PULL, pulling(), max_steps=3)
+    assert result.steps == 3
+    assert not result.success
+    assert "the 3 allowed steps ended with probability 0.000 of the goal, but drawer is" in result.reason
+
+
+def test_a_tolerance_below_the_noise_is_never_believed_reached():
+    problem = replace(PULL, goal=Goal(((0, 0.25, 1e-4),)))
+    result = run(problem, pulling())
+    assert result.steps == 2 * 8 + 20
+    assert result.confidence < 0.5
+
+
+@pytest.mark.parametrize(("problem", "trajectory"), TASKS, ids=["close", "open", "pull"])
+def test_without_noise_measured_positions_follow_the_logged_actions(problem, trajectory):
+    problem = quiet(problem)
+    recording = run(problem, trajectory).recording
+    moved = np.diff(recording.position, axis=0)
+    asked = recording.action[:-1]
+    held = np.array([mode == "shut" for mode in recording.extra["mode"]])
+    free = ~(held[:-1] & held[1:])
+    # Where the door runs into its end the action asks for more than there is.
+    free &= ~np.isclose(np.array(recording.extra["true_" + problem.automaton.coordinates[0].name][1:], float), SHUT)
+    assert free.sum() >= 7
+    np.testing.assert_allclose(moved[free], asked[free], atol=1e-6)
+
+
+@pytest.mark.parametrize(("problem", "trajectory"), TASKS, ids=["close", "open", "pull"])
+def test_the_log_is_a_recording_that_can_be_read_back_and_predicted(problem, trajectory, tmp_path):
+    result = run(problem, trajectory, run=4)
+    write_csv(result.recording, tmp_path / "run.csv")
+    again = read_csv(tmp_path / "run.csv")
+    np.testing.assert_array_equal(again.position, result.recording.position)
+    assert again.runs == (4,)
+    assert np.isnan(again.action[-1]).all()
+    assert not np.isnan(again.action[:-1]).any()
+    assert again.extra == result.recording.extra
+    (track,) = tracks(problem.automaton, again)
+    name = problem.automaton.coordinates[0].name
+    believed, true = (np.array(again.extra[f"{column}_{name}"], float) for column in ("belief", "true"))
+    std = np.array(again.extra[f"belief_std_{name}"], float)
+    assert (std > 0).all()
+    assert abs(true[-1] - result.final_x[0]) < 1e-8
+    observation = problem.automaton.noise.observation_std[0]
+    assert np.abs(track.x[:, 0] - true).max() < 5 * observation
+    assert np.abs(believed - true).max() < 5 * observation
+
+
+def test_a_belief_far_from_the_plan_asks_for_a_new_one():
+    # The plan starts at 0.02, the drawer stands at 0.15, and the prior is wide enough to find out.
+    problem = replace(PULL, start=Start((0.15,), (0.01,)))
+    asked = []
+
+    def replan(belief):
+        asked.append(belief.mean[0])
+        return straight(["sliding"] * 5, list(np.linspace(belief.mean[0], 0.25, 5)), 0.002)
+
+    result = run(problem, pulling(), replan=replan)
+    assert result.success, result.reason
+    assert result.replans == len(asked) == 1
+    assert asked[0] == pytest.approx(0.15, abs=0.02)
+    assert result.steps <= 5
+
+
+def test_a_plan_that_ends_short_of_the_goal_is_continued_by_a_new_one():
+    asked = []
+
+    def replan(belief):
+        asked.append(belief.mean[0])
+        return straight(["sliding"] * 5, list(np.linspace(belief.mean[0], 0.25, 5)), 0.002)
+
+    short = straight(["sliding"] * 4, list(np.linspace(0.02, 0.12, 4)), 0.002)
+    assert not run(PULL, short).success
+    result = run(PULL, short, replan=replan)
+    assert result.success, result.reason
+    assert asked[0] == pytest.approx(0.12, abs=0.01)
+
+
+def test_a_replan_without_result_keeps_the_old_plan_and_is_not_asked_for_ever():
+    asked = []
+    problem = replace(PULL, start=Start((0.15,), (0.01,)))
+    result = run(problem, pulling(), replan=asked.append)
+    assert 1 <= len(asked) <= 5
+    assert result.replans == 0
+
+
+def test_a_late_transition_is_waited_for():
+    # The plan believes the door shut after 10 knots, but it starts 0.3 rad further open than planned.
+    problem = quiet(replace(CLOSE, start=Start((0.0,), (0.0,))))
+    ahead = straight(["swinging"] * 10 + ["shut"], [*np.linspace(0.3, 1.22, 10), SHUT], 0.02, gain=0.0)
+    result = run(problem, ahead)
+    assert result.success, result.reason
+    assert result.steps > 9
+
+
+def test_an_early_transition_skips_the_rest_of_its_mode():
+    problem = quiet(replace(CLOSE, start=Start((0.9,), (0.0,)), goal=Goal(((0, 0.6, 0.02),), ("swinging",))))
+    there_and_back = straight(
+        ["swinging"] * 10 + ["shut"] + ["swinging"] * 7,
+        [*np.linspace(0.0, 1.22, 10), SHUT, *np.linspace(SHUT, 0.6, 7)],
+        0.02,
+        gain=0.0,
+    )
+    result = run(problem, there_and_back)
+    assert result.success, result.reason
+    assert result.steps < 15
+    assert "shut" in result.recording.extra["mode"]
+
+
+def test_inputs_stay_within_the_limits():
+    problem = replace(PULL, settings=PlannerSettings(max_step=(0.01,)), goal=Goal(((0, 0.1, 0.01),)))
+    result = run(problem, pulling(), max_steps=20)
+    lengths = np.linalg.norm(result.recording.action[:-1], axis=1)
+    assert lengths.max() <= 0.01 + 1e-12
+    assert lengths.max() == pytest.approx(0.01)

@@ -1,0 +1,239 @@
+"""The MuJoCo plant against mechanics that can be worked out on paper."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from execution_objects import SHUT, arm, door, drawer, worm
+
+from micah_plan.automaton.hybrid import Part, Primitive
+from micah_plan.automaton.joint import revolute
+from micah_plan.automaton.kinematics import forward
+from micah_plan.errors import InputError
+from micah_plan.execution.mjcf import mjcf
+from micah_plan.execution.physical_object import physical_links
+from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.pose import chain, command, components, moving_joints
+from micah_plan.planning.problem import Start
+
+pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
+
+from micah_plan.execution.mujoco_plant import MujocoPlant
+
+IDEAL = PhysicalParameters(damping=0.0, friction=0.0, position_noise=0.0, rotation_noise=0.0)
+
+
+def plant_at(automaton, x, parameters=IDEAL, mode=None):
+    plant = MujocoPlant(automaton, Start(tuple(x), (0.0,) * len(x), mode), parameters)
+    plant.reset(np.random.default_rng(0))
+    return plant
+
+
+def apply(plant, u):
+    x = plant.truth().x
+    return plant.apply(command(plant.automaton, plant.automaton.modes[0].name, x, np.atleast_1d(u)))
+
+
+@pytest.mark.parametrize(
+    ("automaton", "u"),
+    [(door(), [0.08]), (door(0.7), [-0.05]), (drawer(), [0.03]), (worm(), [0.2]), (arm(), [0.1, -0.04])],
+    ids=["door", "tilted door", "drawer", "worm", "chain"],
+)
+def test_without_resistance_the_object_follows_the_command(automaton, u):
+    x0 = np.array([0.1] * automaton.n)
+    plant = plant_at(automaton, x0)
+    for count in (1, 2, 3):
+        apply(plant, u)
+        np.testing.assert_allclose(
+            plant.truth().x, np.clip(x0 + count * np.array(u), 0 if automaton.n == 1 else -9, 9), atol=4e-4
+        )
+
+
+@pytest.mark.parametrize("automaton", [door(0.3), worm(), arm()], ids=["door", "worm", "chain"])
+def test_true_poses_are_those_of_the_joints(automaton):
+    plant = plant_at(automaton, [0.15] * automaton.n)
+    apply(plant, [0.03] * automaton.n)
+    truth = plant.truth()
+    expected = components(chain(automaton, moving_joints(automaton, automaton.modes[0].name), truth.x))
+    np.testing.assert_allclose(truth.position, expected[0], atol=2e-5)
+    np.testing.assert_allclose(truth.quaternion, expected[1], atol=2e-5)
+
+
+def test_the_hand_feels_friction_and_damping():
+    # Pulled steadily, the force is the dry friction plus damping times speed, along the motion.
+    parameters = replace(IDEAL, damping=30.0, friction=2.0, motion_share=1.0)
+    for automaton, step, arm_length in ((drawer(), 0.02, 1.0), (door(), 0.05, 0.35)):
+        plant = plant_at(automaton, [0.05], parameters)
+        for _ in range(5):
+            force = apply(plant, step).force[0]
+        speed = step * arm_length / parameters.control_period
+        assert np.linalg.norm(force) == pytest.approx(2.0 + 30.0 * speed, rel=0.02)
+
+
+def test_dry_friction_holds_against_a_small_pull():
+    parameters = replace(IDEAL, friction=2.0)
+    assert apply_once(drawer(), parameters, 1.6 / parameters.stiffness) < 2e-5
+    assert apply_once(drawer(), parameters, 8.0 / parameters.stiffness) > 1.5e-3
+
+
+def apply_once(automaton, parameters, u):
+    plant = plant_at(automaton, [0.1], parameters)
+    apply(plant, u)
+    return abs(plant.truth().x[0] - 0.1)
+
+
+def test_gravity_pulls_along_the_slide():
+    # The drawer's direction rises by 0.8, so the hand gives way by m g 0.8 / stiffness.
+    parameters = replace(IDEAL, gravity=9.81, mass=1.5)
+    sag = 1.5 * 9.81 * 0.8 / parameters.stiffness
+    assert apply_once(drawer(), parameters, 0.0) == pytest.approx(sag, rel=1e-3)
+
+
+def test_the_hand_is_no_stronger_than_its_limit():
+    plant = plant_at(drawer(), [0.29], replace(IDEAL, max_force=20.0))
+    measurement = apply(plant, 0.2)
+    assert np.linalg.norm(measurement.force[0]) == pytest.approx(20.0)
+    assert plant.truth().x[0] == pytest.approx(0.3, abs=1e-4)
+
+
+def test_kinetic_energy_comes_from_the_hands_work():
+    # A weak hand pulls a frictionless drawer: half way to its target, v = a t while the pull is nearly constant.
+    parameters = replace(IDEAL, mass=4.0, max_force=1.0, control_period=0.2, motion_share=0.01)
+    plant = plant_at(drawer(), [0.05], parameters)
+    apply(plant, 0.2)
+    assert plant.truth().x[0] - 0.05 == pytest.approx(0.5 * (1.0 / 4.0) * 0.2**2, rel=0.02)
+
+
+def test_the_latch_catches_the_door_and_holds_it():
+    plant = plant_at(door(), [1.1])
+    assert not plant.truth().held.any()
+    apply(plant, 0.094)  # 2 mm short at the handle: within the capture, and the hand holds back with 6 N only
+    truth = plant.truth()
+    assert truth.held.all()
+    assert truth.x[0] == pytest.approx(SHUT, abs=1e-4)
+
+
+@pytest.mark.parametrize(("share", "released"), [(0.9, False), (1.1, True)])
+def test_the_latch_opens_at_its_force(share, released):
+    plant = plant_at(door(), [SHUT], mode="shut")
+    assert plant.truth().held.all()
+    pull = share * IDEAL.latch_force / IDEAL.stiffness / 0.35
+    apply(plant, -pull)
+    assert plant.truth().held.all() != released
+
+
+def test_a_push_into_the_stop_does_not_open_the_latch():
+    plant = plant_at(door(), [SHUT], mode="shut")
+    apply(plant, 0.1)
+    truth = plant.truth()
+    assert truth.held.all()
+    assert truth.x[0] == pytest.approx(SHUT, abs=2e-4)
+
+
+def test_the_latch_catches_again_after_the_door_was_opened():
+    plant = plant_at(door(), [SHUT], mode="shut")
+    apply(plant, -0.1)
+    assert plant.truth().x[0] == pytest.approx(SHUT - 0.1, abs=1e-3)
+    apply(plant, 0.11)
+    assert plant.truth().held.all()
+
+
+def test_a_released_door_pushed_back_before_it_left_is_caught():
+    plant = plant_at(door(), [SHUT], replace(IDEAL, latch_capture=0.02), mode="shut")
+    apply(plant, -0.03)
+    assert not plant.truth().held.any()
+    apply(plant, 0.025)
+    assert plant.truth().held.all()
+
+
+def test_the_same_seed_gives_the_same_measurements():
+    def measured(seed):
+        plant = MujocoPlant(door(), Start((0.3,), (0.1,)), PhysicalParameters())
+        first = plant.reset(np.random.default_rng(seed))
+        second = apply(plant, 0.05)
+        return np.concatenate([first.position.ravel(), second.position.ravel(), second.quaternion.ravel()])
+
+    np.testing.assert_array_equal(measured(3), measured(3))
+    assert not np.allclose(measured(3), measured(4))
+
+
+def test_a_reset_leaves_nothing_of_the_last_trial():
+    plant = MujocoPlant(door(), Start((SHUT,), (0.0,), "shut"), PhysicalParameters())
+    first = plant.reset(np.random.default_rng(1))
+    after = apply(plant, -0.1)
+    again = plant.reset(np.random.default_rng(1))
+    np.testing.assert_array_equal(first.position, again.position)
+    assert again.time == 0.0
+    assert plant.truth().held.all()
+    np.testing.assert_array_equal(apply(plant, -0.1).position, after.position)
+
+
+def test_the_mass_is_shared_among_the_shapes_by_volume():
+    shapes = (Primitive("box", (0.2, 0.1, 0.1)), Primitive("cylinder", (0.05, 0.2)), Primitive("sphere", (0.03,)))
+    automaton = replace(drawer(), parts=(Part("drawer", shapes), Part("base", shapes[:1])))
+    text = mjcf(physical_links(automaton), shapes[:1], PhysicalParameters(mass=3.0))
+    root = ElementTree.fromstring(text)  # noqa: S314 - our own text
+    masses = [float(geom.get("mass")) for geom in root.findall("worldbody/body/geom")]
+    assert sum(masses) == pytest.approx(3.0)
+    assert masses[1] / masses[0] == pytest.approx(np.pi * 0.05**2 * 0.2 / 0.002)
+    assert len(root.findall("worldbody/geom")) == 1
+
+
+def test_without_shapes_a_panel_reaches_from_the_axis_to_the_origin():
+    link = physical_links(door(0.4))[0]
+    (panel,) = link.shapes
+    pose = forward(link.joint, 0.0)[0]
+    np.testing.assert_allclose(
+        pose.apply(panel.position), np.add(link.joint.position, link.joint.center) / 2, atol=1e-12
+    )
+    assert panel.size[0] == pytest.approx(0.35)
+
+
+def test_what_cannot_be_built_is_refused_with_a_reason():
+    automaton = door()
+    swing = automaton.modes[0].joints[0]
+    other = revolute(swing.axis, np.add(swing.center, 0.05), swing.position)
+    two_joints = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(other,))))
+    with pytest.raises(InputError, match="different joints in different modes"):
+        physical_links(two_joints)
+    on_axis = replace(automaton, parts=(Part("door", handle=tuple(np.subtract(swing.center, swing.position))),))
+    with pytest.raises(InputError, match="lies on its axis"):
+        physical_links(on_axis)
+    with pytest.raises(InputError, match="one link per coordinate"):
+        physical_links(replace(automaton, links=()))
+    with pytest.raises(InputError, match="unknown shape"):
+        mjcf(physical_links(replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))), (), IDEAL)
+
+
+def test_physical_parameters_are_checked():
+    assert PhysicalParameters.from_mapping({"mass": 5}).mass == 5.0
+    with pytest.raises(InputError, match=r"unknown plant parameter 'mas'; choose among mass, damping"):
+        PhysicalParameters.from_mapping({"mas": 5.0})
+    with pytest.raises(InputError, match="'stiffness' must be a number > 0"):
+        PhysicalParameters(stiffness=0.0)
+    with pytest.raises(InputError, match="'friction' must be a number >= 0"):
+        PhysicalParameters(friction=float("nan"))
+
+
+def test_without_mujoco_the_package_loads_and_the_plant_says_what_to_install():
+    script = """
+import sys
+sys.modules["mujoco"] = None
+sys.path.insert(0, "tests/execution")
+import micah_plan.execution
+from micah_plan.errors import MissingDependencyError
+from micah_plan.execution.trials import make_plant
+from micah_plan.planning.problem import Goal, Problem, Start
+from execution_objects import door
+problem = Problem(door(), Start((0.1,), (0.01,)), Goal(((0, 0.5, 0.1),)))
+make_plant(problem, "nominal")
+try:
+    make_plant(problem, "mujoco")
+except MissingDependencyError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "pip install 'micah-plan[sim]'" in done.stdout
