@@ -21,10 +21,9 @@ from micah_plan.spec.fields import (
     Unit,
     Vector3,
 )
+from micah_plan.spec.part_document import IDENTITY, ZERO, PartDocument
 
 MODEL_FORMAT = "micah-plan/model/1"
-IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
-ZERO: Vector3 = (0.0, 0.0, 0.0)
 ParameterName = Literal[
     "axis_1",
     "axis_2",
@@ -38,23 +37,6 @@ ParameterName = Literal[
     "position_2",
     "position_3",
 ]
-
-
-class ShapeDocument(Document):
-    kind: Literal["box", "cylinder", "sphere"] = Field(description="Kind of solid.")
-    size: Annotated[list[Positive], Field(min_length=1, max_length=3)] = Field(
-        description="In m. Box: full lengths x, y, z. Cylinder: radius, length along z. Sphere: radius."
-    )
-    position: Vector3 = Field(default=ZERO, description="Centre in the part's frame [m].")
-    quaternion: Quaternion = Field(default=IDENTITY, description="Orientation in the part's frame, scalar last.")
-    color: str = Field(default="#9aa5b1", pattern=r"^#[0-9a-fA-F]{6}$", description="Colour as #rrggbb.")
-
-
-class PartDocument(Document):
-    handle: Vector3 | None = Field(
-        default=None, description="Where a hand holds it, in its frame [m]; default: its origin."
-    )
-    shapes: list[ShapeDocument] = Field(default_factory=list, description="Solids to draw and to simulate.")
 
 
 class LinkDocument(Document):

@@ -16,7 +16,6 @@ from micah_plan.automaton.hybrid import (
     Noise,
     Part,
     Pin,
-    Primitive,
     Reset,
 )
 from micah_plan.automaton.joint import Joint, ParameterCovariance
@@ -31,11 +30,10 @@ from micah_plan.spec.model_document import (
     MatricesDocument,
     ModeDocument,
     ModelDocument,
-    ShapeDocument,
     TransitionDocument,
 )
+from micah_plan.spec.part_values import check_unit, parts_of
 
-_UNIT_TOLERANCE = 1e-3
 _SYMMETRY_TOLERANCE = 1e-6
 _UNUSED: Mapping[str, tuple[str, ...]] = {
     "rigid": ("axis", "center", "pitch"),
@@ -43,7 +41,6 @@ _UNUSED: Mapping[str, tuple[str, ...]] = {
     "revolute": ("pitch", "held"),
     "screw": ("held",),
 }
-_SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 
 
 def automaton_of(document: ModelDocument, located: Located) -> HybridAutomaton:
@@ -141,25 +138,10 @@ class _Builder:
 
     def _parts(self) -> tuple[Part, ...]:
         known = list(dict.fromkeys([BASE, *(n for link in self._document.links for n in (link.parent, link.child))]))
-        parts = []
-        for name, part in self._document.parts.items():
+        for name in self._document.parts:
             if name not in known:
                 raise self._located.unknown(("parts", name), "part", name, known)
-            shapes = tuple(self._shape(s, ("parts", name, "shapes", i)) for i, s in enumerate(part.shapes))
-            parts.append(Part(name, shapes, part.handle))
-        return tuple(parts)
-
-    def _shape(self, shape: ShapeDocument, path: KeyPath) -> Primitive:
-        if len(shape.size) != _SIZES[shape.kind]:
-            problem = f"expected {_SIZES[shape.kind]} sizes of a {shape.kind}, found {len(shape.size)}"
-            raise self._located.error((*path, "size"), problem, "a box has 3, a cylinder 2, a sphere 1")
-        self._check_unit(shape.quaternion, (*path, "quaternion"))
-        return Primitive(shape.kind, tuple(shape.size), shape.position, shape.quaternion, shape.color)
-
-    def _check_unit(self, vector: Sequence[float], path: KeyPath) -> None:
-        length = float(np.linalg.norm(vector))
-        if abs(length - 1.0) > _UNIT_TOLERANCE:
-            raise self._located.error(path, f"expected unit length, found length {length:.6g}", "normalise it")
+        return parts_of(self._document.parts, self._located)
 
     def _noise(self) -> Noise:
         noise, names = self._document.noise, self._names.coordinates
@@ -206,13 +188,13 @@ class _Builder:
         return tuple(rows)
 
     def _joint(self, joint: JointDocument, path: KeyPath) -> Joint:
-        self._check_unit(joint.quaternion, (*path, "quaternion"))
+        check_unit(self._located, joint.quaternion, (*path, "quaternion"))
         for key in _UNUSED[joint.kind]:
             if getattr(joint, key) not in (ZERO, 0.0):
                 problem = f"a {joint.kind} joint has no {key}"
                 raise self._located.error((*path, key), problem, "remove it or correct the kind")
         if joint.kind != "rigid":
-            self._check_unit(joint.axis, (*path, "axis"))
+            check_unit(self._located, joint.axis, (*path, "axis"))
         covariance = None
         if joint.covariance is not None:
             covariance = self._covariance(joint.covariance, (*path, "covariance"))

@@ -65,7 +65,9 @@ def plan_text(plan: Plan, problem: Problem) -> str:
     data = _plan_data(plan, problem)
     _check_numbers(data, "plan")
     data["digest"] = _digest(data)
-    _stored(Located(data, "plan"))
+    stored = _stored(Located(data, "plan"))
+    if replace(stored.problem, source=problem.source) != problem:
+        raise InputError("plan: the problem cannot be written exactly", remedy="name each coordinate of the goal once")
     lines = (f"{json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items())
     return "{\n" + ",\n".join(lines) + "\n}\n"
 

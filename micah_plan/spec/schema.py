@@ -8,17 +8,23 @@ from typing import Any
 from micah_plan.errors import InputError, shown
 from micah_plan.spec.fields import Document
 from micah_plan.spec.model_document import ModelDocument
+from micah_plan.spec.part_document import PartsDocument
 from micah_plan.spec.plan_document import PlanDocument
 from micah_plan.spec.problem_document import ProblemDocument
 
-_DOCUMENTS: Mapping[str, type[Document]] = {"model": ModelDocument, "problem": ProblemDocument, "plan": PlanDocument}
+_DOCUMENTS: Mapping[str, type[Document]] = {
+    "model": ModelDocument,
+    "parts": PartsDocument,
+    "problem": ProblemDocument,
+    "plan": PlanDocument,
+}
 
 
 def schema(kind: str) -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of a file.
 
     Args:
-        kind: ``"model"``, ``"problem"`` or ``"plan"``.
+        kind: ``"model"``, ``"parts"``, ``"problem"`` or ``"plan"``.
 
     Raises:
         InputError: for another kind.

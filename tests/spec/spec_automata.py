@@ -1,0 +1,122 @@
+"""Hypothesis strategies: automata with all that a model file can say, valid by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from micah_plan.automaton.hybrid import (
+    Coordinate,
+    Edge,
+    HybridAutomaton,
+    Link,
+    Mode,
+    Noise,
+    Part,
+    Pin,
+    Primitive,
+    Reset,
+)
+from micah_plan.automaton.joint import Joint, ParameterCovariance, prismatic, revolute, rigid, screw
+from micah_plan.automaton.region import HalfSpace, Region
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
+MODERATE = st.floats(-1e3, 1e3)
+STDS = st.floats(1e-12, 1e3)
+VISIBLE = st.characters(exclude_categories=["C", "Z"])
+NAMES = st.text(VISIBLE, min_size=1, max_size=12) | st.sampled_from(
+    ["x", "door", "input", "1", "true", "null", "upper arm", 'a"b', "it's", "e", "a: b", "#", "-", "~", "<<", "é"]
+)
+TEXTS = st.text(VISIBLE | st.just(" "), max_size=20)
+VECTORS = st.tuples(MODERATE, MODERATE, MODERATE)
+DIRECTIONS = VECTORS.map(lambda v: v if np.linalg.norm(v) > 1e-3 else (0.0, 0.0, 1.0))
+QUATERNIONS = st.tuples(*[MODERATE] * 4).map(lambda v: v if np.linalg.norm(v) > 1e-3 else (0.0, 0.0, 0.0, 1.0))
+
+
+def rows(count: int, width: int, numbers: st.SearchStrategy[float] = NUMBERS) -> st.SearchStrategy:
+    return st.tuples(*[st.tuples(*[numbers] * width)] * count)
+
+
+@st.composite
+def covariances(draw: st.DrawFn) -> ParameterCovariance:
+    names = draw(st.lists(st.sampled_from(["axis_1", "center_2", "pitch", "rotation_3"]), min_size=1, unique=True))
+    root = np.array(draw(rows(len(names), len(names), st.floats(-1, 1))))
+    return ParameterCovariance(tuple(names), tuple(map(tuple, (root @ root.T).tolist())))
+
+
+@st.composite
+def joints(draw: st.DrawFn) -> Joint:
+    position, quaternion, axis = draw(VECTORS), draw(QUATERNIONS), draw(DIRECTIONS)
+    made = {
+        "rigid": lambda: rigid(position, quaternion, draw(MODERATE)),
+        "prismatic": lambda: prismatic(axis, position, quaternion),
+        "revolute": lambda: revolute(axis, draw(VECTORS), position, quaternion),
+        "screw": lambda: screw(axis, draw(VECTORS), draw(MODERATE), position, quaternion),
+    }[draw(st.sampled_from(["rigid", "prismatic", "revolute", "screw"]))]()
+    return Joint(**{**vars(made), "covariance": draw(st.none() | covariances())})
+
+
+@st.composite
+def half_spaces(draw: st.DrawFn, n: int, m: int) -> HalfSpace:
+    weights = st.sampled_from([0.0, 1.0, -1.0, 0.5]) | NUMBERS
+    row = draw(st.tuples(*[weights] * (n + m)).map(lambda w: w if any(w) else (-1.0, *w[1:])))
+    return HalfSpace(row[:n], row[n:], draw(NUMBERS), draw(st.booleans()), draw(NAMES | st.just("")))
+
+
+def regions(n: int, m: int) -> st.SearchStrategy[Region]:
+    return st.lists(half_spaces(n, m), max_size=3).map(lambda rows: Region(tuple(rows)))
+
+
+def resets(n: int, m: int) -> st.SearchStrategy[Reset]:
+    few = st.sampled_from([0.0, 1.0, -1.0, 0.1]) | NUMBERS
+    return st.builds(Reset, st.none() | rows(n, n, few), st.none() | rows(n, m, few), st.none() | st.tuples(*[few] * n))
+
+
+SHAPES = st.builds(
+    Primitive,
+    st.just("box"),
+    st.tuples(*[STDS] * 3),
+    VECTORS,
+    QUATERNIONS.map(lambda q: tuple((np.array(q) / np.linalg.norm(q)).tolist())),
+    st.sampled_from(["#000000", "#9aA5b1"]),
+) | st.builds(Primitive, st.just("sphere"), st.tuples(STDS))
+
+
+@st.composite
+def modes(draw: st.DrawFn, name: str, links: int, n: int, m: int) -> Mode:
+    pinned = draw(st.lists(st.integers(0, n - 1), unique=True, max_size=n))
+    return Mode(
+        name,
+        tuple(draw(joints()) for _ in range(links)),
+        draw(rows(n, m, st.sampled_from([0.0, 1.0]) | NUMBERS)),
+        draw(regions(n, m)),
+        draw(regions(n, m)),
+        tuple(Pin(i, draw(NUMBERS), draw(st.floats(0, 10))) for i in pinned),
+    )
+
+
+@st.composite
+def automata(draw: st.DrawFn) -> HybridAutomaton:
+    units = st.sampled_from(["rad", "m"])
+    coordinates = draw(
+        st.lists(st.builds(Coordinate, NAMES, units), min_size=1, max_size=3, unique_by=lambda c: c.name)
+    )
+    inputs = draw(st.lists(st.builds(Coordinate, NAMES, units), min_size=1, max_size=2, unique_by=lambda c: c.name))
+    n, m = len(coordinates), len(inputs)
+    parts = draw(st.lists(NAMES.filter(lambda s: s != "base"), min_size=1, max_size=3, unique=True))
+    bodies = ["base", *parts]
+    links = [Link(draw(st.sampled_from(bodies[: i + 1])), p, draw(st.integers(0, n - 1))) for i, p in enumerate(parts)]
+    names = draw(st.lists(NAMES, min_size=1, max_size=3, unique=True))
+    edge = st.builds(Edge, st.sampled_from(names), st.sampled_from(names), regions(n, m), resets(n, m))
+    described = draw(st.lists(st.sampled_from(bodies), unique=True))
+    return HybridAutomaton(
+        tuple(coordinates),
+        tuple(inputs),
+        tuple(links),
+        tuple(Part(p, tuple(draw(st.lists(SHAPES, max_size=2))), draw(st.none() | VECTORS)) for p in described),
+        tuple(draw(modes(name, len(links), n, m)) for name in names),
+        tuple(draw(st.lists(edge, max_size=3))),
+        Noise(draw(st.tuples(*[st.floats(0, 10)] * n)), draw(st.tuples(*[STDS] * n))),
+        tuple(draw(st.lists(st.tuples(st.sampled_from(names), regions(n, m)), max_size=2))),
+        draw(st.dictionaries(NAMES, TEXTS, max_size=3)),
+    )
