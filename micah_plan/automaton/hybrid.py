@@ -239,6 +239,12 @@ class HybridAutomaton:
         held = {pin.coordinate for pin in mode.pins}
         return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
 
+    def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
+        """The target's pins on coordinates that the edge's guard constrains: the guard is where they are held."""
+        return tuple(
+            pin for pin in self.mode(edge.target).pins if any(h.a[pin.coordinate] for h in edge.guard.half_spaces)
+        )
+
     def coordinate_index(self, name: str) -> int:
         """Index of the coordinate of that name.
 

@@ -74,6 +74,18 @@ def condition_on_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tupl
     return mean, factor
 
 
+def hold_at_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Mean and factor once a mode holds its pins at places that its guard defines.
+
+    Where the state was before tells nothing of where exactly it is held, so the pin replaces what was known of the
+    coordinate, whereas `condition_on_pins` adds to it.
+    """
+    mean, factor = mean.copy(), np.hstack([factor, np.zeros((mean.size, len(pins)))])
+    for column, pin in enumerate(pins, start=mean.size):
+        mean[pin.coordinate], factor[pin.coordinate], factor[pin.coordinate, column] = pin.value, 0.0, pin.std
+    return mean, lower_factor(factor) if pins else factor
+
+
 def margin(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> tuple[float, float]:
     """Mean and std of a'x + b'u - c."""
     deviation = np.sqrt(np.square(np.array(half_space.a) @ factor).sum() + SMALLEST_STD**2)

@@ -6,7 +6,8 @@ of the covariance P = L L', entries above the diagonal ignored on input and zero
 Noise and pins: the process noise acts on the coordinates that a mode leaves free. A pinned coordinate is held, so it
 gets none; that the mode holds it at a known value is one piece of information (N(value, std²)), counted once, when
 the mode is entered (`CompiledEdge.belief_reset`) or when a belief starts in it (`CompiledMode.condition`). Counting it
-at every step would shrink the belief without end.
+at every step would shrink the belief without end. Entering through a guard on the coordinate itself, the pin replaces
+what was known: where the state was before tells nothing of where exactly it is held.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import Region
-from micah_plan.symbolic.square_root import add_noise, lower_factor, norm, observe
+from micah_plan.symbolic.square_root import add_noise, hold, lower_factor, norm, observe
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,8 @@ class CompiledEdge:
         guard: (x, u) -> margins (k, 1), positive where the transition is taken; rows named by `names`.
         guard_belief: (mean, factor, u) -> (margin, std), each (k, 1).
         reset: (x, u) -> x.
-        belief_reset: (mean, factor, u) -> (mean, factor): the affine reset through the covariance, then conditioning
-            on the pins of the target mode (a contact is information).
+        belief_reset: (mean, factor, u) -> (mean, factor): the affine reset through the covariance, then the pins of the
+            target mode (a contact is information): held there if the guard locates them, else conditioned on.
     """
 
     edge: Edge
@@ -142,7 +143,10 @@ def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> Compil
     moved = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), s.u) + ca.DM(c)
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
     factor = s.factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), s.factor))
-    held = _condition(moved, factor, automaton.mode(edge.target).pins)
+    located = automaton.pins_located_by(edge)
+    moved_mean, factor = hold(moved, factor, [(pin.coordinate, pin.value, pin.std) for pin in located])
+    others = tuple(pin for pin in automaton.mode(edge.target).pins if pin not in located)
+    held = _condition(moved_mean, factor, others)
     return CompiledEdge(
         edge=edge,
         guard=_margins("guard", edge.guard, s),

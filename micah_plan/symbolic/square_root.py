@@ -92,6 +92,19 @@ def observe(mean: ca.SX, factor: ca.SX, index: int, std: float, value: ca.SX | f
     return Observed(mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink)), innovation, sums[0])
 
 
+def hold(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float]]) -> tuple[ca.SX, ca.SX]:
+    """Replace what is known of coordinates by (index, value, std), independent of the others."""
+    if not places:
+        return mean, factor
+    mean, spread = ca.SX(mean), ca.SX(factor.shape[0], len(places))
+    kept = ca.SX(factor)
+    for column, (index, value, std) in enumerate(places):
+        mean[index] = value
+        kept[index, :] = 0
+        spread[index, column] = std
+    return mean, lower_factor(ca.sparsify(ca.horzcat(kept, spread)))
+
+
 def _rotate(kept: list[ca.SX], other: list[ca.SX], row: int) -> None:
     """Rotate two columns so that `other` vanishes in that row; kept[row] >= 0 and the rows above are zero in both.
 

@@ -49,7 +49,7 @@ def example(seed: int = 0) -> HybridAutomaton:
         (),
         (free, pinned),
         (
-            Edge("free", "pinned", region(rng, 2, "shut")),
+            Edge("free", "pinned", Region((HalfSpace((1.0, -0.5, 0.0), (0.0, 0.3), 0.2, name="shut"),))),
             Edge("pinned", "free", region(rng, 1, "open"), general),
             Edge("free", "free", Region(), clamp),
         ),
@@ -133,7 +133,9 @@ def test_belief_functions_equal_their_numpy_twins(seed: int, scale: float) -> No
             assert np.allclose(ours, twin, **close)
     for edge, functions in zip(automaton.edges, compiled.edges, strict=True):
         moved = gaussian.reset(mean, factor, u, edge.reset)
-        twins = gaussian.condition_on_pins(*moved, automaton.mode(edge.target).pins)
+        located = automaton.pins_located_by(edge)
+        others = [pin for pin in automaton.mode(edge.target).pins if pin not in located]
+        twins = gaussian.condition_on_pins(*gaussian.hold_at_pins(*moved, located), others)
         ours = call(functions.belief_reset, mean, factor, u)
         assert np.allclose(ours[0], twins[0], **close)
         assert np.allclose(ours[1] @ ours[1].T, twins[1] @ twins[1].T, rtol=1e-8, atol=1e-9 * max(1.0, scale**2))
@@ -172,7 +174,10 @@ def test_a_mode_of_pins_is_not_counted_twice() -> None:
     )  # fmt: skip
     mean, factor, u, _ = sample(np.random.default_rng(1))
     entered = call(compile_automaton(blind).edges[0].belief_reset, mean, factor, u)
-    assert np.all(np.diag(entered[1] @ entered[1].T)[[0, 2]] < np.array([0.05, 0.2]) ** 2)
+    variances = np.diag(entered[1] @ entered[1].T)
+    assert np.isclose(variances[0], 0.05**2)  # located by the guard: the pin's own
+    assert entered[0][0] == 0.4
+    assert variances[2] < 0.2**2  # added to what was known
     stayed = call(compile_automaton(blind).modes["pinned"].belief_step, *entered, np.zeros(M))
     assert np.allclose(stayed[1], entered[1], atol=1e-15)
 

@@ -1,0 +1,171 @@
+"""The hybrid Gaussian filter: one EKF per mode, guards that move probability from mode to mode, moment matching.
+
+All functions are pure and deterministic; none changes the belief it is given. They run in NumPy: for one to four
+coordinates a step takes about as long as a call into a compiled CasADi function, and events need more than those hold.
+`belief.gaussian`, on which they rest, is compared with the compiled functions that planning uses by a test.
+
+Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
+2018; Blom and Bar-Shalom, "The interacting multiple model algorithm", 1988, for the mixing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.belief import gaussian
+from micah_plan.belief.crossing import Piece, cross, whole_step
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.belief.truncation import mixed, truncate
+from micah_plan.errors import InputError
+
+Floats = NDArray[np.float64]
+
+# A share of the belief below this is dropped.
+NEGLIGIBLE = 1e-10
+# Transitions that a share of the belief may take within one step.
+_MOST_EVENTS = 16
+
+
+def initial_belief(
+    automaton: HybridAutomaton, mean: ArrayLike, spread: ArrayLike, mode: str | None = None
+) -> HybridBelief:
+    """The belief at the start: all of it in one mode, whose pins are information.
+
+    Args:
+        mean: (n,) [rad or m].
+        spread: (n,) standard deviations or (n, n) covariance.
+        mode: where it is; None: the first mode whose invariant holds the mean.
+
+    Raises:
+        InputError: if shapes do not fit, the covariance is not positive semi-definite, or no invariant holds the mean.
+    """
+    center, width = np.array(mean, dtype=float), np.array(spread, dtype=float)
+    n = automaton.n
+    if center.shape != (n,) or width.shape not in ((n,), (n, n)):
+        raise InputError(
+            f"a start belief needs a mean of shape ({n},) and stds ({n},) or a covariance ({n}, {n}). "
+            f"Got {center.shape} and {width.shape}"
+        )
+    if not np.isfinite(center).all():
+        raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
+    if mode is None:
+        holding = automaton.modes_at(center)
+        if not holding:
+            raise InputError(
+                f"the start {center.tolist()} lies in no mode's invariant", remedy="move it or name a mode"
+            )
+        mode = holding[0]
+    factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
+    held = gaussian.condition_on_pins(center, factor, automaton.mode(mode).pins)
+    return _assembled(automaton, [Piece(mode, 1.0, np.tile(held[0], 2), np.tile(held[1], (2, 1)), 0.0, np.zeros(n))])
+
+
+def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> HybridBelief:
+    """The belief after one step with input u (m,): flow, process noise, guards, resets, clamps and pins."""
+    applied = np.asarray(u, dtype=float)
+    if applied.shape != (automaton.m,):
+        raise InputError(f"an input must have shape ({automaton.m},). Got {applied.shape}")
+    arrived: list[Piece] = []
+    for index, mode in enumerate(automaton.modes):
+        weight = float(belief.weights[index])
+        if weight < NEGLIGIBLE:
+            continue
+        travelling = [whole_step(automaton, mode.name, weight, belief.means[index], belief.factors[index], applied)]
+        while travelling:
+            arrived += _through_guards(automaton, travelling.pop(), applied, travelling)
+    return _assembled(automaton, arrived)
+
+
+def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> HybridBelief:
+    """The belief after measuring z (n,), NaN where there is no measurement.
+
+    Mode weights move by the likelihood. A mode's state lies outside the guards that leave it, else it would have left:
+    the mean is brought back if the measurement drew it behind one, and the likelihood counts only the part outside.
+    """
+    measured = np.asarray(z, dtype=float)
+    if measured.shape != (automaton.n,):
+        raise InputError(f"a measurement must have shape ({automaton.n},). Got {measured.shape}")
+    if not np.isfinite(measured).any():
+        return belief
+    means, factors = belief.means.copy(), belief.factors.copy()
+    scores = np.full(len(automaton.modes), -np.inf)
+    for index, mode in enumerate(automaton.modes):
+        before = belief.means[index], belief.factors[index]
+        mean, factor, score = gaussian.update(*before, measured, automaton.noise.observation_std)
+        for weights, offset in _limits(automaton.edges_from(mode.name)):
+            score -= truncate(*before, weights, offset)[0]
+            outside, inward, narrowed = truncate(mean, factor, weights, offset)
+            score += outside
+            if weights @ mean < offset:
+                mean, factor = inward, narrowed
+        means[index], factors[index] = mean, factor
+        if belief.weights[index] > 0:
+            scores[index] = score + np.log(belief.weights[index])
+    weights = np.exp(scores - scores.max())
+    return _frozen(weights / weights.sum(), means, factors)
+
+
+def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travelling: list[Piece]) -> list[Piece]:
+    """The share of a piece that stays in its mode to the end of the step; what leaves is put on `travelling`."""
+    if piece.events >= _MOST_EVENTS:
+        return [piece]
+    for edge in sorted(automaton.edges_from(piece.mode), key=lambda edge: edge.is_self_transition):
+        crossed, left = cross(automaton, piece, edge, u)
+        if crossed is not None and crossed.probability >= NEGLIGIBLE:
+            travelling.append(crossed)
+        if left is None or left.probability < NEGLIGIBLE:
+            return []
+        piece = left
+    return [piece]
+
+
+def _limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
+    """The guards of one half-space on the state alone, turned round: weights @ x >= offset is outside the guard."""
+    single = [edge.guard.half_spaces[0] for edge in edges if len(edge.guard.half_spaces) == 1]
+    return [(-np.array(h.a), -h.c) for h in single if any(h.a) and not any(h.b)]
+
+
+def _assembled(automaton: HybridAutomaton, pieces: list[Piece]) -> HybridBelief:
+    """One Gaussian per mode from its pieces; a mode without any gets the mixture's, held at its pins."""
+    weights = np.zeros(len(automaton.modes))
+    gaussians: dict[str, tuple[Floats, Floats]] = {}
+    for index, mode in enumerate(automaton.modes):
+        own = [piece for piece in pieces if piece.mode == mode.name]
+        if own:
+            weights[index] = sum(piece.probability for piece in own)
+            gaussians[mode.name] = _merged(own)
+    overall = _merged(pieces)
+    for mode in automaton.modes:
+        if mode.name not in gaussians:
+            gaussians[mode.name] = gaussian.hold_at_pins(*overall, mode.pins)
+    ordered = [gaussians[mode.name] for mode in automaton.modes]
+    return _frozen(weights / weights.sum(), np.stack([g[0] for g in ordered]), np.stack([g[1] for g in ordered]))
+
+
+def _merged(pieces: list[Piece]) -> tuple[Floats, Floats]:
+    ends = [piece.end() for piece in pieces]
+    return mixed([piece.probability for piece in pieces], np.stack([e[0] for e in ends]), [e[1] for e in ends])
+
+
+def _valid_stds(stds: Floats) -> Floats:
+    if not (np.isfinite(stds).all() and (stds >= 0).all()):
+        raise InputError(f"standard deviations must be finite and not negative. Got {stds.tolist()}")
+    return stds
+
+
+def _root(covariance: Floats) -> Floats:
+    """Lower factor of a covariance, singular ones included."""
+    values, vectors = np.linalg.eigh(covariance)
+    if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):
+        raise InputError("a covariance must be symmetric and positive semi-definite", remedy="give (n,) stds instead")
+    return gaussian.lower_factor(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _frozen(weights: Floats, means: Floats, factors: Floats) -> HybridBelief:
+    for array in (weights, means, factors):
+        array.setflags(write=False)
+    return HybridBelief(weights, means, factors)
