@@ -34,13 +34,12 @@ class InputError(MicahError):
         self.remedy = remedy
         place = ", ".join(part for part in (self.source, where) if part)
         text = f"{place}: {problem}" if place else problem
-        super().__init__(f"{text}; {remedy}" if remedy else text)
+        line = f"{text}; {remedy}" if remedy else text
+        super().__init__("".join(c if c.isprintable() else "?" for c in line))  # a path may hold a line break
 
     def located(self, source: str | Path, where: str | None = None) -> InputError:
         """The same error with the file (and place) filled in where they were still unknown."""
-        return InputError(
-            self.problem, source=self.source or source, where=self.where or where, remedy=self.remedy
-        )
+        return InputError(self.problem, source=self.source or source, where=self.where or where, remedy=self.remedy)
 
 
 class MissingDependencyError(MicahError):

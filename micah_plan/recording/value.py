@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 DEFAULT_PART = "part"
+_ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class Recording:
     quaternion: Floats | None = None
     action: Floats | None = None
     force: Floats | None = None
-    run: Ints = field(default=None)  # type: ignore[assignment]  # filled in by __post_init__
+    run: Ints = field(default_factory=lambda: _ONE_RUN)
     part: tuple[str, ...] = ()
     has_run: bool = False
     has_part: bool = False
@@ -54,7 +55,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         n = len(self.time)
-        if self.run is None:
+        if self.run is _ONE_RUN:
             object.__setattr__(self, "run", np.zeros(n, dtype=np.int64))
         if not self.part:
             object.__setattr__(self, "part", (DEFAULT_PART,) * n)

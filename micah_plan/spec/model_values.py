@@ -24,7 +24,6 @@ from micah_plan.errors import InputError
 from micah_plan.spec.expressions import Affine, Variables, parse_affine, parse_half_space
 from micah_plan.spec.located import KeyPath, Located
 from micah_plan.spec.model_document import (
-    ZERO,
     CovarianceDocument,
     JointDocument,
     MatricesDocument,
@@ -32,6 +31,7 @@ from micah_plan.spec.model_document import (
     ModelDocument,
     TransitionDocument,
 )
+from micah_plan.spec.part_document import ZERO
 from micah_plan.spec.part_values import check_unit, parts_of
 
 _SYMMETRY_TOLERANCE = 1e-6
