@@ -1,0 +1,94 @@
+"""Limits of a problem: the largest step of each input and the range of each coordinate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.problem import Problem
+
+Floats = NDArray[np.float64]
+
+# Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
+STEPS_PER_RANGE = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What bounds a plan.
+
+    Attributes:
+        max_step: (m,) largest |u| per step [rad or m].
+        lower, upper: (n,) range in which the search looks for states [rad or m]; finite.
+        speed: (n,) farthest that each coordinate moves in one step; 1 where no input moves it.
+    """
+
+    max_step: Floats
+    lower: Floats
+    upper: Floats
+    speed: Floats
+
+
+def limits_of(problem: Problem) -> Limits:
+    """Limits from the settings, else from the automaton's admissible inputs, else from the coordinates' ranges."""
+    automaton = problem.automaton
+    lower, upper = _coordinate_range(problem)
+    if problem.settings.max_step is not None:
+        max_step = np.array(problem.settings.max_step, dtype=float)
+    else:
+        max_step = np.array([_default_step(automaton, j, upper - lower) for j in range(automaton.m)])
+    gains = np.max([np.abs(mode.B) for mode in automaton.modes], axis=0)
+    speed = gains @ max_step
+    return Limits(max_step, lower, upper, np.where(speed > 0, speed, 1.0))
+
+
+def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
+    """(m,) the input cut to |u| <= max_step and to the half-spaces of the mode's admissible inputs, one by one.
+
+    A half-space that the input violates is met by the shortest change of u; one without input weights is left alone.
+    """
+    cut = np.clip(u, -max_step, max_step)
+    for half_space in mode.inputs.half_spaces:
+        b = np.array(half_space.b)
+        shortage = -float(half_space.margin(x, cut))
+        if shortage > 0 and b.any():
+            cut = cut + b * shortage / float(b @ b)
+    return np.asarray(np.clip(cut, -max_step, max_step))
+
+
+def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
+    """Everything that the invariants, guards, pins, start and goal mention, with room where nothing bounds a side."""
+    automaton = problem.automaton
+    lower, upper = np.zeros(automaton.n), np.zeros(automaton.n)
+    invariants = [h for mode in automaton.modes for h in mode.invariant.half_spaces]
+    guards = [h for edge in automaton.edges for h in edge.guard.half_spaces]
+    for i in range(automaton.n):
+        values = [problem.start.mean[i], *(value for index, value, _ in problem.goal.target if index == i)]
+        values += [pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == i]
+        values += [h.c / h.a[i] for h in (*invariants, *guards) if _is_on(h, i)]
+        room = 0.5 * (max(values) - min(values)) or 1.0
+        free_below = not any(_is_on(h, i) and h.a[i] > 0 for h in invariants)
+        free_above = not any(_is_on(h, i) and h.a[i] < 0 for h in invariants)
+        lower[i] = min(values) - (room if free_below else 0.0)
+        upper[i] = max(values) + (room if free_above else 0.0)
+    return lower, upper
+
+
+def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> float:
+    """Largest admissible |u| if all modes together bound it on both sides, else a share of the range that it moves."""
+    rows = [h for mode in automaton.modes for h in mode.inputs.half_spaces]
+    rows = [h for h in rows if not any(h.a) and np.count_nonzero(h.b) == 1 and h.b[index] != 0]
+    if {np.sign(h.b[index]) for h in rows} == {-1.0, 1.0}:
+        return float(max(abs(h.c / h.b[index]) for h in rows))
+    gains = np.max([np.abs(mode.B[:, index]) for mode in automaton.modes], axis=0)
+    steps = [width[i] / STEPS_PER_RANGE / gain for i, gain in enumerate(gains) if gain > 0 and width[i] > 0]
+    return float(min(steps, default=1.0 / STEPS_PER_RANGE))
+
+
+def _is_on(half_space: HalfSpace, i: int) -> bool:
+    """Whether the half-space bounds this coordinate alone."""
+    return not any(half_space.b) and np.count_nonzero(half_space.a) == 1 and half_space.a[i] != 0

@@ -1,0 +1,196 @@
+"""The k cheapest mode sequences through roadmaps that are joined by directed guard edges.
+
+A best-first search over prefixes of mode sequences. A prefix knows the cheapest cost of entering its last mode at every
+vertex; the exact cost-to-go of the joined roadmaps (which ignores that revisits are forbidden, so it never
+overestimates) guides the search, so only prefixes that compete with the k cheapest sequences are ever expanded.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import count, islice
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
+TRANSITION_COST = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedRoadmap:
+    """Roadmaps of all modes and the guard edges between them.
+
+    Attributes:
+        graphs: (v, v) directed motion costs [steps] by mode.
+        exits: (k, 2) vertex pairs by edge index.
+        ends: (source, target) mode by edge index.
+        start: (mode, vertex).
+        goals: vertices by mode.
+        goal_costs: cost [steps] of ending at each of these vertices, by mode.
+    """
+
+    graphs: Mapping[str, csr_array]
+    exits: Mapping[int, Ints]
+    ends: Mapping[int, tuple[str, str]]
+    start: tuple[str, int]
+    goals: Mapping[str, Ints]
+    goal_costs: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class VertexPath:
+    """A mode sequence, the vertices visited in each mode, the edges (indices) between them, and the cost [steps]."""
+
+    modes: tuple[str, ...]
+    edges: tuple[int, ...]
+    vertices: tuple[tuple[int, ...], ...]
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Prefix:
+    """A partial sequence that has just entered `mode`.
+
+    Attributes:
+        entry: (v,) cost of entering at each vertex; infinite where it cannot enter.
+        exit_of: (v,) vertex of the parent's mode from which each entry was made.
+    """
+
+    mode: str
+    entry: Floats
+    parent: _Prefix | None
+    edge: int
+    exit_of: Ints
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        return (*(self.parent.modes if self.parent else ()), self.mode)
+
+
+def cheapest_sequences(roadmap: JoinedRoadmap, k: int, *, allow_revisits: bool = False) -> list[VertexPath]:
+    """At most k sequences with different edges, cheapest first; empty if the goal is not connected to the start."""
+    return list(islice(_sequences(roadmap, allow_revisits), k))
+
+
+def _sequences(roadmap: JoinedRoadmap, allow_revisits: bool) -> Iterator[VertexPath]:
+    search = _Search(roadmap)
+    queue: list[tuple[float, int, _Prefix, bool]] = []
+    ticket = count()
+
+    def push(cost: float, prefix: _Prefix, complete: bool) -> None:
+        if np.isfinite(cost):
+            heapq.heappush(queue, (cost, next(ticket), prefix, complete))
+
+    mode, vertex = roadmap.start
+    entry = np.full(roadmap.graphs[mode].shape[0], np.inf)
+    entry[vertex] = 0.0
+    first = _Prefix(mode, entry, None, -1, np.full(len(entry), -1))
+    push(float(search.to_go[mode][vertex]), first, False)
+    while queue:
+        cost, _, prefix, complete = heapq.heappop(queue)
+        if complete:
+            yield search.trace(prefix, cost)
+            continue
+        reached = search.reached(prefix)
+        if prefix.mode in roadmap.goals:
+            push(float(search.ending(prefix.mode, reached).min(initial=np.inf)), prefix, True)
+        for edge, (source, target) in roadmap.ends.items():
+            if source != prefix.mode or (target in prefix.modes and not allow_revisits):
+                continue
+            child = search.follow(prefix, reached, edge, target)
+            push(float(np.min(child.entry + search.to_go[target])), child, False)
+
+
+class _Search:
+    """Shortest paths of the joined roadmap, computed when first needed."""
+
+    def __init__(self, roadmap: JoinedRoadmap) -> None:
+        self.roadmap = roadmap
+        self.to_go = _cost_to_go(roadmap)
+        self._distances: dict[str, tuple[Floats, Ints]] = {}
+
+    def distances(self, mode: str) -> tuple[Floats, Ints]:
+        """(v, v) shortest costs between the vertices of a mode and the predecessors on the paths."""
+        if mode not in self._distances:
+            self._distances[mode] = dijkstra(self.roadmap.graphs[mode], return_predecessors=True)
+        return self._distances[mode]
+
+    def reached(self, prefix: _Prefix) -> Floats:
+        """(v,) cheapest cost at each vertex of the prefix's last mode."""
+        entries = np.flatnonzero(np.isfinite(prefix.entry))
+        costs = prefix.entry[entries, None] + self.distances(prefix.mode)[0][entries]
+        return np.asarray(costs.min(axis=0, initial=np.inf))
+
+    def ending(self, mode: str, reached: Floats) -> Floats:
+        """(g,) total cost of ending at each goal vertex of a mode."""
+        return np.asarray(reached[self.roadmap.goals[mode]] + self.roadmap.goal_costs[mode])
+
+    def follow(self, prefix: _Prefix, reached: Floats, edge: int, target: str) -> _Prefix:
+        """The prefix extended by one guard edge."""
+        entry = np.full(self.roadmap.graphs[target].shape[0], np.inf)
+        exit_of = np.full(len(entry), -1)
+        for before, after in self.roadmap.exits.get(edge, ()):
+            if reached[before] + TRANSITION_COST < entry[after]:
+                entry[after] = reached[before] + TRANSITION_COST
+                exit_of[after] = before
+        return _Prefix(target, entry, prefix, edge, exit_of)
+
+    def trace(self, prefix: _Prefix, cost: float) -> VertexPath:
+        """The vertices of the cheapest path through a complete prefix."""
+        best = np.argmin(self.ending(prefix.mode, self.reached(prefix)))
+        vertex = int(self.roadmap.goals[prefix.mode][best])
+        vertices: list[tuple[int, ...]] = []
+        edges: list[int] = []
+        last: _Prefix | None = prefix
+        while last is not None:
+            distance, predecessor = self.distances(last.mode)
+            entry = int(np.argmin(last.entry + distance[:, vertex]))
+            path = [vertex]
+            while path[-1] != entry:
+                path.append(int(predecessor[entry, path[-1]]))
+            vertices.append(tuple(reversed(path)))
+            if last.parent is not None:
+                edges.append(last.edge)
+            vertex = int(last.exit_of[entry])
+            last = last.parent
+        return VertexPath(prefix.modes, tuple(reversed(edges)), tuple(reversed(vertices)), cost)
+
+
+def _cost_to_go(roadmap: JoinedRoadmap) -> dict[str, Floats]:
+    """(v,) cheapest cost from each vertex of each mode to any goal, revisits allowed."""
+    offsets, total = {}, 0
+    for mode, graph in roadmap.graphs.items():
+        offsets[mode] = total
+        total += graph.shape[0]
+    parts = [(graph.tocoo(), offsets[mode]) for mode, graph in roadmap.graphs.items()]
+    rows = [part.row + offset for part, offset in parts]
+    columns = [part.col + offset for part, offset in parts]
+    costs = [part.data for part, _ in parts]
+    for edge, pairs in roadmap.exits.items():
+        source, target = roadmap.ends[edge]
+        rows.append(pairs[:, 0] + offsets[source])
+        columns.append(pairs[:, 1] + offsets[target])
+        costs.append(np.full(len(pairs), TRANSITION_COST))
+    for mode, vertices in roadmap.goals.items():
+        rows.append(vertices + offsets[mode])
+        columns.append(np.full(len(vertices), total))
+        # A sparse graph drops a cost of zero, so arriving costs one more for all, taken off again below.
+        costs.append(roadmap.goal_costs[mode] + 1.0)
+    data = np.concatenate(costs)
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    best = np.lexsort((data, column, row))
+    row, column, data = row[best], column[best], data[best]
+    # coo -> csr adds duplicates up; two edges between the same vertices must stay the cheaper of the two.
+    first = np.ones(len(row), dtype=bool)
+    first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
+    backward = coo_array((data[first], (column[first], row[first])), shape=(total + 1, total + 1)).tocsr()
+    distance = dijkstra(backward, indices=total) - 1.0
+    return {mode: distance[offsets[mode] : offsets[mode] + graph.shape[0]] for mode, graph in roadmap.graphs.items()}

@@ -1,0 +1,175 @@
+"""The high level of POMDP-HD: a roadmap per mode, guard edges between them, and the cheapest mode sequences.
+
+The roadmaps are OMPL's PRM* over the coordinates that a mode leaves free (Karaman and Frazzoli, IJRR 2011). All states
+come from our own generator through a valid-state sampler and growth stops by count, so that the result depends on the
+seed alone, not on what the process did before. OMPL is given no other callback: motions are checked afterwards in one
+NumPy batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+from scipy.sparse import coo_array, csr_array
+
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.mode_motion import ModeMotion, motions_of
+from micah_plan.planning.mode_paths import JoinedRoadmap, cheapest_sequences
+from micah_plan.planning.mode_samples import sample_modes
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.search_reasons import why_disconnected, why_unreachable
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
+_SHORTEST = 1e-9
+_SMALLEST_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ModeSequence:
+    """A mode sequence with the path that the roadmaps found through it.
+
+    Attributes:
+        modes: (P,) names.
+        edges: (P-1,) indices into the automaton's edges.
+        waypoints: per mode (w, n) corners of the path, w >= 1, from entering to leaving the mode [rad or m].
+        cost: length of the path in steps of the largest input, one per transition, and the goal error left, in steps.
+    """
+
+    modes: tuple[str, ...]
+    edges: tuple[int, ...]
+    waypoints: tuple[Floats, ...]
+    cost: float
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The sequences found, cheapest first, or the reason why there are none."""
+
+    sequences: tuple[ModeSequence, ...]
+    reason: str = ""
+
+
+def search_modes(
+    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, allow_revisits: bool = False
+) -> SearchResult:
+    """The cheapest mode sequences from the start to the goal. The same seed gives the same result."""
+    samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed))
+    reason = why_unreachable(problem, limits, samples, start_mode)
+    if reason:
+        return SearchResult((), reason)
+    motions = motions_of(problem.automaton, limits.max_step, limits.speed)
+    points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
+    graphs = {name: _graph(points[name], limits.speed, motions[name]) for name in points}
+    edges = problem.automaton.edges
+    ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
+    costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
+    roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
+    paths = cheapest_sequences(roadmap, problem.settings.candidates, allow_revisits=allow_revisits)
+    if not paths:
+        return SearchResult((), why_disconnected(problem, start_mode, samples))
+    return SearchResult(
+        tuple(
+            ModeSequence(
+                path.modes,
+                path.edges,
+                tuple(
+                    motions[name].shortcut(points[name][list(visited)])
+                    for name, visited in zip(path.modes, path.vertices, strict=True)
+                ),
+                path.cost,
+            )
+            for path in paths
+        )
+    )
+
+
+def _goal_costs(problem: Problem, points: Floats) -> Floats:
+    """(g,) the goal error of states (g, n) as the optimisation will weigh it against effort, in steps."""
+    settings = problem.settings
+    errors = np.zeros(len(points))
+    for index, value, tolerance in problem.goal.target:
+        errors += ((points[:, index] - value) / tolerance) ** 2
+    return np.asarray(errors * settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT))
+
+
+def _graph(points: Floats, speed: Floats, motion: ModeMotion) -> csr_array:
+    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
+    pairs = _prm_connections(points / speed)
+    steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
+    allowed = np.isfinite(steps)
+    pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
+    return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
+
+
+def _prm_connections(points: Floats) -> Ints:
+    """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
+    free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
+    if not len(free):
+        return np.zeros((0, 2), dtype=np.int64)
+    states = np.ascontiguousarray(points[:, free])
+    # Distinct states may agree in the last bits after scaling; PRM* sees each only once.
+    numbers: dict[bytes, int] = {}
+    for number, state in enumerate(states):
+        numbers.setdefault((state + 0.0).tobytes(), number)
+    grown, links = _grow_prm(states[list(numbers.values())] + 0.0)
+    vertices = [numbers[state.tobytes()] for state in grown]
+    pairs = {(vertices[i], vertices[j]) for i, j in links}
+    return np.array(sorted(pairs | {(j, i) for i, j in pairs}), dtype=np.int64).reshape(-1, 2)
+
+
+def _grow_prm(states: Floats) -> tuple[Floats, list[tuple[int, int]]]:
+    """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
+    ou.setLogLevel(ou.LogLevel.LOG_ERROR)
+    space = ob.RealVectorStateSpace(states.shape[1])
+    bounds = ob.RealVectorBounds(states.shape[1])
+    for i, (low, high) in enumerate(zip(states.min(axis=0), states.max(axis=0), strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    information = ob.SpaceInformation(space)
+    samplers: list[_GivenStates] = []
+
+    def allocate(owner: Any) -> _GivenStates:
+        samplers.append(_GivenStates(owner, states))
+        return samplers[-1]
+
+    information.setValidStateSamplerAllocator(allocate)
+    information.setup()
+    planner = og.PRMstar(information)
+    planner.setProblemDefinition(ob.ProblemDefinition(information))
+    planner.setup()
+    done = ob.PlannerTerminationCondition(lambda: any(s.used >= len(states) for s in samplers))
+    planner.growRoadmapPtc(done)
+    data = ob.PlannerData(information)
+    planner.getPlannerData(data)
+    # The data points into the planner's memory: copy it while the planner lives.
+    vertices = [data.getVertex(i).getState() for i in range(data.numVertices())]
+    grown = np.array([[state[i] for i in range(states.shape[1])] for state in vertices])
+    return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
+
+
+class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information
+    """Hands given states to a planner, one after the other."""
+
+    def __init__(self, information: Any, states: Floats) -> None:
+        super().__init__(information)
+        self.states = states
+        self.used = 0
+
+    def sample(self, state: Any) -> bool:
+        for i, value in enumerate(self.states[min(self.used, len(self.states) - 1)]):
+            state[i] = float(value)
+        self.used += 1
+        return True
+
+    def sampleNear(self, _state: Any, _near: Any, _distance: float) -> bool:  # noqa: N802  # OMPL's name
+        return False

@@ -1,0 +1,124 @@
+"""Closed convex sets of continuous states, as the high-level search sees invariants, guards and goals.
+
+A set is a box (most sets of an articulated object are) and further half-spaces. Boxes are treated in closed form, other
+sets with linear programmes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from micah_plan.automaton.hybrid import Mode
+from micah_plan.automaton.region import Region
+
+Floats = NDArray[np.float64]
+
+# Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
+TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """The set ``{x: lower <= x <= upper, A x >= b}``.
+
+    Attributes:
+        lower, upper: (n,) corners, finite [rad or m].
+        A, b: (k, n), (k,) half-spaces that are not parallel to an axis; k may be 0.
+    """
+
+    lower: Floats
+    upper: Floats
+    A: Floats
+    b: Floats
+
+    @property
+    def n(self) -> int:
+        return len(self.lower)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no state lies inside."""
+        if np.any(self.lower > self.upper + TOLERANCE):
+            return True
+        return bool(len(self.b)) and self._extreme(np.zeros(self.n)) is None
+
+    def intersect(self, region: Region, max_step: Floats) -> Polytope:
+        """This set within a region of (x, u): the states that some input |u| <= max_step takes into each half-space."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        rows, offsets = list(self.A), list(self.b)
+        for half_space in region.half_spaces:
+            a = np.array(half_space.a)
+            c = half_space.c - float(np.abs(half_space.b) @ max_step)
+            support = np.flatnonzero(a)
+            if len(support) == 0:
+                if c > TOLERANCE:
+                    upper = np.full_like(upper, -np.inf)
+            elif len(support) == 1:
+                i = int(support[0])
+                if a[i] > 0:
+                    lower[i] = max(lower[i], c / a[i])
+                else:
+                    upper[i] = min(upper[i], c / a[i])
+            else:
+                rows.append(a)
+                offsets.append(c)
+        touching = (lower > upper) & (lower <= upper + TOLERANCE)
+        lower[touching] = upper[touching]
+        return Polytope(lower, upper, np.array(rows).reshape(-1, self.n), np.array(offsets, dtype=float))
+
+    def fix(self, coordinate: int, value: float) -> Polytope:
+        """This set with one coordinate held at a value, whatever range it had."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[coordinate] = upper[coordinate] = value
+        return Polytope(lower, upper, self.A, self.b)
+
+    def clip(self, coordinate: int, low: float, high: float) -> Polytope:
+        """This set with one coordinate limited to [low, high]."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[coordinate] = max(lower[coordinate], low)
+        upper[coordinate] = min(upper[coordinate], high)
+        return Polytope(lower, upper, self.A, self.b)
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """(...,) whether each point (..., n) lies inside, boundary included."""
+        inside = np.all((points >= self.lower - TOLERANCE) & (points <= self.upper + TOLERANCE), axis=-1)
+        return np.asarray(inside & np.all(points @ self.A.T >= self.b - TOLERANCE, axis=-1))
+
+    def nearest(self, point: Floats) -> Floats:
+        """(n,) the state of the (non-empty) set with the smallest sum of absolute differences to a point (n,)."""
+        clipped = np.clip(point, self.lower, self.upper)
+        if not len(self.b) or bool(self.contains(clipped)):
+            return np.asarray(clipped)
+        n, eye = self.n, np.eye(self.n)
+        # Variables (x, t): minimise the sum of t with -t <= x - point <= t.
+        rows = np.block([[eye, -eye], [-eye, -eye], [-self.A, np.zeros_like(self.A)]])
+        limits = np.concatenate([point, -point, -self.b])
+        bounds = [*zip(self.lower, self.upper, strict=True), *[(0.0, None)] * n]
+        found = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
+        return np.asarray(found.x[:n])
+
+    def sample(self, rng: np.random.Generator, count: int) -> Floats:
+        """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
+        if not len(self.b):
+            return np.asarray(rng.uniform(self.lower, np.maximum(self.lower, self.upper), (count, self.n)))
+        directions = rng.normal(size=(4 + 4 * self.n, self.n))
+        corners = np.array([x for d in directions if (x := self._extreme(d)) is not None])
+        return np.asarray(rng.dirichlet(np.full(len(corners), 0.5), count) @ corners)
+
+    def _extreme(self, direction: Floats) -> Floats | None:
+        """The state farthest along a direction; None if the set is empty."""
+        bounds = list(zip(self.lower, self.upper, strict=True))
+        found = linprog(-direction, A_ub=-self.A, b_ub=-self.b, bounds=bounds, method="highs")
+        return np.asarray(found.x) if found.status == 0 else None
+
+
+def mode_states(mode: Mode, lower: Floats, upper: Floats, max_step: Floats) -> Polytope:
+    """The states of a mode: its invariant and its pins, within bounds (n,) on every coordinate."""
+    states = Polytope(lower, upper, np.zeros((0, len(lower))), np.zeros(0)).intersect(mode.invariant, max_step)
+    for pin in mode.pins:
+        states = states.fix(pin.coordinate, pin.value)
+    return states

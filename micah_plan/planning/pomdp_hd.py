@@ -1,0 +1,176 @@
+"""POMDP-HD: mode sequences from a search, a belief trajectory through each, the cheapest with feedback around it.
+
+Source: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
+2018.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from micah_plan.automaton.hybrid import Mode
+from micah_plan.planning.feedback import belief_lqr
+from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.mode_search import ModeSequence, search_modes
+from micah_plan.planning.plan import Candidate, Plan, Trajectory
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.transcription import transcribe
+from micah_plan.planning.transcription_guess import guess
+from micah_plan.planning.transcription_solve import BeliefPath, solve
+from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
+
+Progress = Callable[[str], None]
+
+# A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
+_START_SIGMAS = 3.0
+# Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
+_INPUT_ROUNDING = 1e-6
+
+
+def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> Plan:
+    """Plan from the start belief to the goal. Deterministic but for the wall-clock limit of the optimisation.
+
+    Args:
+        problem: what to solve.
+        seed: of the search.
+        progress: called with one line of text whenever a stage begins.
+
+    Returns:
+        A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
+    """
+    say = progress or (lambda _: None)
+    clock = _Clock()
+    mode, reason = start_mode(problem)
+    if mode is None:
+        return Plan("no_plan", reason, seed=seed, timings=clock.timings())
+    problem = replace(problem, start=replace(problem.start, mode=mode))
+    limits = limits_of(problem)
+    say("searching mode sequences")
+    with clock.stage("search"):
+        found = search_modes(problem, limits, mode, seed)
+    if not found.sequences:
+        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings())
+    with clock.stage("build"):
+        compiled = compile_automaton(problem.automaton)
+    candidates: list[Candidate] = []
+    best: BeliefPath | None = None
+    for number, sequence in enumerate(found.sequences, start=1):
+        say(f"optimising {number} of {len(found.sequences)}: {' -> '.join(sequence.modes)}")
+        path, message = _optimise(problem, limits, compiled, sequence, clock)
+        usable = path is not None and path.feasible
+        cost = path.cost if path is not None and usable else None
+        candidates.append(Candidate(sequence.modes, sequence.cost, cost, message))
+        if path is not None and usable and (best is None or path.cost < best.cost):
+            best = path
+    if best is None:
+        first = candidates[0]
+        reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
+        return Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, timings=clock.timings())
+    return _solved(problem, limits, best, tuple(candidates), seed, clock)
+
+
+def start_mode(problem: Problem) -> tuple[str | None, str]:
+    """The mode that the start is in; None with the reason if its mean lies in no mode's (or not in the named) range."""
+    automaton, start = problem.automaton, problem.start
+    if start.mode is not None:
+        mode = automaton.mode(start.mode)
+        if _sigmas_outside(problem, mode) <= _START_SIGMAS:
+            return mode.name, ""
+        return (
+            None,
+            f"the start {_start_text(problem)} lies outside the range of its mode '{mode.name}'; correct either",
+        )
+    outside = {mode.name: _sigmas_outside(problem, mode) for mode in automaton.modes}
+    nearest = min(outside, key=outside.__getitem__)
+    if outside[nearest] <= _START_SIGMAS:
+        return nearest, ""
+    names = ", ".join(f"'{name}'" for name in outside)
+    return None, f"the start {_start_text(problem)} lies in the range of no mode ({names}); move it into one"
+
+
+def _sigmas_outside(problem: Problem, mode: Mode) -> float:
+    """By how many standard deviations the start's mean lies outside of a mode's invariant and pins; 0 inside."""
+    mean, std = np.array(problem.start.mean), np.array(problem.start.std)
+    outside = [0.0]
+    for half_space in mode.invariant.half_spaces:
+        shortage = -float(half_space.margin(mean, np.zeros(problem.automaton.m)))
+        if shortage > 0:
+            outside.append(shortage / max(float(np.linalg.norm(std * np.array(half_space.a))), 1e-9))
+    for pin in mode.pins:
+        distance = abs(float(mean[pin.coordinate]) - pin.value)
+        spread = float(np.hypot(std[pin.coordinate], pin.std))
+        outside.append(distance / max(spread, 1e-9))
+    return max(outside)
+
+
+def _start_text(problem: Problem) -> str:
+    pairs = zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)
+    return ", ".join(f"{c.name} = {mean:g} ± {std:g} {c.unit}" for c, mean, std in pairs)
+
+
+def _optimise(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, clock: _Clock
+) -> tuple[BeliefPath | None, str]:
+    """The belief path through a mode sequence and what the optimisation said."""
+    with clock.stage("build"):
+        start = guess(problem, limits, compiled, sequence)
+        if start.reason:
+            return None, start.reason
+        nlp = transcribe(problem, limits, compiled, start.phases)
+    with clock.stage("optimise"):
+        path = solve(nlp, problem)
+    return path, path.message
+
+
+def _solved(
+    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: _Clock
+) -> Plan:
+    gains = belief_lqr(problem, limits, path.modes, path.is_transition)
+    inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
+    trajectory = Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
+    errors = [abs(float(path.means[-1, i]) - value) for i, value, _ in problem.goal.target]
+    stds = [float(np.linalg.norm(path.factors[-1, i])) for i, _, _ in problem.goal.target]
+    answer = Plan(
+        "solved",
+        "",
+        trajectory=trajectory,
+        candidates=candidates,
+        cost=path.cost,
+        goal_error=max(errors, default=0.0),
+        goal_std=max(stds, default=0.0),
+        seed=seed,
+        timings=clock.timings(),
+    )
+    tried = f"cheapest of {len(candidates)} mode sequences" if len(candidates) > 1 else "the only mode sequence"
+    return replace(answer, reason=f"{' -> '.join(answer.mode_sequence)}, {tried}: {path.message}")
+
+
+class _Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self._began = perf_counter()
+        self._seconds = {"search": 0.0, "build": 0.0, "optimise": 0.0}
+
+    def stage(self, name: str) -> _Stage:
+        return _Stage(self._seconds, name)
+
+    def timings(self) -> dict[str, float]:
+        return {**self._seconds, "total": perf_counter() - self._began}
+
+
+class _Stage:
+    """A context that adds its duration to a stage."""
+
+    def __init__(self, seconds: dict[str, float], name: str) -> None:
+        self._seconds, self._name = seconds, name
+
+    def __enter__(self) -> None:
+        self._began = perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._seconds[self._name] += perf_counter() - self._began

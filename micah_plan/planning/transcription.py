@@ -1,0 +1,300 @@
+"""The low level of POMDP-HD: direct transcription of the belief trajectory along one mode sequence.
+
+Source: Jain and Niekum, CoRL 2018; Platt et al., RSS 2010 (belief space, maximum-likelihood observations); Betts,
+"Practical Methods for Optimal Control" (transcription in phases). The state of a knot is the mean and the lower
+Cholesky factor of the covariance. With k = Φ⁻¹(confidence), a half-space a'x >= c is planned to hold as
+a'mean - c >= k ||L'a||:
+- guards at the end of a phase: always;
+- invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
+  close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.transcription_corridor import CorridorRow, corridor
+from micah_plan.planning.transcription_guess import STRICT_SHARE, PhaseGuess
+from micah_plan.planning.transcription_rows import Row, RowNames
+from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
+from micah_plan.symbolic.square_root import norm as smooth_norm
+
+Floats = NDArray[np.float64]
+Expression = TypeVar("Expression", ca.MX, ca.SX)
+
+# Cost of one step's length of slack: above the other multipliers, so slack remains only where nothing else is possible.
+_SLACK_WEIGHT = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseVariables:
+    """Symbols of one phase: states (n + l, N+1) of mean and factor entries, inputs (m, N), slacks (s, 1)."""
+
+    states: ca.MX
+    inputs: ca.MX
+    slacks: ca.MX
+    corridor: list[CorridorRow]
+
+
+@dataclass(eq=False)
+class Transcription:
+    """A nonlinear programme with names: minimise cost(w) with lower <= w <= upper and the bounds of `rows` on g(w).
+
+    Attributes:
+        guess: the phases with their warm start.
+        phases: the symbols of each phase.
+        cost: expression.
+        w, w_lower, w_upper, w_start: decision variables, bounds and start point, in blocks.
+        g, rows: constraint expressions and their names, in the same order.
+    """
+
+    guess: tuple[PhaseGuess, ...]
+    phases: list[PhaseVariables] = field(default_factory=list)
+    cost: ca.MX = field(default_factory=lambda: ca.MX(0))
+    w: list[ca.MX] = field(default_factory=list)
+    w_lower: list[Floats] = field(default_factory=list)
+    w_upper: list[Floats] = field(default_factory=list)
+    w_start: list[Floats] = field(default_factory=list)
+    g: list[ca.MX] = field(default_factory=list)
+    rows: RowNames = field(default_factory=RowNames)
+
+    def variables(self, size: tuple[int, int], start: Floats, lower: Floats, upper: Floats) -> ca.MX:
+        """New decision variables of a shape (r, c); start and bounds (r, c)."""
+        symbol = ca.MX.sym("w", *size)
+        self.w.append(ca.vec(symbol))
+        for block, values in ((self.w_start, start), (self.w_lower, lower), (self.w_upper, upper)):
+            block.append(np.broadcast_to(values, size).ravel(order="F"))
+        return symbol
+
+    def require(self, expression: ca.MX, rows: list[Row]) -> None:
+        """New constraints: one row per entry of the expression, in column-major order."""
+        if rows:
+            self.g.append(ca.vec(expression))
+            self.rows.rows.extend(rows)
+
+
+def transcribe(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, guess: tuple[PhaseGuess, ...]
+) -> Transcription:
+    """The nonlinear programme of a mode sequence."""
+    nlp = Transcription(guess)
+    for phase in guess:
+        _add_phase(nlp, problem, limits, compiled, phase)
+    for before, after in zip(range(len(guess) - 1), range(1, len(guess)), strict=True):
+        _join(nlp, problem, limits, compiled, before, after)
+    _add_goal(nlp, problem)
+    return nlp
+
+
+def lower_entries(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of a lower triangular matrix in CasADi's (column-major) order."""
+    column, row = np.triu_indices(n)
+    return row, column
+
+
+def pack(means: Floats, factors: Floats) -> Floats:
+    """(n + l, K) states of the transcription from means (K, n) and factors (K, n, n)."""
+    row, column = lower_entries(means.shape[1])
+    return np.asarray(np.hstack([means, factors[:, row, column]]).T)
+
+
+def unpack(states: Floats, n: int) -> tuple[Floats, Floats]:
+    """Means (K, n) and factors (K, n, n) from states (n + l, K)."""
+    row, column = lower_entries(n)
+    factors = np.zeros((states.shape[1], n, n))
+    factors[:, row, column] = states[n:].T
+    return np.ascontiguousarray(states[:n].T), factors
+
+
+def _factor(state: Expression, n: int) -> Expression:
+    """The (n, n) lower factor in a packed state (n + l, 1)."""
+    return type(state)(ca.Sparsity.lower(n), state[n:])
+
+
+def _packed(pair: Sequence[Expression], n: int) -> Expression:
+    """The packed state (n + l, 1) of a mean and a factor."""
+    return ca.vertcat(pair[0], ca.vec(ca.project(pair[1], ca.Sparsity.lower(n)).nz[:]))
+
+
+def _step_function(mode: CompiledMode, n: int, m: int) -> ca.Function:
+    """(state, u) -> state: the belief step on packed states."""
+    state, u = ca.SX.sym("z", n + n * (n + 1) // 2), ca.SX.sym("u", m)
+    return ca.Function("belief", [state, u], [_packed(mode.belief_step.call([state[:n], _factor(state, n), u]), n)])
+
+
+def _add_phase(
+    nlp: Transcription, problem: Problem, limits: Limits, compiled: CompiledAutomaton, guess: PhaseGuess
+) -> None:
+    """Variables, dynamics, effort, inputs and the corridor of one phase."""
+    automaton, settings = problem.automaton, problem.settings
+    n, m, steps = automaton.n, automaton.m, guess.steps
+    mode = compiled.modes[guess.mode]
+    start = pack(guess.means, guess.factors)
+    lower, upper = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
+    if not nlp.phases:
+        lower[:, 0] = upper[:, 0] = start[:, 0]
+    states = nlp.variables(start.shape, start, lower, upper)
+    largest = np.repeat(limits.max_step[:, None], steps, axis=1)
+    inputs = nlp.variables((m, steps), guess.inputs.T, -largest, largest)
+    rows = corridor(automaton, limits, guess)
+    soft = sum(row.uncertain for row in rows)
+    k = float(norm.ppf(settings.confidence))
+    slack_start = np.array([row.slack_start(k) for row in rows if row.uncertain]).reshape(soft, 1)
+    slacks = nlp.variables((soft, 1), slack_start, np.zeros((soft, 1)), np.full((soft, 1), np.inf))
+    nlp.phases.append(PhaseVariables(states, inputs, slacks, rows))
+    if steps:
+        stepped = _step_function(mode, n, m).map(steps)(states[:, :-1], inputs)
+        nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess))
+        scaled = inputs / ca.DM(largest)
+        nlp.cost += settings.weight_effort * ca.sumsqr(scaled)
+    _require_inputs(nlp, problem, limits, compiled, guess, states, inputs)
+    _require_corridor(nlp, problem, guess, nlp.phases[-1])
+
+
+def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess) -> list[Row]:
+    units = [coordinate.unit for coordinate in automaton.coordinates]
+    names = [f"the dynamics of '{coordinate.name}'" for coordinate in automaton.coordinates]
+    labels = list(zip(names, units, strict=True))
+    for i, j in zip(*lower_entries(automaton.n), strict=True):
+        labels.append((f"the covariance of '{automaton.coordinates[i].name}', '{automaton.coordinates[j].name}'", ""))
+    knots = range(guess.first_knot + 1, guess.first_knot + guess.steps + 1)
+    return [Row(guess.mode, knot, name, unit, 0.0, 0.0) for knot in knots for name, unit in labels]
+
+
+def _require_inputs(
+    nlp: Transcription,
+    problem: Problem,
+    limits: Limits,
+    compiled: CompiledAutomaton,
+    guess: PhaseGuess,
+    states: ca.MX,
+    inputs: ca.MX,
+) -> None:
+    """Rows that depend on the input: admissible inputs, invariants, and guards on inputs that must not be triggered."""
+    automaton, mode = problem.automaton, compiled.modes[guess.mode]
+    groups = [(mode.inputs, mode.mode.inputs.half_spaces, 1.0), (mode.invariant, mode.mode.invariant.half_spaces, 1.0)]
+    for edge in compiled.edges:
+        rows = edge.edge.guard.half_spaces
+        if edge.edge.source == guess.mode and not edge.edge.is_self_transition and len(rows) == 1 and any(rows[0].b):
+            groups.append((edge.guard, rows, -1.0))
+    for function, half_spaces, sign in groups:
+        chosen = [i for i, h in enumerate(half_spaces) if any(h.b)]
+        if not chosen or not guess.steps:
+            continue
+        margins = sign * function.map(guess.steps)(states[: automaton.n, :-1], inputs)[chosen, :]
+        # A closed guard holds on its boundary already: stay a little away from it.
+        names = [f"'{half_spaces[i].name}'" if sign > 0 else f"staying out of '{half_spaces[i].name}'" for i in chosen]
+        lows = [
+            STRICT_SHARE * float(np.abs(half_spaces[i].b) @ limits.max_step)
+            if sign < 0 and not half_spaces[i].strict
+            else 0.0
+            for i in chosen
+        ]
+        units = [row_unit(automaton, half_spaces[i]) for i in chosen]
+        nlp.require(
+            margins,
+            [
+                Row(guess.mode, guess.first_knot + k, name, unit, low, np.inf)
+                for k in range(guess.steps)
+                for name, unit, low in zip(names, units, lows, strict=True)
+            ],
+        )
+
+
+def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, phase: PhaseVariables) -> None:
+    """The boundaries between the ends of the phase: hard for the mean, with a slack that costs at k-sigma."""
+    if not phase.corridor:
+        return
+    n, settings = problem.automaton.n, problem.settings
+    directions = np.array([row.sign * np.array(row.half_space.a) for row in phase.corridor]).T
+    offsets = np.array([row.sign * row.half_space.c for row in phase.corridor])
+    at = phase.states[:, [row.step for row in phase.corridor]]
+    margins, stds = _margin_function(n).map(len(phase.corridor))(at, directions, offsets[None, :])
+    uncertain = [i for i, row in enumerate(phase.corridor) if row.uncertain]
+    scales = ca.DM([phase.corridor[i].scale for i in uncertain])
+    k = float(norm.ppf(settings.confidence))
+
+    def named(i: int, suffix: str) -> Row:
+        row = phase.corridor[i]
+        unit = row_unit(problem.automaton, row.half_space)
+        return Row(guess.mode, guess.first_knot + row.step, row.name + suffix, unit, 0.0, np.inf)
+
+    nlp.require(margins, [named(i, "") for i in range(len(phase.corridor))])
+    if uncertain:
+        soft = margins[uncertain].T - k * stds[uncertain].T + scales * phase.slacks
+        nlp.require(soft, [named(i, f" at {settings.confidence:.0%}") for i in uncertain])
+        nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
+
+
+def _margin_function(n: int) -> ca.Function:
+    """(state, a, c) -> (a'mean - c, ||L'a||)."""
+    state, a, c = ca.SX.sym("z", n + n * (n + 1) // 2), ca.SX.sym("a", n), ca.SX.sym("c")
+    std = smooth_norm(ca.mtimes(_factor(state, n).T, a))
+    return ca.Function("margin", [state, a, c], [ca.dot(a, state[:n]) - c, std])
+
+
+def _join(
+    nlp: Transcription, problem: Problem, limits: Limits, compiled: CompiledAutomaton, before: int, after: int
+) -> None:
+    """The guard at the end of one phase and the reset into the next.
+
+    A guard on the input is taken by the next phase's first input: the transition is the first event of that step.
+    """
+    automaton, n = problem.automaton, problem.automaton.n
+    guess, target = nlp.guess[before], nlp.phases[after]
+    edge = compiled.edges[guess.edge if guess.edge is not None else 0]
+    state = nlp.phases[before].states[:, -1]
+    u = target.inputs[:, 0] if nlp.guess[after].steps else ca.DM.zeros(automaton.m)
+    margins, stds = edge.guard_belief(state[:n], _factor(state, n), u)
+    k, knot = float(norm.ppf(problem.settings.confidence)), guess.first_knot + guess.steps
+    pinned = {pin.coordinate for pin in automaton.mode(guess.mode).pins}
+    for i, half_space in enumerate(edge.edge.guard.half_spaces):
+        # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
+        certain = set(np.flatnonzero(half_space.a)) <= pinned
+        if certain and not any(half_space.b):
+            continue
+        scale = float(np.abs(half_space.a) @ limits.speed + np.abs(half_space.b) @ limits.max_step)
+        low = STRICT_SHARE * scale if half_space.strict else 0.0
+        name = f"the guard '{half_space.name}' of '{edge.edge.name}'"
+        name += "" if certain else f" at {problem.settings.confidence:.0%}"
+        unit = row_unit(automaton, half_space)
+        nlp.require(margins[i] - (0.0 if certain else k) * stds[i], [Row(guess.mode, knot, name, unit, low, np.inf)])
+    reset = edge.belief_reset.call([state[:n], _factor(state, n), ca.MX.zeros(automaton.m, 1)])
+    first = nlp.guess[after].first_knot
+    names = [f"the reset of '{edge.edge.name}'"] * (n + n * (n + 1) // 2)
+    rows = [Row(edge.edge.target, first, name, "", 0.0, 0.0) for name in names]
+    nlp.require(target.states[:, 0] - _packed(reset, n), rows)
+
+
+def _add_goal(nlp: Transcription, problem: Problem) -> None:
+    """The goal at the last knot: the mean within the tolerance, error and variance in the cost."""
+    automaton, settings, n = problem.automaton, problem.settings, problem.automaton.n
+    last = nlp.guess[-1]
+    state = nlp.phases[-1].states[:, -1]
+    factor = _factor(state, n)
+    for index, value, tolerance in problem.goal.target:
+        coordinate = automaton.coordinates[index]
+        error = state[index] - value
+        name = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
+        row = Row(last.mode, last.first_knot + last.steps, name, coordinate.unit, -tolerance, tolerance)
+        nlp.require(error, [row])
+        nlp.cost += settings.weight_goal * (error / tolerance) ** 2
+        nlp.cost += settings.weight_covariance * ca.sumsqr(factor[index, :]) / tolerance**2
+
+
+def row_unit(automaton: HybridAutomaton, half_space: HalfSpace) -> str:
+    """The unit of a half-space's margin if all its coordinates share one, else empty."""
+    units = {c.unit for c, weight in zip(automaton.coordinates, half_space.a, strict=True) if weight}
+    units |= {c.unit for c, weight in zip(automaton.inputs, half_space.b, strict=True) if weight}
+    return units.pop() if len(units) == 1 else ""

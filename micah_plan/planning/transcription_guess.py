@@ -1,0 +1,169 @@
+"""Phases, knots and the warm start of a transcription: the search path with the belief rolled out along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.mode_search import ModeSequence
+from micah_plan.planning.problem import Problem
+from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
+
+Floats = NDArray[np.float64]
+
+# Share of the largest step that the path is divided by: what is left is for the feedback and the optimisation.
+_PACE = 0.6
+# A mode that can move gets at least this many steps: time for measurements even if it is already there.
+_FEWEST_STEPS = 3
+# How far inside a strict guard a plan must be, as a share of a step, where no uncertainty asks for more.
+STRICT_SHARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGuess:
+    """One mode of the sequence and its guess.
+
+    Attributes:
+        mode: its name.
+        edge: index of the edge that leaves it; None in the last phase.
+        first_knot: number of its first knot in the whole plan.
+        means: (N+1, n); factors: (N+1, n, n) lower Cholesky factors; inputs: (N, m).
+    """
+
+    mode: str
+    edge: int | None
+    first_knot: int
+    means: Floats
+    factors: Floats
+    inputs: Floats
+
+    @property
+    def steps(self) -> int:
+        return len(self.inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """The warm start of all phases, or why there is none."""
+
+    phases: tuple[PhaseGuess, ...]
+    reason: str = ""
+
+
+def guess(problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence) -> Guess:
+    """Divide the path into knots and roll the belief out along it, through guards at the planned confidence."""
+    needed = [_path_steps(problem, limits, sequence, p) for p in range(len(sequence.modes))]
+    steps, reason = _divide(problem, sequence, needed)
+    if reason:
+        return Guess((), reason)
+    # The overshoot into a guard lengthens a phase and is known only once the belief has been rolled out.
+    rolled, needed = _roll(problem, limits, compiled, sequence, steps)
+    again, reason = _divide(problem, sequence, needed)
+    if not reason and again != steps:
+        rolled, _ = _roll(problem, limits, compiled, sequence, again)
+    return Guess(rolled, reason)
+
+
+def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
+    """Least number of steps (not rounded) of one mode's waypoints."""
+    B = problem.automaton.mode(sequence.modes[phase]).B
+    return _input_length(sequence.waypoints[phase], B, limits.max_step)
+
+
+def _input_length(path: Floats, B: Floats, max_step: Floats) -> float:
+    u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
+    return float(np.sum(np.max(np.abs(u) / max_step, axis=1, initial=0.0)))
+
+
+def _divide(problem: Problem, sequence: ModeSequence, needed: list[float]) -> tuple[list[int], str]:
+    """Steps per phase for the least numbers of steps, or the reason why they do not fit into max_knots."""
+    automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
+    least = [int(np.ceil(steps - 1e-9)) for steps in needed]
+    wanted = [int(np.ceil(steps / _PACE - 1e-9)) for steps in needed]
+    for p, mode in enumerate(sequence.modes):
+        moves = bool(automaton.mode(mode).B.any())
+        by_input = p > 0 and any(any(h.b) for h in automaton.edges[sequence.edges[p - 1]].guard.half_spaces)
+        wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
+        least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
+    if sum(least) > most:
+        return [], (
+            f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
+            f"max_knots = {problem.settings.max_knots}; raise max_knots or max_step"
+        )
+    spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
+    return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
+
+
+def _roll(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
+) -> tuple[tuple[PhaseGuess, ...], list[float]]:
+    """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
+    mean = np.array(problem.start.mean, dtype=float)
+    factor = np.diag(np.array(problem.start.std, dtype=float))
+    mean, factor = _belief(compiled.modes[sequence.modes[0]].condition(mean, factor))
+    phases: list[PhaseGuess] = []
+    needed, first_knot = [], 0
+    for p, name in enumerate(sequence.modes):
+        mode, count = compiled.modes[name], steps[p]
+        edge = sequence.edges[p] if p < len(sequence.edges) else None
+        path = np.vstack([mean, *sequence.waypoints[p][1:]])
+        if edge is not None:
+            _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
+            rows = problem.automaton.edges[edge].guard.half_spaces
+            path = np.vstack([path, _inside(path[-1], factors[-1], rows, mode.mode.B, problem, limits)])
+        needed.append(_input_length(path, mode.mode.B, limits.max_step))
+        inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(mode.mode.B).T
+        inputs = np.clip(inputs, -limits.max_step, limits.max_step)
+        means, factors = _roll_phase(mode, mean, factor, inputs)
+        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs))
+        first_knot += count + 1
+        if edge is not None:
+            reset = compiled.edges[edge].belief_reset(means[-1], factors[-1], np.zeros(problem.automaton.m))
+            mean, factor = _belief(reset)
+    return tuple(phases), needed
+
+
+def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
+    means, factors = [mean], [factor]
+    for u in inputs:
+        mean, factor = _belief(mode.belief_step(mean, factor, u))
+        means.append(mean)
+        factors.append(factor)
+    return np.array(means), np.array(factors)
+
+
+def _belief(pair: tuple[object, object]) -> tuple[Floats, Floats]:
+    """A mean (n,) and factor (n, n) as arrays from what a compiled function returned."""
+    return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
+
+
+def _inside(
+    x: Floats, factor: Floats, rows: tuple[HalfSpace, ...], B: Floats, problem: Problem, limits: Limits
+) -> Floats:
+    """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
+    k = float(norm.ppf(problem.settings.confidence))
+    u = np.zeros(problem.automaton.m)
+    moved = x.copy()
+    for _ in range(3):  # rows that are not perpendicular disturb each other a little
+        for row in rows:
+            a = np.array(row.a)
+            direction = B @ (B.T @ a)
+            if any(row.b) or a @ direction <= 0:
+                continue
+            wanted = k * float(np.linalg.norm(factor.T @ a)) + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
+            moved = moved + direction * max(0.0, wanted - float(row.margin(moved, u))) / float(a @ direction)
+    return np.asarray(moved)
+
+
+def _resample(path: Floats, speed: Floats, steps: int) -> Floats:
+    """(steps + 1, n) states at equal distances (in steps) along a path (w, n)."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1))])
+    at = np.linspace(0.0, lengths[-1], steps + 1)
+    if lengths[-1] == 0.0:
+        return np.repeat(path[:1], steps + 1, axis=0)
+    return np.stack([np.interp(at, lengths, column) for column in path.T], axis=1)

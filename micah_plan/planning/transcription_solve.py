@@ -1,0 +1,154 @@
+"""Solving a transcription with IPOPT, and what came of it in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.transcription import Transcription, unpack
+
+Floats = NDArray[np.float64]
+
+# Constraint violation that a result may have when the solver stopped early [unit of the row].
+_FEASIBLE = 1e-5
+_MAX_ITERATIONS = 500
+# Slack in steps from which a boundary counts as not kept.
+_VISIBLE_SLACK = 1e-3
+
+_STATUS = {
+    "Solve_Succeeded": "optimal",
+    "Solved_To_Acceptable_Level": "nearly optimal",
+    "Feasible_Point_Found": "feasible",
+    "Infeasible_Problem_Detected": "the constraints contradict each other",
+    "Restoration_Failed": "no point that satisfies the constraints was found",
+    "Maximum_Iterations_Exceeded": f"stopped after {_MAX_ITERATIONS} iterations",
+    "Maximum_WallTime_Exceeded": "stopped at the time limit (time_limit_s)",
+    "Maximum_CpuTime_Exceeded": "stopped at the time limit (time_limit_s)",
+    "Search_Direction_Becomes_Too_Small": "no further progress was possible",
+    "Diverging_Iterates": "the iterates diverged: the cost has no lower limit",
+    "Invalid_Number_Detected": "a constraint or the cost became not a number",
+    "Not_Enough_Degrees_Of_Freedom": "there are more conditions than inputs to meet them with",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BeliefPath:
+    """A transcription's result.
+
+    Attributes:
+        feasible: whether all constraints hold.
+        cost: of the result, slack included.
+        message: what the solver said and which rows are missed or kept only in part.
+        iterations: of the solver.
+        modes: (K,) per knot; means: (K, n); factors: (K, n, n); inputs: (K-1, m); is_transition: (K-1,).
+    """
+
+    feasible: bool
+    cost: float
+    message: str
+    iterations: int
+    modes: tuple[str, ...]
+    means: Floats
+    factors: Floats
+    inputs: Floats
+    is_transition: NDArray[np.bool_]
+
+
+def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
+    """The locally optimal belief path. A problem without a solution does not raise: `feasible` and `message` say so."""
+    w, g = ca.vertcat(*nlp.w), ca.vertcat(*nlp.g)
+    start = np.concatenate(nlp.w_start)
+    values = ca.Function("values", [w], [nlp.cost, g])
+    cost, rows = (np.array(v, dtype=float).ravel() for v in values(start))
+    if not (np.isfinite(cost).all() and np.isfinite(rows).all()):
+        worst = "; ".join(nlp.rows.worst(rows)) or "the cost is not a number"
+        return _path(nlp, problem, start, float("inf"), False, f"the start of the optimisation is unusable: {worst}", 0)
+    programme: dict[str, Any] = {"x": w, "f": nlp.cost, "g": g}
+    options: dict[str, Any] = {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": _MAX_ITERATIONS,
+            "max_wall_time": problem.settings.time_limit_s,
+            "mu_strategy": "adaptive",
+        },
+    }
+    solver = ca.nlpsol("belief_path", "ipopt", programme, options)
+    found = solver(
+        x0=start,
+        lbx=np.concatenate(nlp.w_lower),
+        ubx=np.concatenate(nlp.w_upper),
+        lbg=nlp.rows.lower,
+        ubg=nlp.rows.upper,
+    )
+    result = np.array(found["x"], dtype=float).ravel()
+    cost, rows = (np.array(v, dtype=float).ravel() for v in values(result))
+    statistics = solver.stats()
+    status = str(statistics["return_status"])
+    said = _STATUS.get(status, status.replace("_", " ").lower())
+    feasible = bool(np.isfinite(cost).all()) and nlp.rows.largest_violation(rows) <= _FEASIBLE
+    partly = _kept_in_part(nlp, problem, result) if feasible else nlp.rows.worst(rows)
+    message = "; ".join([said, *partly])
+    return _path(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
+
+
+def _blocks(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Floats]]:
+    """States, inputs and slacks of each phase out of the decision variables."""
+    blocks, at = [], 0
+    for phase in nlp.phases:
+        found = []
+        for symbol in (phase.states, phase.inputs, phase.slacks):
+            rows, columns = symbol.shape
+            found.append(values[at : at + rows * columns].reshape((rows, columns), order="F"))
+            at += rows * columns
+        blocks.append((found[0], found[1], found[2]))
+    return blocks
+
+
+def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[str]:
+    """For each boundary that does not hold at k-sigma somewhere: the knot where it is missed most."""
+    worst: dict[tuple[str, str], tuple[float, str]] = {}
+    for phase, guess, (_, _, slacks) in zip(nlp.phases, nlp.guess, _blocks(nlp, values), strict=True):
+        uncertain = [row for row in phase.corridor if row.uncertain]
+        for row, slack in zip(uncertain, slacks.ravel(), strict=True):
+            key = (guess.mode, row.name)
+            if slack > max(_VISIBLE_SLACK, worst.get(key, (0.0, ""))[0]):
+                knot = guess.first_knot + row.step
+                text = f"{row.name} holds with less than {problem.settings.confidence:.0%} around knot {knot}"
+                worst[key] = (float(slack), f"{text} in mode '{guess.mode}'")
+    return [text for _, text in worst.values()]
+
+
+def _path(
+    nlp: Transcription, problem: Problem, values: Floats, cost: float, feasible: bool, message: str, iterations: int
+) -> BeliefPath:
+    means, factors, inputs, modes, transitions = [], [], [], [], []
+    for number, (guess, (states, steps, _)) in enumerate(zip(nlp.guess, _blocks(nlp, values), strict=True)):
+        if number:
+            inputs.append(np.zeros((1, problem.automaton.m)))
+            transitions.append(True)
+        phase_means, phase_factors = unpack(states, problem.automaton.n)
+        means.append(phase_means)
+        factors.append(phase_factors)
+        inputs.append(steps.T)
+        modes += [guess.mode] * (guess.steps + 1)
+        transitions += [False] * guess.steps
+    return BeliefPath(
+        feasible,
+        cost,
+        message,
+        iterations,
+        tuple(modes),
+        np.concatenate(means),
+        np.concatenate(factors),
+        np.concatenate(inputs),
+        np.array(transitions, dtype=bool),
+    )
