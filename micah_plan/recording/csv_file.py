@@ -133,7 +133,7 @@ def _recording(columns: Mapping[str, tuple[str, ...]], place: Place) -> Recordin
         quaternion=group(QUATERNION),
         action=group(ACTION),
         force=group(FORCE),
-        run=values.get("run"),  # type: ignore[arg-type]  # None: the value fills it in
+        run=values.get("run", np.zeros(len(position), dtype=np.int64)),
         part=columns.get("part", ()),
         has_run="run" in columns,
         has_part="part" in columns,

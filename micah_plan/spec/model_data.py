@@ -13,9 +13,9 @@ from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
 from micah_plan.spec.expressions import Variables, affine_text, canonical_name, half_space_text, parse_affine
 from micah_plan.spec.located import KeyPath, Located
-from micah_plan.spec.model_document import MODEL_FORMAT
-from micah_plan.spec.part_document import IDENTITY, ZERO, ModelDocument
+from micah_plan.spec.model_document import MODEL_FORMAT, ModelDocument
 from micah_plan.spec.model_values import automaton_of
+from micah_plan.spec.part_document import IDENTITY, ZERO
 from micah_plan.spec.validation import validated
 
 _DEFAULT_COLOR = Primitive("box", (1.0, 1.0, 1.0)).color
