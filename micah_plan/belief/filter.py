@@ -26,6 +26,9 @@ Floats = NDArray[np.float64]
 
 # A share of the belief below this is dropped.
 NEGLIGIBLE = 1e-10
+# A start whose mean lies in no mode is accepted down to this probability of one (3 sigma), as noise of a measurement.
+_LEAST_CHANCE = 1e-3
+_EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
 _MOST_EVENTS = 16
 
@@ -38,7 +41,8 @@ def initial_belief(
     Args:
         mean: (n,) [rad or m].
         spread: (n,) standard deviations or (n, n) covariance.
-        mode: where it is; None: the first mode whose invariant holds the mean.
+        mode: where it is; None: the first mode whose invariant holds the mean, or, for a measured start that noise
+            put just outside all of them, the one whose invariant most probably holds the state.
 
     Raises:
         InputError: if shapes do not fit, the covariance is not positive semi-definite, or no invariant holds the mean.
@@ -52,14 +56,8 @@ def initial_belief(
         )
     if not np.isfinite(center).all():
         raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
-    if mode is None:
-        holding = automaton.modes_at(center)
-        if not holding:
-            raise InputError(
-                f"the start {center.tolist()} lies in no mode's invariant", remedy="move it or name a mode"
-            )
-        mode = holding[0]
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
+    mode = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
     held = gaussian.condition_on_pins(center, factor, automaton.mode(mode).pins)
     return _assembled(automaton, [Piece(mode, 1.0, np.tile(held[0], 2), np.tile(held[1], (2, 1)), 0.0, np.zeros(n))])
 
@@ -149,6 +147,20 @@ def _assembled(automaton: HybridAutomaton, pieces: list[Piece]) -> HybridBelief:
 def _merged(pieces: list[Piece]) -> tuple[Floats, Floats]:
     ends = [piece.end() for piece in pieces]
     return mixed([piece.probability for piece in pieces], np.stack([e[0] for e in ends]), [e[1] for e in ends])
+
+
+def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
+    holding = automaton.modes_at(mean, _EDGE_TOLERANCE)
+    if holding:
+        return holding[0]
+    u = np.zeros(automaton.m)
+    chances = [
+        np.prod([gaussian.half_space_probability(mean, factor, u, h) for h in mode.invariant.half_spaces])
+        for mode in automaton.modes
+    ]
+    if max(chances) < _LEAST_CHANCE:
+        raise InputError(f"the start {mean.tolist()} lies in no mode's invariant", remedy="move it or name a mode")
+    return automaton.modes[int(np.argmax(chances))].name
 
 
 def _valid_stds(stds: Floats) -> Floats:

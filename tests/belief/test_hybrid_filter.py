@@ -315,13 +315,37 @@ def test_start_takes_stds_or_a_covariance_and_the_first_mode_that_fits() -> None
         ([np.nan], [0.1], "swing", "finite"),
         ([0.1], [-0.1], "swing", "not negative"),
         ([0.1], [[-0.1]], "swing", "positive semi-definite"),
-        ([-0.1], [0.1], None, "no mode's invariant"),
+        ([-0.1], [0.01], None, "no mode's invariant"),
         ([0.1], [0.1], "swinging", "unknown mode"),
     ],
 )
 def test_start_rejects_what_is_no_belief(mean: list, spread: list, mode: str | None, message: str) -> None:
     with pytest.raises(InputError, match=message):
         initial_belief(door(), mean, spread, mode)
+
+
+def test_a_noisy_start_just_outside_takes_the_most_probable_mode() -> None:
+    assert initial_belief(door(), [-0.01], [0.01]).most_likely == 0
+    assert initial_belief(slider(), [-0.01], [0.01]).most_likely == 0
+
+
+def test_coupled_guards_clamps_and_chains_equal_samples_of_the_automaton() -> None:
+    """The cabinet with noise, in two coordinates, against 3000 samples moved by the automaton's own step."""
+    automaton = replace(cabinet(), noise=Noise((0.01, 0.005), (0.01, 0.01)))
+    rng = np.random.default_rng(5)
+    belief = initial_belief(automaton, [0.8, 0.1], [0.04, 0.02], "door")
+    samples = [("door", rng.normal([0.8, 0.1], [0.04, 0.02])) for _ in range(3000)]
+    names = [mode.name for mode in automaton.modes]
+    inputs = [(0.09, 0.05)] * 8 + [(0.0, -0.1)] * 5 + [(-0.08, -0.05)] * 3
+    for k, u in enumerate(inputs):
+        moved = [step(automaton, mode, x, u, rng.normal(0.0, [0.01, 0.005])) for mode, x in samples]
+        samples = [(taken.mode, taken.x) for taken in moved]
+        belief = predict(automaton, belief, u)
+        shares = np.array([np.mean([mode == name for mode, _ in samples]) for name in names])
+        states = np.array([x for _, x in samples])
+        assert np.allclose(belief.weights, shares, atol=0.12), (k, belief.weights, shares)
+        assert np.allclose(belief.mean, states.mean(axis=0), atol=0.015), k
+        assert np.allclose(np.sqrt(np.diag(belief.covariance)), states.std(axis=0), rtol=0.2, atol=0.01), k
 
 
 def test_wrong_shapes_are_named() -> None:
