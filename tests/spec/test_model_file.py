@@ -24,7 +24,7 @@ def message(text: str | bytes) -> str:
     return line
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(automaton=automata())
 def test_any_automaton_reads_back_exactly(automaton: HybridAutomaton) -> None:
     text = model_text(automaton)
@@ -185,7 +185,7 @@ def test_a_name_used_twice_is_not_written(door: HybridAutomaton) -> None:
         model_text(replace(door, modes=(*door.modes, door.modes[1])))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_raises_only_input_errors(door: HybridAutomaton, data: st.DataObject) -> None:
     content = model_text(door).encode()
