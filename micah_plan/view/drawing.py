@@ -144,11 +144,11 @@ def _view_quality(way: Floats, motion: Floats, target: Floats, radius: float) ->
     """
     centred = motion - motion.mean(axis=0)
     flat = centred - np.outer(centred @ way, way)
-    wide, high = np.linalg.svd(flat, compute_uv=False)[:2]
-    _, extent, directions = np.linalg.svd(centred, full_matrices=False)
-    spread = (0.3 * wide + high) / max(float(extent[0]), 1e-12)
+    wide, high, _ = np.sqrt(np.linalg.svd(flat.T @ flat, compute_uv=False))
+    directions, extent, _ = np.linalg.svd(centred.T @ centred)
+    spread = (0.3 * wide + high) / max(math.sqrt(extent[0]), 1e-12)
     side = float(way @ (motion.mean(axis=0) - target)) / radius
-    off_perpendicular = abs(abs(float(way @ directions[0])) - 0.45)
+    off_perpendicular = abs(abs(float(way @ directions[:, 0])) - 0.45)
     return float(spread + 0.5 * side - 0.8 * off_perpendicular)
 
 

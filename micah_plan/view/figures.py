@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import norm
 
@@ -88,6 +89,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     k = float(norm.ppf(problem.settings.confidence))
     bars = k * np.sqrt((trajectory.factors**2).sum(axis=2))
     executed = [] if runs is None else executed_configurations(problem, runs)
+    _name_modes(grid[0], trajectory, steps)
     for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):
         _shade_modes(axes, problem, trajectory, steps)
         _mark_goal_and_guards(axes, problem, i)
@@ -100,7 +102,8 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
         )  # fmt: skip
         axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
     grid[-1].set_xlabel("step")
-    grid[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=9)
+    grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+    grid[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9)
     return figure
 
 
@@ -145,7 +148,7 @@ def _plot_joint(space: Any, recording: Recording, colored: ColoredSegment, size:
 
 def _finish_space(space: Any) -> None:
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set_box_aspect(None, zoom=0.82)
+    space.set_box_aspect(None, zoom=0.76)
     space.set_aspect("equal")
     space.locator_params(nbins=4)
     space.tick_params(labelsize=8)
@@ -176,22 +179,26 @@ def _plot_configuration(axes: Axes, recording: Recording, segments: tuple[Colore
     _tidy(axes)
 
 
-def _shade_modes(axes: Axes, problem: Problem, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
-    """A band per stretch of one mode, its name at the top."""
-    colors = mode_colors(problem.automaton)
+def _stretches(trajectory: Trajectory, steps: NDArray[np.int64]) -> list[tuple[str, float, float]]:
+    """(mode, first step, last step) of every stretch of one mode."""
     starts = [0] + [j for j in range(1, len(steps)) if trajectory.modes[j] != trajectory.modes[j - 1]]
-    ends = [steps[j] for j in starts[1:]] + [steps[-1]]
-    for start, end in zip(starts, ends, strict=True):
-        name = trajectory.modes[start]
-        left, right = float(steps[start]), float(end)
+    ends = [*starts[1:], len(steps) - 1]
+    return [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in zip(starts, ends, strict=True)]
+
+
+def _shade_modes(axes: Axes, problem: Problem, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
+    colors = mode_colors(problem.automaton)
+    for name, left, right in _stretches(trajectory, steps):
         axes.axvspan(left, right, color=colors[name], alpha=0.16, lw=0, zorder=0)
-        narrow = right - left < 0.15 * max(float(steps[-1]), 1.0)
-        axes.annotate(
-            name, ((right if narrow else left), 0.97), xytext=(-4 if narrow else 4, 0), va="top",
-            xycoords=("data", "axes fraction"), textcoords="offset points", ha="right" if narrow else "left",
-            fontsize=8, color=INK,
-        )  # fmt: skip
     _tidy(axes)
+
+
+def _name_modes(axes: Axes, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
+    """The names of the modes above their bands; a narrow band's name ends where the band ends."""
+    for name, left, right in _stretches(trajectory, steps):
+        narrow = right - left < 0.15 * float(steps[-1])
+        place, side = (right, "right") if narrow else (left, "left")
+        axes.annotate(name, (place, 1.01), xycoords=("data", "axes fraction"), ha=side, fontsize=9, color=INK)
 
 
 def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None:

@@ -32,6 +32,7 @@ with warnings.catch_warnings():
 Floats = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 30
+_SMALLEST_SPAN = 0.01
 _ROOT = "meshcat"
 _REFERENCES = ("uuid", "geometry", "material")
 
@@ -117,11 +118,12 @@ class Scene:
             self._corners.append(np.array([flat.min(axis=0), flat.max(axis=0)]))
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner, (3,) each, of what was reserved; a box of 0.2 m around the origin if nothing was."""
-        if not self._corners:
-            return np.full(3, -0.1), np.full(3, 0.1)
-        stacked = np.concatenate(self._corners)
-        return np.asarray(stacked.min(axis=0)), np.asarray(stacked.max(axis=0))
+        """Lower and upper corner, (3,) each, of what was reserved (nothing: the origin), at least a small box."""
+        stacked = np.concatenate(self._corners) if self._corners else np.zeros((1, 3))
+        lower, upper = stacked.min(axis=0), stacked.max(axis=0)
+        if np.linalg.norm(upper - lower) < _SMALLEST_SPAN:
+            lower, upper = lower - _SMALLEST_SPAN, upper + _SMALLEST_SPAN
+        return np.asarray(lower), np.asarray(upper)
 
     def encoded(self) -> list[str]:
         """The commands in the viewer's own encoding (MessagePack), as base64 text."""
