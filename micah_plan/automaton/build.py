@@ -7,7 +7,7 @@ transitions, resets are the identity. Where it differs, and why:
 
 - **Absolute coordinates.** The paper subtracts x^q, the configurations passed so far, from x in each mode, so that
   every local model starts at 0. Here all models of an edge share one coordinate (`graph.Segment`), x⁺ = x + B u, and a
-  value means the same in every mode: beliefs, goals and guards need no translation and the identity reset is really one.
+  value means the same in every mode: beliefs, goals and guards need no translation, the identity reset is really one.
 - **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
   coordinate is pinned to the configuration at which the part was held (being there is information), and it is left
   by pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a
@@ -131,7 +131,7 @@ def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, releas
     if model.is_rigid and forward:
         return input_above(i, release, n, n, strict=True, name=f"input {name}")
     if model.is_rigid:
-        return input_below(i, -release, n, n, strict=True, name=f"input {name}")
+        return input_below(i, 0.0 - release, n, n, strict=True, name=f"input {name}")
     if forward:
         return above(i, model.upper, n, n, name=name)
     return below(i, model.lower, n, n, strict=True, name=name)

@@ -28,10 +28,10 @@ the others go on).
 
 **Chattering.** At one instant no mode is entered twice (the one at the start of the instant included) and no self
 transition is taken twice. An edge that this rule blocks is a wall: if the flow leads into its guard, the component of d
-along the guard's normal is taken out and the state slides along the boundary for the rest of the step. If its guard
-holds already, away from the boundary, it is passed over until the next instant at which an event happens. A step has
-at most ``MOST_EVENTS`` events (a reset that throws the state back in front of its own guard could go on for ever); then
-the state rests where it is and ``Step.complete`` is false.
+along the guard's normal is taken out and the state slides along the boundary (of all walls met at that instant) for the
+rest of the step or until the mode changes. A blocked edge whose guard holds already, away from the boundary, is passed
+over until the next instant with an event. A step has at most ``MOST_EVENTS`` events (a reset that throws the state back
+in front of its own guard could go on for ever); then the state rests where it is and ``Step.complete`` is false.
 
 **Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
 clips.
@@ -45,7 +45,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.automaton.guard_table import Exit, ModeTable, Row, entry, margin_and_rate, mode_tables, next_entry
+from micah_plan.automaton.guard_table import (
+    TOLERANCE,
+    Exit,
+    ModeTable,
+    Row,
+    entry,
+    margin_and_rate,
+    mode_tables,
+    next_entry,
+)
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
 
@@ -229,7 +238,8 @@ class _Instant:
 
     def settle(self, arrived: int) -> bool:
         """Take all events, among them the edge whose guard the motion arrived at. False if there are too many."""
-        entered, taken, walls = {self.table.name}, set[int](), set[int]()
+        entered, taken = {self.table.name}, set[int]()
+        walls: list[Floats] = []
         while True:
             # Where rounding left the state a hair short of the guard it arrived at, asking the guard would miss it.
             holding = [
@@ -242,16 +252,14 @@ class _Instant:
                 if len(self.events) >= MOST_EVENTS:
                     return False
                 self._take(free)
+                walls.clear()
                 taken.add(free.edge)
                 entered.add(free.target)
                 continue
-            wall = next((e for e in holding if self._is_entering(e)), None)
+            wall = next((row for e in holding for row in e.rows if self._is_pressed(row)), None)
             if wall is None:
                 return True
-            if wall.edge in walls:  # Sliding along one wall leads into another and back: there is no way on.
-                self.d = [0.0] * len(self.d)
-            walls.add(wall.edge)
-            self._slide(wall)
+            self._slide(wall, walls)
 
     def _take(self, chosen: Exit) -> None:
         before = self.x
@@ -264,24 +272,29 @@ class _Instant:
             self.table = self.tables[chosen.target]
             self.d = _displacement(self.table, self.u, self.pushed)
 
-    def _is_entering(self, blocked: Exit) -> bool:
-        return any(self._pressure(row) for row in blocked.rows)
-
-    def _pressure(self, row: Row) -> float:
-        """Rate at which the flow goes into a half-space on whose boundary the state is, else 0."""
+    def _is_pressed(self, row: Row) -> bool:
+        """Whether the state is on the boundary of a half-space and the flow goes into it."""
         margin, rate = margin_and_rate(row, self.x, self.d, self.u)
-        return rate if rate > row.tolerance and abs(margin) <= row.tolerance else 0.0
+        return rate > row.tolerance and abs(margin) <= row.tolerance
 
-    def _slide(self, wall: Exit) -> None:
-        """Take the normal part out of d for the first half-space that the flow enters; pinned coordinates stay."""
-        for row in wall.rows:
-            rate = self._pressure(row)
-            if rate:
-                normal = [(i, w) for i, w in row.states if self.table.flow[i] is not None]
-                squared = sum(w * w for _, w in normal)
-                for i, w in normal:
-                    self.d[i] -= w * rate / squared
-                return
+    def _slide(self, wall: Row, walls: list[Floats]) -> None:
+        """Take out of d what is normal to this wall and to those (orthonormal `walls`) met before at this instant."""
+        normal = np.zeros(len(self.d))
+        for i, w in wall.states:
+            normal[i] = 0.0 if self.table.flow[i] is None else w
+        size = float(np.linalg.norm(normal))
+        for other in walls:
+            normal -= (normal @ other) * other
+        rest = float(np.linalg.norm(normal))
+        if rest <= TOLERANCE * size:
+            # The earlier walls leave no direction to give way in.
+            self.d = [0.0] * len(self.d)
+            return
+        walls.append(normal / rest)
+        d = np.array(self.d)
+        for other in walls:
+            d -= (d @ other) * other
+        self.d = d.tolist()
 
 
 def _displacement(table: ModeTable, u: list[float], pushed: list[float] | None) -> list[float]:

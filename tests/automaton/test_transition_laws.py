@@ -1,0 +1,167 @@
+"""Laws of the transition logic on random automata: a naive simulation, splitting of steps, invariants, bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from automaton_examples import cabinet, chain, detent, naive
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.transition import Step, simulate, step
+
+lawful = settings(max_examples=120, deadline=None)
+finite = {"allow_nan": False, "allow_infinity": False}
+
+
+@st.composite
+def edges(draw: st.DrawFn, name: str) -> KinematicEdge:
+    """A chain of one to four models, with rigid ones at the ends or between; thresholds may be round numbers."""
+    kinds = draw(
+        st.sampled_from(
+            [
+                ["prismatic"],
+                ["prismatic", "prismatic"],
+                ["prismatic", "rigid"],
+                ["rigid", "prismatic"],
+                ["prismatic", "rigid", "prismatic"],
+                ["rigid", "prismatic", "prismatic", "rigid"],
+                ["prismatic", "prismatic", "prismatic"],
+            ]
+        )
+    )
+    bounds = [0.0]
+    for kind in kinds:
+        length = draw(st.one_of(st.sampled_from([0.1, 0.2, 0.5]), st.floats(0.1, 1.0, **finite)))
+        bounds.append(bounds[-1] + (0.0 if kind == "rigid" else length))
+    return chain(name, bounds, kinds)
+
+
+@st.composite
+def situations(draw: st.DrawFn, release: float | None = None) -> tuple[HybridAutomaton, str, np.ndarray, np.ndarray]:
+    """An automaton of one or two links, a mode, a state in its invariant (also on its boundary) and an input."""
+    names = ["a", "b"][: draw(st.integers(1, 2))]
+    graph = KinematicGraph(tuple(draw(edges(name)) for name in names))
+    automaton = build_automaton(graph, release=draw(st.sampled_from([0.0, 0.3])) if release is None else release)
+    mode = draw(st.sampled_from(automaton.modes))
+    x, u = [], []
+    for i in range(automaton.n):
+        bounds = [h.c * h.a[i] for h in mode.invariant.half_spaces if h.a[i]]
+        x.append(
+            bounds[0] + draw(st.one_of(st.sampled_from([0.0, 0.5, 1.0]), st.floats(0, 1))) * (bounds[1] - bounds[0])
+        )
+        u.append(draw(st.one_of(st.sampled_from([0.0, 0.1, -0.1, 0.5, -0.5]), st.floats(-2.5, 2.5, **finite))))
+    for pin in mode.pins:
+        x[pin.coordinate] = pin.value
+    return automaton, mode.name, np.array(x), np.array(u)
+
+
+def pushes(automaton: HybridAutomaton, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, 0.2, automaton.n)
+
+
+def assert_in_invariant(automaton: HybridAutomaton, result: Step) -> None:
+    assert automaton.mode(result.mode).invariant.contains(result.x, np.zeros(automaton.m), tolerance=1e-9), result
+
+
+class TestOnRandomObjects:
+    @given(situations(), st.integers(0, 1000))
+    @settings(max_examples=40, deadline=None)
+    def test_a_naive_simulation_on_a_fine_grid_ends_nearby(
+        self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
+    ) -> None:
+        automaton, mode, x, u = situation
+        # Not against the input: there the state rests on a boundary, and the naive step trembles around it.
+        w = np.sign(u) * np.abs(pushes(automaton, seed))
+        cuts = 400
+        result = step(automaton, mode, x, u, w)
+        naive_mode, naive_x = naive(automaton, mode, x, u, w, cuts)
+        resolution = 4 * np.abs(u + w).max() / cuts + 1e-9
+        np.testing.assert_allclose(result.x, naive_x, atol=resolution)
+        thresholds = [h.c * h.a[i] for e in automaton.edges for h in e.guard.half_spaces for i in range(automaton.n)]
+        if min((abs(xi - t) for xi in result.x for t in thresholds), default=1.0) > 2 * resolution:
+            assert result.mode == naive_mode
+
+    @given(situations(release=0.0), st.floats(0.01, 0.99))
+    @lawful
+    def test_two_parts_of_a_step_end_where_the_whole_does(
+        self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], share: float
+    ) -> None:
+        automaton, mode, x, u = situation
+        whole = step(automaton, mode, x, u)
+        first = step(automaton, mode, x, share * u)
+        second = step(automaton, first.mode, first.x, (1 - share) * u)
+        assert second.mode == whole.mode
+        np.testing.assert_allclose(second.x, whole.x, atol=1e-9)
+
+    @given(situations(), st.integers(0, 1000))
+    @lawful
+    def test_the_state_ends_in_the_invariant_of_its_mode(
+        self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
+    ) -> None:
+        automaton, mode, x, u = situation
+        assert_in_invariant(automaton, step(automaton, mode, x, u))
+        assert_in_invariant(automaton, step(automaton, mode, x, u, pushes(automaton, seed)))
+
+    @given(situations(), st.integers(0, 1000))
+    @lawful
+    def test_events_are_few_ordered_and_justified(
+        self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
+    ) -> None:
+        automaton, mode, x, u = situation
+        result = step(automaton, mode, x, u, pushes(automaton, seed))
+        assert result.complete
+        assert len(result.events) <= 2 * len(automaton.modes) + 2 * automaton.n
+        fractions = [event.fraction for event in result.events]
+        assert fractions == sorted(fractions)
+        assert all(0.0 <= fraction <= 1.0 for fraction in fractions)
+        now = mode
+        for event in result.events:
+            edge = automaton.edges[event.edge]
+            assert (event.source, event.target) == (edge.source, edge.target) == (now, event.target)
+            assert edge.guard.contains(event.x_before, u, tolerance=1e-9)
+            after = edge.reset.apply(event.x_before, u)
+            np.testing.assert_allclose(event.x_after, after, atol=1e-9)
+            now = event.target
+        assert now == result.mode
+
+    @given(situations(), st.integers(0, 1000))
+    @settings(max_examples=40, deadline=None)
+    def test_the_same_step_twice_is_the_same_bit_for_bit(
+        self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
+    ) -> None:
+        automaton, mode, x, u = situation
+        first, second = (step(automaton, mode, x, u, pushes(automaton, seed)) for _ in range(2))
+        assert first.mode == second.mode
+        np.testing.assert_array_equal(first.x, second.x)
+        assert [(e.edge, e.fraction) for e in first.events] == [(e.edge, e.fraction) for e in second.events]
+
+
+class TestSimulate:
+    def test_is_step_after_step(self) -> None:
+        automaton, rng = cabinet(), np.random.default_rng(5)
+        inputs, disturbances = rng.uniform(-0.4, 0.4, (200, 2)), rng.normal(0, 0.05, (200, 2))
+        run = simulate(automaton, "revolute/prismatic_1", [0.3, 0.1], inputs, disturbances)
+        mode, x, events = "revolute/prismatic_1", np.array([0.3, 0.1]), 0
+        for k in range(200):
+            result = step(automaton, mode, x, inputs[k], disturbances[k])
+            mode, x, events = result.mode, result.x, events + len(result.events)
+            assert run.modes[k + 1] == mode
+            np.testing.assert_array_equal(run.states[k + 1], x)
+        assert len(run.events) == events > 100
+        assert set(run.modes) == {m.name for m in automaton.modes}
+
+    def test_no_steps(self) -> None:
+        run = simulate(cabinet(), "rigid/prismatic_2", [1.2, 0.3], np.zeros((0, 2)))
+        assert (run.modes, run.events, run.complete) == (("rigid/prismatic_2",), (), True)
+        np.testing.assert_array_equal(run.states, [[1.2, 0.3]])
+
+    @pytest.mark.parametrize("cuts", [1, 2, 7, 50])
+    def test_the_number_of_steps_does_not_matter(self, cuts: int) -> None:
+        run = simulate(detent(), "prismatic_1", [0.05], np.full((cuts, 1), 0.3 / cuts))
+        assert run.modes[-1] == "prismatic_2"
+        assert run.states[-1] == pytest.approx([0.35], abs=1e-12)
+        assert [event.target for _, event in run.events] == ["rigid", "prismatic_2"]
