@@ -33,6 +33,20 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
     return data
 
 
+def require_directory(path: str | Path) -> None:
+    """Check before long work that a file can be put where its result shall go.
+
+    Raises:
+        InputError: if its directory does not exist, or the path is a directory.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise InputError("expected a file to write, found a directory", source=path, remedy="name a file in it")
+    if not target.parent.is_dir():
+        remedy = f"create the directory {target.parent} or write elsewhere"
+        raise InputError("its directory does not exist", source=path, remedy=remedy)
+
+
 def replace_file(path: str | Path, data: bytes) -> None:
     """Write a file so that a reader sees the old content or the new, never half of it.
 

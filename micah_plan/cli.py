@@ -1,0 +1,323 @@
+"""The command line. Exit codes: 0 done, 1 an honest negative (no plan), 2 bad input.
+
+Results go to stdout (with --json exactly one JSON object), progress and errors to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from micah_plan import __version__, summaries
+from micah_plan.errors import InputError, MicahError, MissingDependencyError
+from micah_plan.files import require_directory
+
+HONEST_NEGATIVE = 1
+BAD_INPUT = 2
+
+app = typer.Typer(
+    help="From a recorded demonstration of an articulated object to a plan that holds under uncertainty.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+out = Console(soft_wrap=True, highlight=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+class LearnMethod(StrEnum):
+    """How segments are scored: with the actions or by the poses alone."""
+
+    ACT_CHAMP = "act-champ"
+    CHAMP = "champ"
+
+
+class PlantName(StrEnum):
+    """Where a plan is executed."""
+
+    NOMINAL = "nominal"
+    MUJOCO = "mujoco"
+
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+Seed = Annotated[
+    int, typer.Option("--seed", min=0, help="Seed of everything random; the same seed gives the same bytes.")
+]
+Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
+
+
+def main() -> None:
+    """Entry point of `micah-plan`: runs a command and turns errors into one line and an exit code."""
+    try:
+        app(standalone_mode=True)
+    except (InputError, MissingDependencyError) as error:
+        _fail(error, BAD_INPUT)
+    except MicahError as error:
+        _fail(error, HONEST_NEGATIVE)
+    except KeyboardInterrupt:
+        err.print("interrupted; nothing was half-written")
+        sys.exit(130)
+
+
+def _fail(error: MicahError, code: int) -> None:
+    if "--json" in sys.argv:
+        print(json.dumps({"error": str(error)}))
+    err.print(f"error: {error}", markup=False, style="red")
+    sys.exit(code)
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        out.print(__version__)
+        raise typer.Exit
+
+
+@app.command()
+def learn(
+    recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text or NPZ).")],
+    output: Output,
+    method: Annotated[
+        LearnMethod, typer.Option(help="Score segments with or without the actions.")
+    ] = LearnMethod.ACT_CHAMP,
+    parts: Annotated[
+        Path | None, typer.Option(help="Shapes and handles of the parts (YAML), added to the model.")
+    ] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Learn a hybrid automaton from a recording and save it as YAML."""
+    from micah_plan import workflow
+    from micah_plan.files import replace_file
+    from micah_plan.spec.model_file import dump_model
+    from micah_plan.spec.parts_file import load_parts
+
+    _check_outputs(output, figure, html)
+    shapes = () if parts is None else load_parts(parts)
+    with _progress(as_json) as progress:
+        measured = workflow.read(recording)
+        try:
+            learned = workflow.learn(measured, method=method.value, seed=seed, parts=shapes, progress=progress)
+        except InputError as error:
+            raise error.located(recording) from None
+    dump_model(learned.automaton, output)
+    if figure is not None:
+        from micah_plan.view.figures import save_figure, segments_figure
+
+        save_figure(segments_figure(learned.recording, learned.graph), figure)
+    if html is not None:
+        from micah_plan.view.page import recording_page
+
+        replace_file(html, recording_page(learned.recording, learned.graph).encode())
+    summary = summaries.learned(learned, seed)
+    _report(as_json, summary, lambda: _print_learned(learned, (output, figure, html)))
+
+
+@app.command()
+def solve(
+    problem: Annotated[Path, typer.Argument(help="Problem (YAML).")],
+    output: Output,
+    model: Annotated[
+        Path | None, typer.Option(help="Model (YAML) to use instead of the one that the problem names.")
+    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Plan in belief space; exit code 1 if there is no plan."""
+    from micah_plan import workflow
+    from micah_plan.files import replace_file
+    from micah_plan.spec.plan_file import write_plan, write_timings
+    from micah_plan.spec.problem_file import load_problem
+
+    _check_outputs(output, html, figure)
+    overrides = None if model is None else {"model": str(model.resolve())}
+    asked = load_problem(problem, overrides)
+    with _progress(as_json) as progress:
+        plan = workflow.solve(asked, seed=seed, progress=progress)
+    write_plan(plan, asked, output)
+    write_timings(plan, output)
+    if html is not None:
+        from micah_plan.view.page import plan_page
+
+        replace_file(html, plan_page(plan, asked).encode())
+    if figure is not None and plan.trajectory is not None:
+        from micah_plan.view.figures import belief_figure, save_figure
+
+        save_figure(belief_figure(asked, plan), figure)
+    written = (output, html, figure if plan.trajectory is not None else None)
+    _report(as_json, summaries.solved(plan), lambda: _print_solved(plan, written))
+    if plan.outcome != "solved":
+        raise typer.Exit(HONEST_NEGATIVE)
+
+
+@app.command()
+def execute(
+    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote.")],
+    output: Output,
+    plant: Annotated[PlantName, typer.Option(help="The model with noise, or independent physics.")] = PlantName.NOMINAL,
+    trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
+    figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Execute a plan in closed loop and write the runs as a recording."""
+    from micah_plan import workflow
+    from micah_plan.recording.read import write_recording
+    from micah_plan.spec.plan_file import load_plan, require_executable
+
+    _check_outputs(output, figure)
+    stored = load_plan(plan)
+    require_executable(stored)
+    begin = time.perf_counter()
+    with _progress(as_json) as progress:
+        statistics = workflow.execute(
+            stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed, progress=progress
+        )
+    write_recording(statistics.recording, output)
+    if figure is not None:
+        from micah_plan.view.figures import belief_figure, save_figure
+
+        save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
+    summary = summaries.executed(statistics, time.perf_counter() - begin)
+    _report(as_json, summary, lambda: _print_executed(summary, (output, figure)))
+
+
+@app.command()
+def predict(
+    model: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Compare measured motion with the model's one-step and roll-out predictions."""
+    from micah_plan import workflow
+    from micah_plan.spec.model_file import load_model
+
+    automaton = load_model(model)
+    measured = workflow.read(recording, minimum_rows=2)
+    try:
+        runs = workflow.predict(automaton, measured)
+    except InputError as error:
+        raise error.located(recording) from None
+    summary = summaries.predicted(runs)
+    _report(as_json, summary, lambda: _print_predicted(summary))
+
+
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(help="A recording, a model or a plan.")],
+    output: Output,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write a self-contained page of a recording, a model or a plan."""
+    from micah_plan.files import replace_file
+
+    _check_outputs(output)
+    with _progress(as_json) as progress:
+        kind, page = _page_of(file, progress)
+    replace_file(output, page.encode())
+    summary = {"kind": kind, "page": str(output), "bytes": len(page.encode())}
+    _report(as_json, summary, lambda: _print_files((output,)))
+
+
+def _page_of(file: Path, progress: Callable[[str, float], None]) -> tuple[str, str]:
+    from micah_plan import workflow
+    from micah_plan.view import page
+
+    if file.suffix.lower() in (".yaml", ".yml"):
+        from micah_plan.spec.model_file import load_model
+
+        return "model", page.model_page(load_model(file))
+    if file.suffix.lower() == ".json":
+        from micah_plan.spec.plan_file import load_plan
+
+        stored = load_plan(file)
+        return "plan", page.plan_page(stored.plan, stored.problem)
+    recording = workflow.read(file)
+    try:
+        learned = workflow.learn(recording, progress=progress)
+    except InputError:  # too short to learn from: the track alone is still worth seeing
+        return "recording", page.recording_page(recording, None)
+    return "recording", page.recording_page(recording, learned.graph)
+
+
+def _check_outputs(*paths: Path | None) -> None:
+    for path in paths:
+        if path is not None:
+            require_directory(path)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True, disable=quiet and not err.is_terminal) as bars:
+        task = bars.add_task("starting", total=1.0)
+        yield lambda message, fraction: bars.update(task, description=message, completed=fraction)
+
+
+def _report(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -> None:
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        human()
+
+
+def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
+    for edge in learned.graph.edges:
+        table = Table("mode", "rows", "from", "to", "axis", "radius", title=f"{edge.child} relative to {edge.parent}")
+        for segment in edge.segments:
+            row = summaries.segment_row(segment)
+            table.add_row(*row)
+        out.print(table)
+    out.print(f"learned {len(learned.automaton.modes)} mode(s) in {learned.seconds:.2f} s")
+    _print_files(files)
+
+
+def _print_solved(plan: Any, files: tuple[Path | None, ...]) -> None:
+    out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if plan.outcome == "solved" else "yellow")
+    if plan.trajectory is not None:
+        out.print(f"  modes                {' > '.join(plan.mode_sequence)}", markup=False)
+        out.print(f"  goal error, std      {plan.goal_error:.4g}, {plan.goal_std:.4g}")
+        out.print(f"  success probability  {plan.success_probability:.3f} of {plan.verification_trials} roll-outs")
+    out.print("  seconds              " + ", ".join(f"{k} {v:.2f}" for k, v in plan.timings.items()))
+    _print_files(files)
+
+
+def _print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
+    error = summary["final_error"]
+    out.print(f"{summary['successes']} of {summary['trials']} trials reached the goal")
+    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}")
+    for failure in summary["failures"]:
+        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
+    _print_files(files)
+
+
+def _print_predicted(summary: dict[str, Any]) -> None:
+    table = Table("", "position [m]", "rotation [rad]", "configuration")
+    for name in ("one_step", "rollout"):
+        values = summary[name]
+        rotation = values["rotation_rmse_rad"]
+        shown = "not measured" if rotation is None else f"{rotation:.4g}"
+        table.add_row(name, f"{values['position_rmse_m']:.4g}", shown, f"{values['configuration_rmse']:.4g}")
+    out.print(table)
+
+
+def _print_files(files: tuple[Path | None, ...]) -> None:
+    for path in files:
+        if path is not None:
+            out.print(f"wrote {path}", markup=False)

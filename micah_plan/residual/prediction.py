@@ -1,0 +1,116 @@
+"""One-step and roll-out prediction of recorded runs by a model, mode changes included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.tracks import Track, tracks
+from micah_plan.automaton.transition import step
+from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.errors import InputError
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionError:
+    """Predicted minus measured over the steps of one run (K steps, l links, n states).
+
+    Attributes:
+        position: (K, l) distance [m].
+        rotation: (K, l) angle [rad]; None where orientation was not measured.
+        configuration: (K, n) difference [rad or m].
+        modes: (K,) the mode that the prediction of each step ended in.
+    """
+
+    position: Floats
+    rotation: Floats | None
+    configuration: Floats
+    modes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RunPrediction:
+    """Both predictions of one run."""
+
+    run: int
+    one_step: PredictionError
+    rollout: PredictionError
+
+
+def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:
+    """Predict every run of a recording with at least two rows.
+
+    One step: from the measured pose of a row and its action to the next row, Δ̂_(t+1) = f(f^-1(y_t) + J^-1 a_t) (MICAH,
+    equation 2) through guards and resets, in the mode that the belief filter holds most likely. Roll-out: from the
+    first measured pose with all actions of the run, never looking at a measurement again.
+
+    Raises:
+        InputError: if the recording has no actions, parts that the model does not know, or no run of two rows.
+    """
+    if not recording.has_actions:
+        raise InputError(
+            "expected actions, found no columns ax, ay, az",
+            remedy="record the commanded displacements to predict motion",
+        )
+    usable = [track for track in tracks(automaton, recording) if len(track.time) > 1]
+    if not usable:
+        raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
+    return tuple(RunPrediction(track.run, _one_step(automaton, track), _rollout(automaton, track)) for track in usable)
+
+
+def rmse(errors: list[Floats]) -> float:
+    """Root of the mean square over all entries of all arrays; 0 for none."""
+    values = np.concatenate([np.ravel(error) for error in errors]) if errors else np.zeros(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
+    u = _inputs(track)
+    belief = initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
+    names = [mode.name for mode in automaton.modes]
+    predicted, modes = [], []
+    for k in range(len(u)):
+        reached = step(automaton, names[belief.most_likely], track.x[k], u[k])
+        predicted.append(reached.x)
+        modes.append(reached.mode)
+        belief = update(automaton, predict(automaton, belief, u[k]), track.x[k + 1])
+    return _error(automaton, track, np.array(predicted), tuple(modes))
+
+
+def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
+    belief = initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
+    mode, x = automaton.modes[belief.most_likely].name, track.x[0]
+    predicted, modes = [], []
+    for u in _inputs(track):
+        reached = step(automaton, mode, x, u)
+        mode, x = reached.mode, reached.x
+        predicted.append(x)
+        modes.append(mode)
+    return _error(automaton, track, np.array(predicted), tuple(modes))
+
+
+def _inputs(track: Track) -> Floats:
+    if track.u is None:  # predict_recording has checked
+        raise InputError("expected actions, found none")
+    return track.u
+
+
+def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str, ...]) -> PredictionError:
+    position = np.zeros((len(x), len(automaton.links)))
+    rotation = None if track.quaternion is None else np.zeros_like(position)
+    for k, mode in enumerate(modes):
+        for number, link in enumerate(automaton.links):
+            pose = forward(automaton.mode(mode).joints[number], x[k : k + 1, link.coordinate])
+            position[k, number] = np.linalg.norm(pose.translation[0] - track.position[k + 1, number])
+            if rotation is not None and track.quaternion is not None:
+                measured = Rotation.from_quat(track.quaternion[k + 1, number])
+                rotation[k, number] = (pose.rotation[0] * measured.inv()).magnitude()
+    return PredictionError(position, rotation, x - track.x[1:], modes)

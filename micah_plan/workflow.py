@@ -1,0 +1,148 @@
+"""The stages joined: recording -> model -> plan -> execution -> prediction. The only file that knows both ends.
+
+Every function takes values or paths and returns values; writing files is the caller's choice, except where a path is
+asked for. Stages are imported when they are used, so that reading a recording does not load a planner.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from micah_plan import __version__
+from micah_plan.automaton.graph import KinematicGraph
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.errors import InputError
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.problem import Problem
+from micah_plan.recording.value import Recording
+
+if TYPE_CHECKING:
+    from micah_plan.execution.trials import TrialStatistics
+    from micah_plan.residual.prediction import RunPrediction
+
+Method = Literal["act-champ", "champ"]
+PlantKind = Literal["nominal", "mujoco"]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What `learn` returns: the segments as measured, the automaton made of them, and how long it took."""
+
+    recording: Recording
+    graph: KinematicGraph
+    automaton: HybridAutomaton
+    seconds: float
+
+
+def read(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+    """A recording from a CSV, TUM or NPZ file.
+
+    Raises:
+        InputError: if it cannot be used; the message names file, row and remedy.
+    """
+    from micah_plan.recording.read import read_recording
+
+    return read_recording(Path(path), minimum_rows=minimum_rows)
+
+
+def learn(
+    recording: Recording,
+    *,
+    method: Method = "act-champ",
+    seed: int = 0,
+    parts: Sequence[Part] = (),
+    progress: Progress | None = None,
+) -> Learned:
+    """Segment a recording, fit its joints and build the hybrid automaton.
+
+    Args:
+        recording: at least a few rows of one or several parts.
+        method: Act-CHAMP uses the actions, CHAMP only the poses.
+        seed: of MLESAC and of the resampling.
+        parts: shapes and handles of the object's bodies, for drawing and physics.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: if the recording cannot be learned from.
+    """
+    from micah_plan.automaton.build import build_automaton
+    from micah_plan.learn.learn import learn_graph
+
+    begin = time.perf_counter()
+    graph = learn_graph(recording, method=method, seed=seed, progress=progress)
+    provenance = {
+        "recording": recording.digest(),
+        "method": method,
+        "seed": str(seed),
+        "micah_plan": __version__,
+    }
+    automaton = build_automaton(graph, parts=_matched_parts(graph, parts), provenance=provenance)
+    return Learned(recording, graph, automaton, time.perf_counter() - begin)
+
+
+def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, ...]:
+    known = {name for edge in graph.edges for name in (edge.parent, edge.child)}
+    for part in parts:
+        if part.name not in known:
+            raise InputError(
+                f"the shapes are of a part '{part.name}', the recording has {', '.join(sorted(known))}",
+                remedy="rename the part in the shapes file",
+            )
+    return tuple(parts)
+
+
+def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) -> Plan:
+    """Plan with POMDP-HD and check the plan by rolling out the true hybrid system from sampled states.
+
+    Returns:
+        A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
+    """
+    from micah_plan.planning.pomdp_hd import plan
+    from micah_plan.planning.verification import verify
+
+    found = plan(problem, seed=seed, progress=progress)
+    if found.trajectory is None:
+        return found
+    begin = time.perf_counter()
+    verified = verify(problem, found, problem.settings.verification_trials, seed)
+    spent = time.perf_counter() - begin
+    timings = {**found.timings, "verify": spent, "total": found.timings["total"] + spent}
+    return dataclasses.replace(verified, timings=timings)
+
+
+def execute(
+    problem: Problem,
+    plan: Plan,
+    *,
+    plant: PlantKind = "nominal",
+    trials: int = 1,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> TrialStatistics:
+    """Execute a plan in closed loop, with the belief filter, feedback and replanning, over seeded trials.
+
+    Raises:
+        InputError: if the plan is not a solution.
+        MissingDependencyError: if the plant needs a library that is not installed.
+    """
+    from micah_plan.execution.trials import run_trials
+    from micah_plan.planning.replanning import replan
+
+    return run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan, progress=progress)
+
+
+def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:
+    """One-step and roll-out prediction of every run of a recording.
+
+    Raises:
+        InputError: if the recording has no actions or other parts than the model.
+    """
+    from micah_plan.residual.prediction import predict_recording
+
+    return predict_recording(automaton, recording)
