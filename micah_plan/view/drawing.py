@@ -21,6 +21,7 @@ from micah_plan.view.solids import arrow, merge, perpendicular, tube
 Floats = NDArray[np.float64]
 
 VIEW_ANGLE_DEG = 36.0
+_MARGIN = 1.08
 _CURVE_POINTS = 49
 _ELEVATION = math.radians(28.0)
 _AZIMUTHS = np.radians(np.arange(-60, 300, 15))
@@ -125,7 +126,7 @@ def camera(scene: Scene, motion: Floats) -> dict[str, object]:
         axis=1,
     )
     best = toward[np.argmax([_view_quality(way, motion, target, radius) for way in toward])]
-    distance = 0.95 * radius / math.sin(math.radians(VIEW_ANGLE_DEG) / 2)
+    distance = _distance_to_see(upper - target, best)
     position = target + distance * best
     return {
         "position": [float(p) for p in position],
@@ -134,6 +135,16 @@ def camera(scene: Scene, motion: Floats) -> dict[str, object]:
         "far": distance * 50,
         "angle": VIEW_ANGLE_DEG,
     }
+
+
+def _distance_to_see(half: Floats, way: Floats) -> float:
+    """Distance at which a camera in direction `way` sees a box of half lengths `half` in a square picture [m]."""
+    across = np.cross([0.0, 0.0, 1.0], way)
+    across /= np.linalg.norm(across)
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * half
+    offset = np.abs(corners @ np.column_stack([across, np.cross(way, across)])).max(axis=1)
+    tangent = math.tan(math.radians(VIEW_ANGLE_DEG) / 2)
+    return float((corners @ way + _MARGIN * offset / tangent).max())
 
 
 def _view_quality(way: Floats, motion: Floats, target: Floats, radius: float) -> float:

@@ -148,8 +148,12 @@ def _plot_joint(space: Any, recording: Recording, colored: ColoredSegment, size:
 
 def _finish_space(space: Any) -> None:
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set_box_aspect(None, zoom=0.76)
-    space.set_aspect("equal")
+    limits = np.array([space.get_xlim3d(), space.get_ylim3d(), space.get_zlim3d()])
+    half = np.ptp(limits, axis=1) / 2
+    half = np.maximum(half, 0.3 * half.max())  # a flat motion still gets a box with a height
+    low, high = limits.mean(axis=1) - half, limits.mean(axis=1) + half
+    space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    space.set_box_aspect(half, zoom=0.85)
     space.locator_params(nbins=4)
     space.tick_params(labelsize=8)
     for axis in (space.xaxis, space.yaxis, space.zaxis):
