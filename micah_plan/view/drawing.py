@@ -117,15 +117,7 @@ def camera(scene: Scene, motion: Floats) -> dict[str, object]:
     lower, upper = scene.bounds()
     target = (lower + upper) / 2
     radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-3)
-    toward = np.stack(
-        [
-            np.cos(_AZIMUTHS) * math.cos(_ELEVATION),
-            np.sin(_AZIMUTHS) * math.cos(_ELEVATION),
-            np.full(len(_AZIMUTHS), math.sin(_ELEVATION)),
-        ],
-        axis=1,
-    )
-    best = toward[np.argmax([_view_quality(way, motion, target, radius) for way in toward])]
+    best = viewing_direction(motion, target, radius)
     distance = _distance_to_see(upper - target, best)
     position = target + distance * best
     return {
@@ -135,6 +127,17 @@ def camera(scene: Scene, motion: Floats) -> dict[str, object]:
         "far": distance * 50,
         "angle": VIEW_ANGLE_DEG,
     }
+
+
+def viewing_direction(motion: Floats, target: Floats, radius: float) -> Floats:
+    """(3,) unit vector from the target (3,) [m] towards a camera, a little above, that sees the motion (k, 3) best.
+
+    Args:
+        radius: of what the camera looks at [m].
+    """
+    level = math.cos(_ELEVATION) * np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], axis=1)
+    toward = np.column_stack([level, np.full(len(level), math.sin(_ELEVATION))])
+    return np.asarray(toward[np.argmax([_view_quality(way, motion, target, radius) for way in toward])])
 
 
 def _distance_to_see(half: Floats, way: Floats) -> float:

@@ -23,7 +23,7 @@ from micah_plan.errors import InputError
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
-from micah_plan.view.drawing import circle, joint_axis, joint_curve
+from micah_plan.view.drawing import circle, joint_axis, joint_curve, viewing_direction
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GRID, GUARD, INK, MUTED
 from micah_plan.view.placement import thresholds
@@ -57,7 +57,7 @@ def segments_figure(recording: Recording, graph: KinematicGraph | None = None) -
     if rest.any():
         label = "rows of no segment" if segments else "measured positions"
         space.scatter(*recording.position[rest].T, s=9, color=MUTED, label=label, depthshade=False)
-    _finish_space(space)
+    _finish_space(space, recording.position)
     if segments:
         _plot_configuration(rows_axes, recording, segments)
     else:
@@ -146,7 +146,10 @@ def _plot_joint(space: Any, recording: Recording, colored: ColoredSegment, size:
         space.plot(*pose.apply(axis).T, color=INK, lw=1.2, ls=(0, (4, 2)))
 
 
-def _finish_space(space: Any) -> None:
+def _finish_space(space: Any, motion: Floats) -> None:
+    toward = viewing_direction(motion, motion.mean(axis=0), 1.0)
+    azimuth = np.degrees(np.arctan2(toward[1], toward[0]))
+    space.view_init(elev=float(np.degrees(np.arcsin(toward[2]))), azim=float(azimuth))
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     limits = np.array([space.get_xlim3d(), space.get_ylim3d(), space.get_zlim3d()])
     half = np.ptp(limits, axis=1) / 2
@@ -156,6 +159,7 @@ def _finish_space(space: Any) -> None:
     space.set_box_aspect(half, zoom=0.85)
     space.locator_params(nbins=4)
     space.tick_params(labelsize=8)
+    space.zaxis.labelpad = 12.0
     for axis in (space.xaxis, space.yaxis, space.zaxis):
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor(GRID)
