@@ -1,0 +1,125 @@
+"""Each mistake in an automaton gets one line that says where; what is right passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from automaton_examples import cabinet, detent, door, guard, two_rails
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from micah_plan.automaton.check import check_automaton, is_empty
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Reset
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.errors import InputError
+
+IN = guard(([1], [0], 0.0))
+
+
+def with_mode(**changes: object) -> HybridAutomaton:
+    automaton = door()
+    return replace(automaton, modes=(replace(automaton.modes[0], **changes), *automaton.modes[1:]))
+
+
+def with_edge(edge: Edge) -> HybridAutomaton:
+    automaton = door()
+    return replace(automaton, edges=(*automaton.edges, edge))
+
+
+def shut(**changes: object) -> HybridAutomaton:
+    automaton = door()
+    return replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], **changes)))
+
+
+MISTAKES = {
+    "mode names must be unique. Got 'rigid' twice": with_mode(name="rigid"),
+    "coordinate names must be unique": replace(cabinet(), coordinates=(Coordinate("x", "m"),) * 2),
+    "part names must be unique": replace(door(), parts=(Part("door"), Part("door"))),
+    "at least one coordinate and one mode": replace(door(), modes=(), edges=()),
+    "unit of door must be one of rad, m. Got 'deg'": replace(door(), coordinates=(Coordinate("door", "deg"),)),
+    "link to door: coordinate must be 0 to 0. Got -1": replace(door(), links=(Link("base", "door", -1),)),
+    "link to door: parent must be base": replace(door(), links=(Link("bsae", "door", 0),)),
+    "part door must be the child of one link": replace(door(), links=(Link("base", "door", 0),) * 2),
+    "mode revolute: must have one joint per link, 1. Got 0": with_mode(joints=()),
+    "mode revolute: input matrix B must have shape (1, 1). Got 1 rows of [2]": with_mode(input_matrix=((1.0, 0.0),)),
+    "mode revolute: input matrix B must be finite": with_mode(input_matrix=((np.nan,),)),
+    "mode revolute: invariant: half-space 'h' must have 1 state and 1 input weights. Got 2 and 1": with_mode(
+        invariant=Region((HalfSpace((1.0, 0.0), (0.0,), 0.0, name="h"),))
+    ),
+    "mode revolute: invariant must not be empty": with_mode(invariant=guard(([1], [0], 1.0), ([-1], [0], 0.0))),
+    "mode revolute: admissible inputs must not be empty": with_mode(inputs=guard(([0], [1], 1.0), ([0], [-2], 0.0))),
+    "mode rigid: pinned coordinate must be 0 to 0. Got 1": shut(pins=(Pin(1, 0.0, 0.1),)),
+    "mode rigid: B must have a zero row for the pinned coordinate door": shut(input_matrix=((0.5,),)),
+    "mode rigid: a pin must have a finite value and a std > 0. Got 1.2, 0.0": shut(pins=(Pin(0, 1.2, 0.0),)),
+    "edge rigid -> ajar: unknown mode 'ajar'; choose one of revolute, rigid": with_edge(Edge("rigid", "ajar", IN)),
+    "edge ajar -> rigid: unknown mode 'ajar'": with_edge(Edge("ajar", "rigid", IN)),
+    "edge rigid -> revolute: a guard must have at least one half-space": with_edge(Edge("rigid", "revolute", Region())),
+    "edge rigid -> revolute: guard must not be empty": with_edge(
+        Edge("rigid", "revolute", guard(([1], [0], 0.0, True), ([-1], [0], 0.0)))
+    ),
+    "edge rigid -> revolute: guard: half-space '' must have 1 state and 1 input weights. Got 1 and 2": with_edge(
+        Edge("rigid", "revolute", guard(([1], [0, 0], 0.0)))
+    ),
+    "edge rigid -> rigid: a self transition must have a reset": with_edge(Edge("rigid", "rigid", IN)),
+    "edge rigid -> rigid: reset matrix A must have shape (1, 1)": with_edge(
+        Edge("rigid", "rigid", IN, Reset(A=((1.0,), (1.0,))))
+    ),
+    "edge rigid -> rigid: reset matrix B must have shape (1, 1)": with_edge(Edge("rigid", "rigid", IN, Reset(B=((),)))),
+    "edge rigid -> rigid: reset offset c must have shape (1, 1)": with_edge(
+        Edge("rigid", "rigid", IN, Reset(c=(0.0, 0.0)))
+    ),
+    "unknown mode 'ajar'": replace(door(), init=(("ajar", Region()),)),
+    "init of mode rigid must not be empty": replace(door(), init=(("rigid", guard(([0], [0], 1.0))),)),
+    "noise: process_std must be 1 finite numbers >= 0. Got [-0.1]": replace(door(), noise=Noise((-0.1,), (0.1,))),
+    "noise: observation_std must be 1 numbers > 0. Got [0.0]": replace(door(), noise=Noise((0.1,), (0.0,))),
+    "noise: observation_std must be 1 numbers > 0. Got [0.1, 0.1]": replace(door(), noise=Noise((0.1,), (0.1, 0.1))),
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistake_is_told(message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        check_automaton(MISTAKES[message])
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("automaton", [door(), two_rails(), detent(), cabinet()])
+def test_what_is_right_passes(automaton: HybridAutomaton) -> None:
+    check_automaton(automaton)
+
+
+def test_known_motion_and_unmeasured_coordinates_are_allowed() -> None:
+    check_automaton(replace(door(), noise=Noise((0.0,), (np.inf,))))
+
+
+class TestEmpty:
+    def test_boxes(self) -> None:
+        assert not is_empty(Region())
+        assert not is_empty(guard(([1], [0], 1.0), ([-1], [0], -1.0)))
+        assert is_empty(guard(([1], [0], 1.0), ([-1], [0], -1.0, True)))
+        assert is_empty(guard(([2], [0], 3.0), ([-4], [0], -5.0)))
+        assert not is_empty(guard(([0], [0], -1.0)))
+        assert is_empty(guard(([0], [0], 0.0, True)))
+
+    def test_coupled_half_spaces(self) -> None:
+        triangle = (([1, 0], [0], 0.0), ([0, 1], [0], 0.0))
+        assert not is_empty(guard(*triangle, ([-1, -1], [0], -1.0)))
+        assert is_empty(guard(*triangle, ([-1, -1], [0], 1.0)))
+        assert not is_empty(guard(*triangle, ([-1, -1], [0], 0.0)))
+        assert is_empty(guard(*triangle, ([-1, -1], [0], 0.0, True)))
+        assert not is_empty(guard(([1, 1], [0], 0.0, True)))
+
+    @given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from([-2, -1, 1, 2]), st.integers(-4, 4)), max_size=5))
+    @settings(max_examples=60, deadline=None)
+    def test_the_linear_programme_agrees_with_the_comparison_of_bounds(self, rows: list[tuple[int, int, int]]) -> None:
+        def weights(index: int, w: int) -> tuple[float, ...]:
+            return tuple(float(w) if i == index else 0.0 for i in range(3))
+
+        single = [HalfSpace(weights(i, w)[:2], weights(i, w)[2:], float(c)) for i, w, c in rows]
+        # A half-space over both states that holds wherever the others can lie sends the same set through the programme.
+        coupled = HalfSpace((1.0, 1.0), (0.0,), -100.0)
+        bounded = [HalfSpace(weights(i, s)[:2], weights(i, s)[2:], -40.0) for i in range(3) for s in (1, -1)]
+        assert is_empty(Region((*single, *bounded))) == is_empty(Region((*single, *bounded, coupled)))
