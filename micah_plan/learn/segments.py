@@ -1,0 +1,237 @@
+"""From pieces of rows to segments: joints fitted to all their rows, on one continuous configuration coordinate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.graph import Segment
+from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
+from micah_plan.errors import InputError
+from micah_plan.learn.changepoints import Piece
+from micah_plan.learn.closed_form import fit_closed_form
+from micah_plan.learn.noise import NoiseScales
+from micah_plan.learn.pool import robust_fit
+from micah_plan.learn.refine import compare, with_covariance
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_SMOOTHED_ROWS = 5
+_SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPiece:
+    """A piece with the joint fitted to its rows, and what the actions say there.
+
+    Attributes:
+        piece: rows within the track (all of its rows, not thinned).
+        joint: with covariance; its configuration counts from an arbitrary pose.
+        gain: (3,) h of the step model, 0 where actions say nothing.
+    """
+
+    piece: Piece
+    joint: Joint
+    gain: Floats
+
+
+def fit_piece(
+    piece: Piece,
+    kind: JointKind,
+    fallback: Joint | None,
+    gain: Floats,
+    track: PartTrack,
+    inlier: Bools,
+    noise: NoiseScales,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+) -> FittedPiece:
+    """MLESAC on all rows of a piece; the fallback (the joint that won the evidence) where they cannot tell a joint."""
+    index = np.arange(piece.start, piece.end + 1)
+    fit = robust_fit(kind, track, index, inlier, noise, settings, rng)
+    joint = fallback if fit is None else fit.joint
+    if joint is None:
+        # Only outliers: a rigid pose is all that can be said of them.
+        rotation = None if track.rotation is None else track.rotation[index]
+        joint = fit_closed_form("rigid", track.position[index], rotation, np.ones(len(index)))
+    if joint is None:
+        raise InputError(f"rows {piece.start} to {piece.end} do not determine a {kind} joint")
+    weight = inlier[index].astype(float) if fit is None else fit.inlier * inlier[index]
+    rotation = None if track.rotation is None else track.rotation[index]
+    stds = (noise.rotation_std, noise.position_std)
+    return FittedPiece(piece, with_covariance(joint, track.position[index], rotation, weight, stds), gain)
+
+
+def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseScales) -> list[FittedPiece]:
+    """The same pieces with their joints on one coordinate: equal where they meet, 0 at the first row.
+
+    Each joint counts up in the direction in which it went furthest, unless it is of the kind of the last one and moves
+    along the same line: then it keeps that sign, so a drawer that returns counts down.
+    """
+    chain: list[FittedPiece] = []
+    reached = 0.0
+    for number, one in enumerate(fitted):
+        before = chain[-1].joint if chain else None
+        if one.joint.kind == "rigid":
+            moving = _last_moving(chain)
+            if moving is not None and before is not None and before.kind != "rigid":
+                reached = _configuration_of(one.joint, moving, noise)
+            chain.append(replace(one, joint=replace(one.joint, held=reached)))
+            continue
+        joint = _directed(one, chain, track, inlier, noise)
+        if before is not None and before.kind == "rigid":
+            start = _configuration_of(before, joint, noise)
+        else:
+            start = _near(joint, one.piece.start, one.piece, track, inlier, noise)
+        joint = shifted_with_origin(joint, start - reached)
+        chain.append(replace(one, joint=joint))
+        end = fitted[number + 1].piece.start if number + 1 < len(fitted) else one.piece.end
+        reached = _near(joint, end, one.piece, track, inlier, noise)
+    return chain
+
+
+def shifted_with_origin(joint: Joint, offset: float) -> Joint:
+    """`shifted`, keeping the covariance: the origin's is the pose's across the joint, much the same all along it."""
+    moved = shifted(joint, offset)
+    return replace(moved, covariance=joint.covariance)
+
+
+def to_segment(
+    one: FittedPiece, chain: Sequence[FittedPiece], run: int, track: PartTrack, inlier: Bools, noise: NoiseScales
+) -> Segment:
+    """The segment of a chained piece, with its configurations and noise."""
+    piece, joint = one.piece, one.joint
+    index = np.arange(piece.start, piece.end + 1)
+    used = index[inlier[index]] if inlier[index].any() else index
+    c = configurations(joint, used, track, noise)
+    if joint.kind == "rigid":
+        start = end = joint.held
+        limits = (joint.held, joint.held)
+        process = 0.0
+    else:
+        smooth = _smoothed(c)
+        start, end = float(smooth[0]), float(smooth[-1])
+        limits = (float(min(smooth.min(), start)), float(max(smooth.max(), end)))
+        process = _process_std(c, used, one.gain, track, _observation_std(joint, joint, used, track, noise))
+    measured_by = _last_moving(chain[: chain.index(one) + 1]) or _first_moving(chain) or joint
+    return Segment(
+        joint=joint,
+        run=run,
+        start=int(track.rows[piece.start]),
+        end=int(track.rows[piece.end]),
+        configuration_start=start,
+        configuration_end=end,
+        configuration_range=limits,
+        process_std=process,
+        observation_std=_observation_std(joint, measured_by, used, track, noise),
+        log_evidence=piece.log_evidence,
+        probability=piece.probability,
+    )
+
+
+def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseScales) -> Floats:
+    """(k,) configurations of rows, continuous from the first, which is the whole turn closest to 0."""
+    rotation = None if track.rotation is None else track.rotation[rows]
+    c = inverse(joint, track.position[rows], rotation, noise.rotation_length)
+    return np.asarray(np.unwrap(c)) if joint.kind == "revolute" else c
+
+
+def _configuration_of(rigid: Joint, moving: Joint, noise: NoiseScales) -> float:
+    """Where on a moving joint a rigid one holds the part."""
+    pose = forward(rigid, 0.0)
+    return float(inverse(moving, pose.translation, pose.rotation, noise.rotation_length)[0])
+
+
+def _directed(
+    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseScales
+) -> Joint:
+    """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
+    index = np.arange(one.piece.start, one.piece.end + 1)
+    index = index[inlier[index]] if inlier[index].any() else index
+    c = _smoothed(configurations(one.joint, index, track, noise))
+    moving = _last_moving(chain)
+    if moving is not None and moving.kind == one.joint.kind:
+        scale = np.repeat([noise.rotation_length, 1.0], 3)
+        old = jacobian(moving, configurations(moving, index[:1], track, noise))[0] * scale
+        new = jacobian(one.joint, c[:1])[0] * scale
+        cosine = float(old @ new) / max(float(np.linalg.norm(old) * np.linalg.norm(new)), 1e-12)
+        if abs(cosine) > _SAME_DIRECTION:
+            return one.joint if cosine > 0 else reversed_direction(one.joint)
+    away = c - c[0]
+    return one.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(one.joint)
+
+
+def _near(joint: Joint, row: int, piece: Piece, track: PartTrack, inlier: Bools, noise: NoiseScales) -> float:
+    """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
+    index = np.arange(piece.start, piece.end + 1)
+    index = index[inlier[index]] if inlier[index].any() else index
+    c = configurations(joint, index, track, noise)
+    return _line_at(index.astype(float), c, float(row))
+
+
+def _line_at(x: Floats, c: Floats, at: float) -> float:
+    nearest = np.sort(np.argsort(np.abs(x - at), kind="stable")[:_SMOOTHED_ROWS])
+    if len(nearest) < 3:
+        return float(c[nearest].mean())
+    return float(np.polyfit(x[nearest] - at, c[nearest], 1)[1])
+
+
+def _smoothed(c: Floats) -> Floats:
+    x = np.arange(len(c), dtype=float)
+    if len(c) < 3:
+        return c
+    half = _SMOOTHED_ROWS // 2
+    padded = np.pad(c, half, mode="reflect", reflect_type="odd") if len(c) > half else c
+    smooth = np.convolve(padded, np.full(_SMOOTHED_ROWS, 1 / _SMOOTHED_ROWS), mode="valid") if len(c) > half else c
+    smooth[0], smooth[-1] = _line_at(x, c, 0.0), _line_at(x, c, x[-1])
+    return np.asarray(smooth)
+
+
+def _observation_std(
+    joint: Joint, measured_by: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseScales
+) -> float:
+    """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
+    rotation = None if track.rotation is None else track.rotation[rows]
+    error = compare(joint, track.position[rows], rotation, noise.rotation_length).error
+    direction = jacobian(measured_by, 0.0)[0]
+    moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
+    turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if rotation is not None else 0.0
+    share = moves / max(moves + turns, 1e-12)
+    along = 0.0 if joint.kind == "rigid" else 1.0
+    position = max(float((error[:, 3:] ** 2).sum(axis=1).mean()) / (3 - along * share), noise.position_white**2)
+    variance = moves * position
+    if rotation is not None:
+        turning = float((error[:, :3] ** 2).sum(axis=1).mean()) / (3 - along * (1 - share))
+        variance += turns * noise.rotation_length**2 * max(turning, noise.rotation_white**2)
+    return float(np.sqrt(variance)) / max(moves + turns, 1e-12)
+
+
+def _process_std(c: Floats, rows: NDArray[np.int64], gain: Floats, track: PartTrack, observation_std: float) -> float:
+    """Std of the steps that the actions, or without them a smooth motion, leave unexplained."""
+    steps = np.diff(c)
+    if len(steps) < 3:
+        return 0.0
+    if track.action is not None and gain.any():
+        commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(track.action, axis=0)])[rows]
+        left = steps - np.diff(commanded, axis=0) @ gain
+    else:
+        left = steps - _smoothed(steps)
+    # A measured step contains the noise of two rows; their covariance with the next step is what tells it apart.
+    noise_variance = max(-float(np.mean(left[1:] * left[:-1])), 0.0)
+    variance = float(np.mean(left**2)) - 2 * noise_variance
+    return float(np.sqrt(max(variance, (0.01 * observation_std) ** 2)))
+
+
+def _last_moving(chain: Sequence[FittedPiece]) -> Joint | None:
+    return next((one.joint for one in reversed(chain) if one.joint.kind != "rigid"), None)
+
+
+def _first_moving(chain: Sequence[FittedPiece]) -> Joint | None:
+    return next((one.joint for one in chain if one.joint.kind != "rigid"), None)

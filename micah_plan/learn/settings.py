@@ -1,0 +1,54 @@
+"""Settings of model learning: one default configuration for all recordings; what is None is estimated from the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from micah_plan.automaton.joint import JOINT_KINDS, JointKind
+from micah_plan.errors import InputError, shown
+
+
+@dataclass(frozen=True)
+class LearnSettings:
+    """What the learner assumes before it sees the rows.
+
+    Attributes:
+        kinds: candidate joints.
+        position_std, rotation_std: white noise of one pose measurement [m, rad]; None: estimated from the rows.
+        position_wander, rotation_wander: std of the tracker's slowly wandering error [m, rad].
+        wander_time: time over which that error forgets [s]; None: `wander_durations` times the run's duration, which
+            makes the result independent of the sampling rate and of the unit of time.
+        wander_durations: see wander_time.
+        mean_length: expected duration of a segment [s]; None: half the run.
+        length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
+            rarer.
+        rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
+        draws: minimal sets that MLESAC tries per fit.
+        particles: most changepoint candidates kept; recordings with fewer rows are solved exactly.
+        most_rows: longer runs are segmented on every k-th row (with the actions between summed), so that their
+            changepoints are good to k rows; joints are fitted to all rows.
+    """
+
+    kinds: tuple[JointKind, ...] = JOINT_KINDS
+    position_std: float | None = None
+    rotation_std: float | None = None
+    position_wander: float = 0.004
+    rotation_wander: float = 0.08
+    wander_time: float | None = None
+    wander_durations: float = 1.0
+    mean_length: float | None = None
+    length_shape: float = 2.0
+    rest: float = 0.2
+    outlier_weight: float = 10.0
+    draws: int = 24
+    particles: int = 400
+    most_rows: int = 320
+
+    def __post_init__(self) -> None:
+        if not self.kinds or any(kind not in JOINT_KINDS for kind in self.kinds):
+            raise InputError(f"LearnSettings.kinds must be among {JOINT_KINDS}. Got {shown(self.kinds)}")
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name != "kinds" and value is not None and not value > 0:
+                raise InputError(f"LearnSettings.{item.name} must be positive. Got {shown(value)}")

@@ -1,0 +1,101 @@
+"""The track of one part in one run, prepared for learning: continuous orientation, actions in the part's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.errors import InputError
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PartTrack:
+    """Rows of one part in one run (n rows).
+
+    Attributes:
+        rows: (n,) their indices within the whole recording.
+        time: (n,) [s].
+        position: (n, 3) [m].
+        quaternion: (n, 4) scalar last, of continuous sign; None if orientation was not measured.
+        action: (n, 3) commanded displacement to the next row [m], in the part's frame where orientation was measured
+            (there the direction of motion of every joint is constant), else in the base frame; 0 where it is missing.
+            None if the run has no action at all.
+    """
+
+    rows: Ints
+    time: Floats
+    position: Floats
+    quaternion: Floats | None
+    action: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def rotation(self) -> Rotation | None:
+        return None if self.quaternion is None else Rotation.from_quat(self.quaternion)
+
+    def take(self, index: NDArray[np.int64] | slice) -> PartTrack:
+        """Some of the rows, as they are."""
+        return PartTrack(
+            self.rows[index],
+            self.time[index],
+            self.position[index],
+            None if self.quaternion is None else self.quaternion[index],
+            None if self.action is None else self.action[index],
+        )
+
+    def thinned(self, step: int) -> PartTrack:
+        """Every step-th row; the actions of the rows between are summed."""
+        index = np.arange(0, len(self), step)
+        part = self.take(index)
+        if self.action is None:
+            return part
+        summed = np.add.reduceat(self.action, index, axis=0)
+        return PartTrack(part.rows, part.time, part.position, part.quaternion, summed)
+
+
+def part_track(recording: Recording, run: int, part: str) -> PartTrack:
+    """The rows of one part in one run.
+
+    Raises:
+        InputError: if there are fewer than two rows, or one is not finite.
+    """
+    of_part = np.array([name == part for name in recording.part], dtype=bool)
+    rows = np.flatnonzero(np.logical_and(recording.run == run, of_part))
+    where = f"run {run}, part '{part}'"
+    if len(rows) < 2:
+        raise InputError(
+            f"learning needs at least 2 rows, found {len(rows)}", where=where, remedy="record the motion of the part"
+        )
+    position = recording.position[rows]
+    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[rows])
+    if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
+        raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")
+    action = None if recording.action is None else recording.action[rows]
+    known = np.zeros(len(rows), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
+    if action is not None and known.any():
+        action = np.where(known[:, None], action, 0.0)
+        if quaternion is not None:
+            action = Rotation.from_quat(quaternion).inv().apply(action)
+    else:
+        action = None
+    return PartTrack(rows, recording.time[rows], position, quaternion, action)
+
+
+def _continuous(quaternion: Floats) -> Floats:
+    """q and -q are the same orientation: choose signs so that neighbours are close."""
+    flips = np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0)
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return np.asarray(unit * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
