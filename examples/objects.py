@@ -122,5 +122,5 @@ def _object(
         parts=parts,
         modes=modes,
         edges=edges,
-        noise=Noise((0.002,), (0.01 if unit == "rad" else 0.002,)),
+        noise=Noise((0.001,), (0.01 if unit == "rad" else 0.002,)),
     )

@@ -57,7 +57,7 @@ class PlanFollower:
         knot = self._knot
         if knot == len(plan.inputs):
             if mode == plan.modes[knot]:
-                return Advice(self._towards(mode, estimate, knot), "finished")
+                return Advice(self._settle(belief, knot), "finished")
         else:
             u = self._limited(mode, estimate, feedback_input(plan, knot, estimate))
             agrees = mode == plan.modes[knot]
@@ -92,8 +92,27 @@ class PlanFollower:
         distance = float(away @ np.linalg.pinv(covariance) @ away)
         return distance > float(chi2.isf(_OFF_PLAN_PROBABILITY, away.size))
 
+    def _settle(self, belief: HybridBelief, knot: int) -> Floats:
+        """The input at the end of the plan: repeat the last transition as long as it may not have happened, or hold.
+
+        A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is.
+        """
+        plan, number = self._trajectory, belief.most_likely
+        mode, estimate = self._automaton.modes[number].name, belief.means[number]
+        others = [q for q in np.argsort(-belief.weights, kind="stable") if q != number and belief.weights[q] > 0]
+        for doubted in others[:1]:
+            other = self._automaton.modes[doubted].name
+            earlier = [k for k in range(knot) if plan.modes[k] == other]
+            if earlier:
+                again = self._towards(other, belief.means[doubted], earlier[-1])
+                if step(self._automaton, mode, estimate, again, np.zeros_like(estimate)).mode == mode:
+                    return again
+        return self._towards(mode, estimate, knot)
+
     def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
+        """The input towards a knot; what the mode holds is not pulled at, which could release it."""
         away = self._trajectory.means[knot] - estimate
+        away[[pin.coordinate for pin in self._automaton.mode(mode).pins]] = 0.0
         return self._limited(mode, estimate, input_towards(self._automaton, mode, away))
 
     def _limited(self, mode: str, estimate: Floats, u: Floats) -> Floats:

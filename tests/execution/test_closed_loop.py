@@ -8,7 +8,9 @@ from execution_objects import SHUT, closing, door, drawer, opening, pulling, str
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
+from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.follower import PlanFollower
 from micah_plan.execution.trials import make_plant
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.recording.csv_file import read_csv, write_csv
@@ -169,3 +171,14 @@ def test_inputs_stay_within_the_limits():
     lengths = np.linalg.norm(result.recording.action[:-1], axis=1)
     assert lengths.max() <= 0.01 + 1e-12
     assert lengths.max() == pytest.approx(0.01)
+
+
+def test_a_door_perhaps_not_shut_is_pressed_once_more():
+    problem, trajectory = CLOSE, closing()
+    follower = PlanFollower(problem.automaton, trajectory, np.array([0.15]))
+    shut = HybridBelief(np.array([0.0, 1.0]), np.array([[1.19], [SHUT]]), np.full((2, 1, 1), 0.005))
+    assert follower.advise(shut).fit == "finished"
+    # Nothing to doubt: any pull would open the latch.
+    np.testing.assert_array_equal(follower.advise(shut).u, [0.0])
+    doubted = HybridBelief(np.array([0.1, 0.9]), shut.means, shut.factors)
+    np.testing.assert_allclose(follower.advise(doubted).u, [1.22 - 1.19], atol=1e-12)
