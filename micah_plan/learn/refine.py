@@ -29,7 +29,7 @@ from micah_plan.automaton.kinematics import forward, inverse, jacobian, origin
 Floats = NDArray[np.float64]
 
 _NULL = 1e-9  # directions of less relative information are gauge
-_CONVERGED = 1e-7
+_CONVERGED = 1e-5
 
 
 @dataclass(frozen=True, eq=False)

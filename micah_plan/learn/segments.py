@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _SMOOTHED_ROWS = 5
+_PROJECTIONS = 10
 _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
 
 
@@ -77,7 +78,7 @@ def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, nois
     """
     chain: list[FittedPiece] = []
     reached = 0.0
-    for number, one in enumerate(fitted):
+    for one in fitted:
         before = chain[-1].joint if chain else None
         if one.joint.kind == "rigid":
             moving = _last_moving(chain)
@@ -86,14 +87,14 @@ def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, nois
             chain.append(replace(one, joint=replace(one.joint, held=reached)))
             continue
         joint = _directed(one, chain, track, inlier, noise)
+        start = _near(joint, one.piece.start, one.piece, track, inlier, noise)
         if before is not None and before.kind == "rigid":
             start = _configuration_of(before, joint, noise)
-        else:
-            start = _near(joint, one.piece.start, one.piece, track, inlier, noise)
+        elif before is not None:
+            reached, start = _meeting(before, reached, joint, start, noise)
         joint = shifted_with_origin(joint, start - reached)
         chain.append(replace(one, joint=joint))
-        end = fitted[number + 1].piece.start if number + 1 < len(fitted) else one.piece.end
-        reached = _near(joint, end, one.piece, track, inlier, noise)
+        reached = _near(joint, one.piece.end, one.piece, track, inlier, noise)
     return chain
 
 
@@ -141,6 +142,19 @@ def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, nois
     rotation = None if track.rotation is None else track.rotation[rows]
     c = inverse(joint, track.position[rows], rotation, noise.rotation_length)
     return np.asarray(np.unwrap(c)) if joint.kind == "revolute" else c
+
+
+def _meeting(
+    before: Joint, before_near: float, after: Joint, after_near: float, noise: NoiseScales
+) -> tuple[float, float]:
+    """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
+    length = noise.rotation_length
+    for _ in range(_PROJECTIONS):
+        pose = forward(after, after_near)
+        before_near = float(inverse(before, pose.translation, pose.rotation, length, near=before_near)[0])
+        pose = forward(before, before_near)
+        after_near = float(inverse(after, pose.translation, pose.rotation, length, near=after_near)[0])
+    return before_near, after_near
 
 
 def _configuration_of(rigid: Joint, moving: Joint, noise: NoiseScales) -> float:

@@ -47,7 +47,7 @@ def recorded(
     """Measured poses of a part that follows each joint along its configurations.
 
     Args:
-        commanded: per piece the (k,) configuration steps that were commanded, written as displacements; None: no actions.
+        commanded: per piece the (k,) configuration steps commanded, written as displacements; None: no actions.
     """
     noise = noise or Noise()
     poses = RigidTransform.concatenate([forward(joint, c) for joint, c in pieces])
