@@ -43,7 +43,7 @@ def belief_lqr(problem: Problem, limits: Limits, modes: tuple[str, ...], is_tran
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
             A = edge.reset.matrices(n, m)[0]
-            value = A.T @ value @ A
+            value = tracking + A.T @ value @ A
             continue
         B = automaton.mode(modes[k]).B
         gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value)

@@ -104,7 +104,7 @@ class Polytope:
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
         """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
         if not len(self.b):
-            return np.asarray(rng.uniform(self.lower, np.maximum(self.lower, self.upper), (count, self.n)))
+            return np.asarray(self.lower + rng.random((count, self.n)) * (self.upper - self.lower))
         directions = rng.normal(size=(4 + 4 * self.n, self.n))
         corners = np.array([x for d in directions if (x := self._extreme(d)) is not None])
         return np.asarray(rng.dirichlet(np.full(len(corners), 0.5), count) @ corners)

@@ -13,20 +13,23 @@ from time import perf_counter
 import numpy as np
 
 from micah_plan.automaton.hybrid import Mode
+from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.mode_search import ModeSequence, search_modes
 from micah_plan.planning.plan import Candidate, Plan, Trajectory
-from micah_plan.planning.problem import Problem
+from micah_plan.planning.problem import Problem, Start
 from micah_plan.planning.transcription import transcribe
 from micah_plan.planning.transcription_guess import guess
-from micah_plan.planning.transcription_solve import BeliefPath, solve
+from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
-Progress = Callable[[str], None]
+Progress = Callable[[str, float], None]
 
 # A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
 _START_SIGMAS = 3.0
+# How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
+_STRETCHES = (1.0, 2.0, 4.0)
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
 _INPUT_ROUNDING = 1e-6
 
@@ -37,19 +40,32 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     Args:
         problem: what to solve.
         seed: of the search.
-        progress: called with one line of text whenever a stage begins.
+        progress: called with one line of text and the fraction done whenever a stage begins.
 
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    say = progress or (lambda _: None)
-    clock = _Clock()
     mode, reason = start_mode(problem)
     if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings=clock.timings())
+        return Plan("no_plan", reason, seed=seed, timings=_Clock().timings())
+    return _plan_from(problem, mode, seed, progress or (lambda _text, _fraction: None))
+
+
+def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
+    """A new trajectory from the most likely mode of a belief, its stds taken as independent; None if there is none."""
+    index = belief.most_likely
+    mode = problem.automaton.modes[index].name
+    stds = np.linalg.norm(belief.factors[index], axis=1)
+    start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
+    return _plan_from(replace(problem, start=start), mode, seed, lambda _text, _fraction: None).trajectory
+
+
+def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
+    """Plan from the start's mean in a mode that is known."""
+    clock = _Clock()
     problem = replace(problem, start=replace(problem.start, mode=mode))
     limits = limits_of(problem)
-    say("searching mode sequences")
+    say("searching mode sequences", 0.0)
     with clock.stage("search"):
         found = search_modes(problem, limits, mode, seed)
     if not found.sequences:
@@ -59,7 +75,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     candidates: list[Candidate] = []
     best: BeliefPath | None = None
     for number, sequence in enumerate(found.sequences, start=1):
-        say(f"optimising {number} of {len(found.sequences)}: {' -> '.join(sequence.modes)}")
+        say(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
         path, message = _optimise(problem, limits, compiled, sequence, clock)
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
@@ -116,14 +132,23 @@ def _optimise(
     problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, clock: _Clock
 ) -> tuple[BeliefPath | None, str]:
     """The belief path through a mode sequence and what the optimisation said."""
-    with clock.stage("build"):
-        start = guess(problem, limits, compiled, sequence)
-        if start.reason:
-            return None, start.reason
-        nlp = transcribe(problem, limits, compiled, start.phases)
+    knots = 0
+    for stretch in _STRETCHES:
+        with clock.stage("build"):
+            start = guess(problem, limits, compiled, sequence, stretch)
+            if start.reason:
+                return None, start.reason
+            longer = sum(phase.steps for phase in start.phases)
+            if longer == knots:
+                break
+            knots = longer
+            nlp = transcribe(problem, limits, compiled, start.phases)
+        with clock.stage("optimise"):
+            path = solve(nlp, problem)
+        if path.feasible:
+            return path, path.message
     with clock.stage("optimise"):
-        path = solve(nlp, problem)
-    return path, path.message
+        return path, "; ".join([path.message, *unmet(nlp, problem)])
 
 
 def _solved(

@@ -11,6 +11,7 @@ from scipy.stats import norm
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_search import ModeSequence
+from micah_plan.planning.polytope import mode_states
 from micah_plan.planning.problem import Problem
 from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
 
@@ -20,6 +21,9 @@ Floats = NDArray[np.float64]
 _PACE = 0.6
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
+# Steps added for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
+_MOST_LOCALISING_STEPS = 20
+_WORTH_A_STEP = 0.98
 # How far inside a strict guard a plan must be, as a share of a step, where no uncertainty asks for more.
 STRICT_SHARE = 1e-3
 
@@ -55,18 +59,29 @@ class Guess:
     reason: str = ""
 
 
-def guess(problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence) -> Guess:
-    """Divide the path into knots and roll the belief out along it, through guards at the planned confidence."""
+def guess(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, stretch: float = 1.0
+) -> Guess:
+    """Divide the path into knots and roll the belief out along it, through guards at the planned confidence.
+
+    Args:
+        stretch: multiplies the number of steps (within max_knots), for problems that need more time than the path's
+            length tells.
+    """
     needed = [_path_steps(problem, limits, sequence, p) for p in range(len(sequence.modes))]
-    steps, reason = _divide(problem, sequence, needed)
+    steps, reason = _divide(problem, limits, sequence, needed, stretch)
     if reason:
         return Guess((), reason)
     # The overshoot into a guard lengthens a phase and is known only once the belief has been rolled out.
     rolled, needed = _roll(problem, limits, compiled, sequence, steps)
-    again, reason = _divide(problem, sequence, needed)
-    if not reason and again != steps:
+    again, reason = _divide(problem, limits, sequence, needed, stretch)
+    if reason:
+        return Guess((), reason)
+    spare = problem.settings.max_knots - len(again) - sum(again)
+    again[-1] += _localising_steps(problem, compiled.modes[sequence.modes[-1]], rolled[-1], spare)
+    if again != steps:
         rolled, _ = _roll(problem, limits, compiled, sequence, again)
-    return Guess(rolled, reason)
+    return Guess(rolled)
 
 
 def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
@@ -80,16 +95,22 @@ def _input_length(path: Floats, B: Floats, max_step: Floats) -> float:
     return float(np.sum(np.max(np.abs(u) / max_step, axis=1, initial=0.0)))
 
 
-def _divide(problem: Problem, sequence: ModeSequence, needed: list[float]) -> tuple[list[int], str]:
+def _divide(
+    problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float
+) -> tuple[list[int], str]:
     """Steps per phase for the least numbers of steps, or the reason why they do not fit into max_knots."""
     automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
     least = [int(np.ceil(steps - 1e-9)) for steps in needed]
     wanted = [int(np.ceil(steps / _PACE - 1e-9)) for steps in needed]
+    moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
+    if moving is not None:
+        wanted[moving] += int(_steps_to_correct_start(problem, limits, sequence.modes[moving]))
     for p, mode in enumerate(sequence.modes):
         moves = bool(automaton.mode(mode).B.any())
         by_input = p > 0 and any(any(h.b) for h in automaton.edges[sequence.edges[p - 1]].guard.half_spaces)
         wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
         least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
+        wanted[p] = int(np.ceil(stretch * wanted[p])) if moves else wanted[p]
     if sum(least) > most:
         return [], (
             f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
@@ -99,11 +120,20 @@ def _divide(problem: Problem, sequence: ModeSequence, needed: list[float]) -> tu
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
 
 
+def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
+    """Steps that the feedback needs to make up for a start that is k standard deviations off."""
+    k = float(norm.ppf(problem.settings.confidence))
+    moved = problem.automaton.mode(mode).B.any(axis=1)
+    return float(np.max(k * np.array(problem.start.std) / limits.speed, where=moved, initial=0.0))
+
+
 def _roll(
     problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
 ) -> tuple[tuple[PhaseGuess, ...], list[float]]:
     """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
-    mean = np.array(problem.start.mean, dtype=float)
+    # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
+    first = problem.automaton.mode(sequence.modes[0])
+    mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
     factor = np.diag(np.array(problem.start.std, dtype=float))
     mean, factor = _belief(compiled.modes[sequence.modes[0]].condition(mean, factor))
     phases: list[PhaseGuess] = []
@@ -140,6 +170,26 @@ def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats
 def _belief(pair: tuple[object, object]) -> tuple[Floats, Floats]:
     """A mean (n,) and factor (n, n) as arrays from what a compiled function returned."""
     return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
+
+
+def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, spare: int) -> int:
+    """Steps to add to the last phase until the last step starts from a belief narrow enough to meet the goal.
+
+    What counts is the belief before the last measurement: that one comes too late for any input.
+    """
+    k, rest = float(norm.ppf(problem.settings.confidence)), np.zeros(problem.automaton.m)
+    mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
+    for extra in range(min(spare, _MOST_LOCALISING_STEPS) + 1):
+        prior = _belief(mode.predict(mean, factor, rest))[1]
+        shares = [k * float(np.linalg.norm(prior[i])) / tolerance for i, _, tolerance in problem.goal.target]
+        widest = max(shares, default=0.0)
+        if widest <= 1.0:
+            return extra
+        if widest > _WORTH_A_STEP * before:
+            return extra - 1
+        before = widest
+        mean, factor = _belief(mode.belief_step(mean, factor, rest))
+    return min(spare, _MOST_LOCALISING_STEPS)
 
 
 def _inside(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 # Violations below this are the solver's own tolerance, not a message [in the unit of the row].
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-5
 
 
 @dataclass(frozen=True)

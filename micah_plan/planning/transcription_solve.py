@@ -19,6 +19,8 @@ _FEASIBLE = 1e-5
 _MAX_ITERATIONS = 500
 # Slack in steps from which a boundary counts as not kept.
 _VISIBLE_SLACK = 1e-3
+# Weight of the plan's own cost where the least violation is looked for: it only makes the answer unique.
+_ELASTIC_COST = 1e-5
 
 _STATUS = {
     "Solve_Succeeded": "optimal",
@@ -43,7 +45,7 @@ class BeliefPath:
     Attributes:
         feasible: whether all constraints hold.
         cost: of the result, slack included.
-        message: what the solver said and which rows are missed or kept only in part.
+        message: what the solver said, and which boundaries are kept only in part; `unmet` tells why it is infeasible.
         iterations: of the solver.
         modes: (K,) per knot; means: (K, n); factors: (K, n, n); inputs: (K-1, m); is_transition: (K-1,).
     """
@@ -69,19 +71,7 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
         worst = "; ".join(nlp.rows.worst(rows)) or "the cost is not a number"
         return _path(nlp, problem, start, float("inf"), False, f"the start of the optimisation is unusable: {worst}", 0)
     programme: dict[str, Any] = {"x": w, "f": nlp.cost, "g": g}
-    options: dict[str, Any] = {
-        "print_time": False,
-        "show_eval_warnings": False,
-        "error_on_fail": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": _MAX_ITERATIONS,
-            "max_wall_time": problem.settings.time_limit_s,
-            "mu_strategy": "adaptive",
-        },
-    }
-    solver = ca.nlpsol("belief_path", "ipopt", programme, options)
+    solver = ca.nlpsol("belief_path", "ipopt", programme, _options(problem))
     found = solver(
         x0=start,
         lbx=np.concatenate(nlp.w_lower),
@@ -95,9 +85,60 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
     status = str(statistics["return_status"])
     said = _STATUS.get(status, status.replace("_", " ").lower())
     feasible = bool(np.isfinite(cost).all()) and nlp.rows.largest_violation(rows) <= _FEASIBLE
-    partly = _kept_in_part(nlp, problem, result) if feasible else nlp.rows.worst(rows)
+    partly = _kept_in_part(nlp, problem, result) if feasible else []
     message = "; ".join([said, *partly])
     return _path(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
+
+
+def unmet(nlp: Transcription, problem: Problem) -> list[str]:
+    """What stands in the way of an infeasible problem: the fewest rows to relax, with the amounts, in words.
+
+    Minimises the summed violation of guards, boundaries, inputs and goal while the dynamics hold ("elastic mode", Gill,
+    Murray and Saunders, SIAM Review 2005). Empty if the solver finds no such point or no violation.
+    """
+    w, g = ca.vertcat(*nlp.w), ca.vertcat(*nlp.g)
+    lower, upper = nlp.rows.lower, nlp.rows.upper
+    elastic = np.flatnonzero(lower < upper).tolist()
+    kept = np.flatnonzero(lower == upper).tolist()
+    e = ca.MX.sym("e", len(elastic))
+    programme: dict[str, Any] = {
+        "x": ca.vertcat(w, e),
+        "f": ca.sum1(e) + _ELASTIC_COST * nlp.cost,
+        "g": ca.vertcat(g[kept], g[elastic] + e, g[elastic] - e),
+    }
+    start = np.concatenate(nlp.w_start)
+    rows = np.array(ca.Function("rows", [w], [g])(start), dtype=float).ravel()
+    if not np.isfinite(rows).all():
+        return nlp.rows.worst(rows)
+    missing = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)[elastic]
+    solver = ca.nlpsol("unmet", "ipopt", programme, _options(problem))
+    free = np.full(len(elastic), np.inf)
+    found = solver(
+        x0=np.concatenate([start, missing]),
+        lbx=np.concatenate([*nlp.w_lower, np.zeros(len(elastic))]),
+        ubx=np.concatenate([*nlp.w_upper, free]),
+        lbg=np.concatenate([lower[kept], lower[elastic], -free]),
+        ubg=np.concatenate([upper[kept], free, upper[elastic]]),
+    )
+    result = np.array(found["x"], dtype=float).ravel()[: len(start)]
+    rows = np.array(ca.Function("rows", [w], [g])(result), dtype=float).ravel()
+    return nlp.rows.worst(np.where(lower < upper, rows, lower))
+
+
+def _options(problem: Problem) -> dict[str, Any]:
+    """IPOPT without a word on the terminal, and never longer than the time limit."""
+    return {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": _MAX_ITERATIONS,
+            "max_wall_time": problem.settings.time_limit_s,
+            "mu_strategy": "adaptive",
+        },
+    }
 
 
 def _blocks(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Floats]]:

@@ -1,0 +1,209 @@
+"""The high level: roadmaps, guard edges, k cheapest mode sequences, reasons."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
+from scipy.sparse import csr_array
+
+from micah_plan.automaton.hybrid import Edge, Reset
+from micah_plan.automaton.region import Region
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.mode_motion import motions_of
+from micah_plan.planning.mode_paths import TRANSITION_COST, JoinedRoadmap, cheapest_sequences
+from micah_plan.planning.mode_search import SearchResult, search_modes
+from micah_plan.planning.problem import Goal, Problem
+
+
+def search(problem: Problem, start_mode: str, seed: int = 0) -> SearchResult:
+    return search_modes(problem, limits_of(problem), start_mode, seed)
+
+
+def test_closing_a_door_offers_to_stop_at_the_frame_and_to_latch() -> None:
+    found = search(door_problem(0.2, DOOR_SHUT), "swings").sequences
+    assert [s.modes for s in found] == [("swings",), ("swings", "shut")]
+    assert found[1].edges == (0,)
+    for sequence in found:
+        np.testing.assert_allclose(sequence.waypoints[0], [[0.2], [DOOR_SHUT]], atol=1e-9)
+    # The path is straight: its length in steps of 0.06 rad, and one transition.
+    assert found[0].cost == pytest.approx(1.0 / 0.06)
+    assert found[1].cost == pytest.approx(1.0 / 0.06 + TRANSITION_COST)
+
+
+def test_opening_a_door_leaves_the_latch_by_the_input() -> None:
+    (sequence,) = search(door_problem(DOOR_SHUT, 0.3, mode="shut"), "shut").sequences
+    assert sequence.modes == ("shut", "swings")
+    np.testing.assert_allclose(sequence.waypoints[0], [[DOOR_SHUT]])
+    np.testing.assert_allclose(sequence.waypoints[1], [[DOOR_SHUT], [0.3]], atol=1e-9)
+
+
+def test_the_path_goes_through_the_gate_and_around_the_trap() -> None:
+    problem = planar_problem()
+    (first, *_) = search(problem, "left").sequences
+    assert first.modes == ("left", "right")
+    left, right = first.waypoints
+    assert left[-1, 0] == pytest.approx(0.0, abs=1e-9)
+    assert left[-1, 1] >= 0.8 - 1e-9
+    np.testing.assert_allclose(right[0], left[-1])
+    np.testing.assert_allclose(right[-1], [0.8, -0.8], atol=1e-9)
+    along = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(left)])
+    block = problem.automaton.edges[2].guard
+    assert not np.any(np.all(block.margins(along, np.zeros((len(along), 2))) > 1e-6, axis=1))
+
+
+def test_the_straight_path_would_hit_the_trap() -> None:
+    problem = planar_problem()
+    limits = limits_of(problem)
+    motion = motions_of(problem.automaton, limits.max_step, limits.speed)["left"]
+    start = np.array([[-0.9, 0.0]] * 4)
+    ends = np.array([[-0.7, 0.9], [0.0, 0.0], [-0.5, 0.0], [-0.6, 0.0]])
+    # Free; through the block; into the block; up to its boundary, where the transition happens.
+    np.testing.assert_array_equal(np.isfinite(motion.steps(start, ends)), [True, False, False, True])
+
+
+def test_results_do_not_depend_on_what_ran_before() -> None:
+    problem = planar_problem()
+    first = search(problem, "left", seed=7)
+    search(drawer_problem(0.0, 0.3), "slides", seed=3)
+    search(problem, "left", seed=8)
+    again = search(problem, "left", seed=7)
+    assert [(s.modes, s.edges, s.cost) for s in first.sequences] == [
+        (s.modes, s.edges, s.cost) for s in again.sequences
+    ]
+    for one, other in zip(first.sequences, again.sequences, strict=True):
+        assert [w.tobytes() for w in one.waypoints] == [w.tobytes() for w in other.waypoints]
+
+
+def test_the_reset_moves_the_path() -> None:
+    """A transition that carries the door back to 0.5: the next mode's path begins there."""
+    automaton = door_automaton()
+    thrown = Edge("swings", "shut", automaton.edges[0].guard, Reset(c=(0.0,)))
+    moved = Edge("shut", "swings", automaton.edges[1].guard, Reset(A=((0.0,),), c=(0.5,)))
+    automaton = replace(automaton, edges=(thrown, moved, automaton.edges[2]))
+    (sequence,) = search(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=automaton), "shut").sequences
+    np.testing.assert_allclose(sequence.waypoints[1], [[0.5], [0.3]], atol=1e-9)
+
+
+def test_goal_in_no_range_says_the_ranges() -> None:
+    found = search(door_problem(0.2, 2.0), "swings")
+    assert found.sequences == ()
+    assert "door = 2 ± 0.05 rad" in found.reason
+    assert "'swings' holds door in [0, 1.2] rad" in found.reason
+
+
+def test_no_transition_to_the_goal_says_so() -> None:
+    automaton = door_automaton()
+    automaton = replace(automaton, edges=automaton.edges[1:])
+    found = search(door_problem(0.2, DOOR_SHUT, automaton=automaton, goal_modes=("shut",)), "swings")
+    assert found.reason.startswith("no transitions lead from the start's mode 'swings' to a mode that holds the goal")
+
+
+def test_a_guard_out_of_reach_is_named() -> None:
+    problem = door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1))
+    assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in search(problem, "shut").reason
+
+
+def test_a_reset_out_of_the_target_is_named() -> None:
+    automaton = door_automaton()
+    moved = Edge("shut", "swings", automaton.edges[1].guard, Reset(A=((0.0,),), c=(5.0,)))
+    automaton = replace(automaton, edges=(automaton.edges[0], moved, automaton.edges[2]))
+    found = search(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=automaton), "shut")
+    assert found.reason.startswith("the reset of 'shut -> swings' leads out of the invariant of mode 'swings'")
+
+
+def test_a_coordinate_that_nothing_moves_is_named() -> None:
+    problem = planar_problem(trap=False)
+    modes = tuple(replace(mode, input_matrix=((1.0, 0.0), (0.0, 0.0))) for mode in problem.automaton.modes)
+    problem = replace(problem, automaton=replace(problem.automaton, modes=modes), goal=Goal(((1, 0.5, 0.05),)))
+    assert "'y' starts at 0 m and the goal is 0.5 ± 0.05 m, but no mode that can be reached moves it" in (
+        search(problem, "left").reason
+    )
+
+
+def test_a_goal_behind_a_wall_of_guards_is_not_connected() -> None:
+    problem = planar_problem()
+    wall = replace(problem.automaton.edges[2], guard=Region(problem.automaton.edges[2].guard.half_spaces[:1]))
+    automaton = replace(problem.automaton, edges=(*problem.automaton.edges[:2], wall))
+    assert "do not connect the start to the goal" in search(replace(problem, automaton=automaton), "left").reason
+
+
+def test_candidates_limit_the_number_of_sequences() -> None:
+    assert len(search(with_settings(door_problem(0.2, DOOR_SHUT), candidates=1), "swings").sequences) == 1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_k_cheapest_sequences_agree_with_enumeration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    modes = ["a", "b", "c", "d"]
+    graphs = {q: rng.uniform(1, 5, (3, 3)) * (rng.random((3, 3)) < 0.7) * (1 - np.eye(3)) for q in modes}
+    pairs = [(p, q) for p in modes for q in modes if p != q and rng.random() < 0.7]
+    exits = {i: rng.integers(0, 3, (2, 2)) for i in range(len(pairs))}
+    goals = {"d": np.array([0, 2]), "b": np.array([1])}
+    goal_costs = {"d": np.array([0.5, 0.0]), "b": np.array([4.0])}
+    roadmap = JoinedRoadmap(
+        {q: csr_array(g) for q, g in graphs.items()}, exits, dict(enumerate(pairs)), ("a", 0), goals, goal_costs
+    )
+    found = cheapest_sequences(roadmap, 50)
+    expected = enumerated(graphs, pairs, exits, goals, goal_costs)
+    assert [s.cost for s in found] == pytest.approx(sorted(expected.values()))
+    assert {s.edges: pytest.approx(s.cost) for s in found} == expected
+    assert [s.edges for s in cheapest_sequences(roadmap, 2)] == [s.edges for s in found[:2]]
+    for sequence in found:
+        assert len(set(sequence.modes)) == len(sequence.modes)
+        assert walked(sequence, graphs, goals, goal_costs) == pytest.approx(sequence.cost)
+
+
+def enumerated(graphs, pairs, exits, goals, goal_costs):  # type: ignore[no-untyped-def]
+    """Cost by edges of every sequence without revisits, by dynamic programming along each."""
+    costs: dict[tuple[int, ...], float] = {}
+
+    def within(mode, entry):  # type: ignore[no-untyped-def]
+        cost = entry.copy()
+        weights = np.where(graphs[mode] > 0, graphs[mode], np.inf)
+        for _ in range(3):
+            cost = np.minimum(cost, (cost[:, None] + weights).min(axis=0))
+        return cost
+
+    def visit(mode, entry, modes, edges):  # type: ignore[no-untyped-def]
+        cost = within(mode, entry)
+        if mode in goals:
+            total = (cost[goals[mode]] + goal_costs[mode]).min()
+            if np.isfinite(total):
+                costs[edges] = total
+        for index, (source, target) in enumerate(pairs):
+            if source == mode and target not in modes:
+                following = np.full(3, np.inf)
+                for before, after in exits[index]:
+                    following[after] = min(following[after], cost[before] + TRANSITION_COST)
+                visit(target, following, {*modes, target}, (*edges, index))
+
+    visit("a", np.array([0.0, np.inf, np.inf]), {"a"}, ())
+    return costs
+
+
+def walked(sequence, graphs, goals, goal_costs):  # type: ignore[no-untyped-def]
+    """The cost of the vertices that a sequence reports."""
+    motion = sum(
+        graphs[mode][i, j]
+        for mode, path in zip(sequence.modes, sequence.vertices, strict=True)
+        for i, j in itertools.pairwise(path)
+    )
+    last = sequence.modes[-1]
+    ending = goal_costs[last][list(goals[last]).index(sequence.vertices[-1][-1])]
+    return motion + ending + TRANSITION_COST * len(sequence.edges)
+
+
+def test_revisits_only_when_asked() -> None:
+    """From a to b and back: with revisits a cheaper vertex of a is reached through b."""
+    graphs = {"a": csr_array(np.zeros((2, 2))), "b": csr_array(np.zeros((1, 1)))}
+    exits = {0: np.array([[0, 0]]), 1: np.array([[0, 1]])}
+    ends = {0: ("a", "b"), 1: ("b", "a")}
+    roadmap = JoinedRoadmap(graphs, exits, ends, ("a", 0), {"a": np.array([1])}, {"a": np.array([0.0])})
+    assert cheapest_sequences(roadmap, 1) == []
+    (found,) = cheapest_sequences(roadmap, 1, allow_revisits=True)
+    assert found.modes == ("a", "b", "a")
+    assert found.cost == pytest.approx(2 * TRANSITION_COST)

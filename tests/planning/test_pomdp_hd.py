@@ -1,0 +1,129 @@
+"""POMDP-HD as a whole: outcomes, reasons, determinism, replanning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
+
+from micah_plan.belief.filter import initial_belief
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.pomdp_hd import plan, replan, start_mode
+from micah_plan.planning.problem import Problem
+
+
+@pytest.mark.parametrize(
+    ("problem", "modes"),
+    [
+        (door_problem(0.2, DOOR_SHUT, goal_modes=("shut",)), ("swings", "shut")),
+        (door_problem(DOOR_SHUT, 0.3, mode="shut"), ("shut", "swings")),
+        (drawer_problem(0.0, 0.3), ("slides",)),
+        (drawer_problem(0.3, 0.0), ("slides",)),
+        (planar_problem(), ("left", "right")),
+    ],
+)
+def test_plans_reach_the_goal_through_the_right_modes(problem: Problem, modes: tuple[str, ...]) -> None:
+    found = plan(problem)
+    assert found.outcome == "solved"
+    assert found.mode_sequence == modes
+    trajectory = found.trajectory
+    assert trajectory is not None
+    K, n, m = len(trajectory.modes), problem.automaton.n, problem.automaton.m
+    assert trajectory.means.shape == (K, n)
+    assert trajectory.factors.shape == (K, n, n)
+    assert trajectory.inputs.shape == (K - 1, m)
+    assert trajectory.gains.shape == (K - 1, m, n)
+    assert trajectory.is_transition.sum() == len(modes) - 1
+    np.testing.assert_allclose(trajectory.means[0], problem.start.mean, atol=1e-9)
+    errors = [abs(trajectory.means[-1, i] - value) for i, value, _ in problem.goal.target]
+    assert found.goal_error == pytest.approx(max(errors))
+    assert all(e <= t + 1e-6 for e, (_, _, t) in zip(errors, problem.goal.target, strict=True))
+    assert found.goal_std == pytest.approx(
+        max(np.sqrt((trajectory.factors[-1] @ trajectory.factors[-1].T)[i, i]) for i, _, _ in problem.goal.target)
+    )
+    assert {"search", "build", "optimise", "total"} <= set(found.timings)
+
+
+def test_candidates_come_in_order_of_search_cost_and_the_cheapest_optimum_is_kept() -> None:
+    found = plan(door_problem(0.2, DOOR_SHUT))
+    costs = [c.search_cost for c in found.candidates]
+    assert costs == sorted(costs)
+    assert len(costs) == 2
+    assert found.cost == min(c.cost for c in found.candidates if c.cost is not None)
+
+
+def test_latching_pays_when_the_pin_is_precise_and_sensing_is_not() -> None:
+    """Contact is information: the same goal is reached through the latch only where the latch knows more."""
+    problem = door_problem(0.2, DOOR_SHUT, tolerance=0.02)
+    vague = replace(problem, automaton=replace(door_automaton(pin_std=1.0)))
+    assert plan(problem).mode_sequence == ("swings", "shut")
+    assert plan(with_settings(vague, confidence=0.5)).mode_sequence == ("swings",)
+
+
+@pytest.mark.parametrize("problem", [door_problem(0.2, DOOR_SHUT), planar_problem()])
+def test_the_same_seed_gives_the_same_bytes(problem: Problem) -> None:
+    def content(found: Plan) -> tuple[object, ...]:
+        t = found.trajectory
+        assert t is not None
+        arrays = (t.means, t.factors, t.inputs, t.gains, t.is_transition)
+        return (t.modes, found.candidates, found.cost, found.reason, *(a.tobytes() for a in arrays))
+
+    first = plan(problem, seed=5)
+    plan(drawer_problem(0.0, 0.3), seed=1)
+    assert content(plan(problem, seed=5)) == content(first)
+
+
+def test_no_plan_for_a_goal_out_of_range_or_a_start_in_no_mode() -> None:
+    out_of_range, lost = plan(door_problem(0.2, 2.0)), plan(door_problem(1.5, 0.9))
+    assert (out_of_range.outcome, lost.outcome) == ("no_plan", "no_plan")
+    assert out_of_range.trajectory is None
+    assert "lies in the range of none of the modes" in out_of_range.reason
+    assert "the start door = 1.5 ± 0.02 rad lies in the range of no mode" in lost.reason
+
+
+def test_no_plan_after_optimisation_names_the_sequence_and_the_cause() -> None:
+    found = plan(with_settings(door_problem(0.2, 0.9), max_knots=10))
+    assert found.outcome == "no_plan"
+    assert "no mode sequence could be optimised; swings: the path needs at least" in found.reason
+    assert all(c.cost is None for c in found.candidates)
+
+
+def test_the_start_mode_is_the_named_one_or_the_first_that_holds_the_mean() -> None:
+    assert start_mode(door_problem(DOOR_SHUT, 0.3, mode="shut"))[0] == "shut"
+    assert start_mode(door_problem(DOOR_SHUT, 0.3))[0] == "swings"
+    # Slightly outside of every range, as an estimate may be: the nearest.
+    assert start_mode(door_problem(-0.01, 0.3))[0] == "swings"
+    mode, reason = start_mode(door_problem(0.3, 0.6, mode="shut"))
+    assert mode is None
+    assert "outside the range of its mode 'shut'" in reason
+
+
+def test_the_time_limit_ends_the_optimisation() -> None:
+    found = plan(with_settings(planar_problem(), time_limit_s=1e-3))
+    assert found.candidates
+    assert all("stopped at the time limit" in c.message for c in found.candidates)
+
+
+def test_progress_reports_stages_with_growing_fractions() -> None:
+    heard: list[tuple[str, float]] = []
+    plan(door_problem(0.2, DOOR_SHUT), progress=lambda text, fraction: heard.append((text, fraction)))
+    assert [text for text, _ in heard] == ["searching mode sequences", "optimising swings", "optimising swings -> shut"]
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < fractions[-1] < 1.0
+
+
+def test_replanning_starts_from_the_belief() -> None:
+    problem = door_problem(0.2, DOOR_SHUT)
+    trajectory = replan(problem, initial_belief(problem.automaton, [0.7], [0.01], "swings"))
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.means[0], [0.7])
+    np.testing.assert_allclose(trajectory.factors[0], [[0.01]], rtol=1e-6)
+    assert replan(door_problem(0.2, 3.0), initial_belief(problem.automaton, [0.7], [0.01], "swings")) is None
+
+
+def test_planning_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    plan(door_problem(0.2, DOOR_SHUT))
+    assert capfd.readouterr() == ("", "")

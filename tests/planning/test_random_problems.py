@@ -1,0 +1,37 @@
+"""Random small problems: a plan whose claims hold or a reason that is true, never an exception."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planning_examples import one_dimensional
+
+from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+
+unit = st.floats(0.0, 1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(threshold=st.floats(0.2, 0.8), start=st.floats(-0.3, 1.3), goal=st.floats(-0.3, 1.3), std=st.floats(0.0, 0.1),
+       tolerance=st.floats(0.005, 0.2), seed=st.integers(0, 10))  # fmt: skip
+def test_a_plan_or_a_true_reason(
+    threshold: float, start: float, goal: float, std: float, tolerance: float, seed: int
+) -> None:
+    automaton = one_dimensional(0.0, threshold, 1.0)
+    settings_ = PlannerSettings(samples_per_mode=20, time_limit_s=5.0)
+    problem = Problem(automaton, Start((start,), (std,)), Goal(((0, goal, tolerance),)), settings_)
+    found = plan(problem, seed)
+    start_outside = max(0.0 - start, start - 1.0) > 3.0 * max(std, 1e-9)
+    goal_outside = max(0.0 - goal, goal - 1.0) > tolerance + 1e-9
+    if found.outcome == "solved":
+        trajectory = found.trajectory
+        assert trajectory is not None
+        assert abs(trajectory.means[-1, 0] - goal) <= tolerance + 1e-5
+        assert not start_outside
+        assert not goal_outside
+    elif "the start " in found.reason:
+        assert start_outside
+    else:
+        assert goal_outside, found.reason
+        assert "lies in the range of none of the modes" in found.reason

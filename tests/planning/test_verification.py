@@ -1,0 +1,91 @@
+"""Verification by roll-outs of the real hybrid system."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem
+from scipy.stats import binom, norm
+
+from micah_plan.automaton.hybrid import Noise
+from micah_plan.planning.plan import Plan, Trajectory
+from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.problem import Goal
+from micah_plan.planning.verification import is_in_goal, verify
+
+
+@pytest.mark.parametrize(
+    "problem", [door_problem(DOOR_SHUT, 0.7, mode="shut"), drawer_problem(0.0, 0.2), planar_problem()]
+)
+def test_good_plans_verify(problem) -> None:  # type: ignore[no-untyped-def]
+    checked = verify(problem, plan(problem), trials=20, seed=1)
+    assert checked.outcome == "solved"
+    assert checked.success_probability is not None
+    assert checked.success_probability >= 0.9
+    assert checked.verification_trials == 20
+
+
+def test_a_plan_that_does_not_move_is_not_verified_and_both_numbers_are_said() -> None:
+    problem = door_problem(0.2, 0.5)
+    found = plan(problem)
+    assert found.trajectory is not None
+    still = replace(
+        found.trajectory,
+        inputs=np.zeros_like(found.trajectory.inputs),
+        gains=np.zeros_like(found.trajectory.gains),
+    )
+    checked = verify(problem, replace(found, trajectory=still), trials=20)
+    assert checked.outcome == "not_verified"
+    assert checked.success_probability == 0.0
+    assert "0 of 20 roll-outs (0%)" in checked.reason
+    assert "95%" in checked.reason
+
+
+def test_open_loop_success_probability_is_the_gaussians() -> None:
+    """Without noise and feedback the true start alone decides: P(|N(0, 0.04)| <= 0.05) = 0.79."""
+    automaton = replace(door_automaton(), noise=Noise((0.0,), (0.01,)))
+    problem = door_problem(0.5, 0.55, start_std=0.04, automaton=automaton)
+    trajectory = Trajectory(
+        ("swings",) * 2, np.array([[0.5], [0.55]]), np.full((2, 1, 1), 0.04), np.array([[0.05]]), np.zeros((1, 1, 1)),
+        np.array([False]),
+    )  # fmt: skip
+    trials = 300
+    checked = verify(problem, Plan("solved", "", trajectory=trajectory), trials=trials, seed=3)
+    expected = 1 - 2 * norm.sf(0.05 / 0.04)
+    low, high = binom.interval(0.9999, trials, expected)
+    assert checked.success_probability is not None
+    assert low <= checked.success_probability * trials <= high
+
+
+def test_feedback_helps() -> None:
+    problem = door_problem(0.3, 0.6, start_std=0.06)
+    found = plan(problem)
+    assert found.trajectory is not None
+    blind = replace(found, trajectory=replace(found.trajectory, gains=np.zeros_like(found.trajectory.gains)))
+    closed, open_loop = (verify(problem, p, trials=60).success_probability for p in (found, blind))
+    assert closed is not None
+    assert open_loop is not None
+    assert closed > open_loop + 0.1
+
+
+def test_the_seed_decides() -> None:
+    problem = door_problem(0.3, 0.5, start_std=0.1, tolerance=0.012)
+    found = plan(problem)
+    shares = [verify(problem, found, trials=40, seed=s).success_probability for s in (4, 4, 5, 6, 7)]
+    assert shares[0] == shares[1]
+    assert len(set(shares)) > 1
+
+
+def test_a_plan_without_trajectory_stays_as_it_is() -> None:
+    nothing = Plan("no_plan", "why")
+    assert verify(door_problem(0.2, 0.5), nothing) is nothing
+
+
+def test_the_goal_asks_for_tolerance_and_mode() -> None:
+    goal = Goal(((1, 0.5, 0.1),), ("a",))
+    assert is_in_goal(goal, "a", np.array([9.0, 0.6]))
+    assert not is_in_goal(goal, "a", np.array([0.5, 0.61]))
+    assert not is_in_goal(goal, "b", np.array([0.5, 0.5]))
+    assert is_in_goal(Goal(((1, 0.5, 0.1),)), "b", np.array([0.5, 0.5]))
