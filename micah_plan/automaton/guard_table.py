@@ -124,8 +124,6 @@ def entry(e: Exit, x: list[float], d: list[float], u: list[float], horizon: floa
                     return None
                 enter = max(enter, min(-margin / rate, horizon))
         elif rate < -tolerance:
-            if margin <= tolerance:
-                return None
             leave = min(leave, (tolerance - margin) / rate)
         elif margin < -tolerance or (row.strict and margin <= tolerance):
             return None

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, inverse_jacobian
 from micah_plan.errors import InputError, shown
@@ -81,14 +81,37 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
                 where="column 't'",
                 remedy="write one row per part and time",
             )
-    position = np.stack([part.position for part in by_link], axis=1)
-    oriented = all(part.quaternion is not None for part in by_link)
-    quaternion = np.stack([part.quaternion for part in by_link], axis=1) if oriented else None  # type: ignore[misc]
+    named = dict(zip(names, by_link, strict=True))
+    relative = [_relative(named, link) for link in automaton.links]
+    position = np.stack([r.position for r in relative], axis=1)
+    quaternions = [r.quaternion for r in relative if r.quaternion is not None]
+    quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
     x = configurations(automaton, position, quaternion)
-    action = None
-    if all(part.action is not None for part in by_link):
-        action = np.stack([part.action[:-1] for part in by_link], axis=1)  # type: ignore[index]
-    return Track(run, time, position, quaternion, x, None if action is None else displacements(automaton, x, action))
+    actions = [r.action[:-1] for r in relative if r.action is not None]
+    u = displacements(automaton, x, np.stack(actions, axis=1)) if len(actions) == len(relative) else None
+    return Track(run, time, position, quaternion, x, u)
+
+
+def _relative(parts: dict[str, Recording], link: Link) -> Recording:
+    """The rows of a link's child with poses and actions in its parent's frame instead of the base frame."""
+    own = parts[link.child] if link.child in parts else next(iter(parts.values()))
+    parent = parts.get(link.parent)
+    if parent is None:
+        return own
+    if parent.quaternion is None:
+        raise InputError(
+            f"part {shown(link.child)} moves with {shown(link.parent)}, whose orientation was not measured",
+            where="columns qx, qy, qz, qw",
+            remedy="record the orientation of every part that others hang on",
+        )
+    frame = parent.poses().inv()
+    pose = frame * own.poses()
+    return replace(
+        own,
+        position=pose.translation,
+        quaternion=None if own.quaternion is None else pose.rotation.as_quat(),
+        action=None if own.action is None else frame.rotation.apply(own.action),
+    )
 
 
 def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Floats | None) -> Floats:

@@ -75,8 +75,9 @@ class TestIntersections:
     def automaton(self, *rows: tuple[list[float], list[float], float]) -> HybridAutomaton:
         return plain({"a": PLANE, "b": PLANE}, [Edge("a", "b", guard(*rows))])
 
-    def test_it_fires_where_the_last_half_space_is_entered(self) -> None:
-        result = step(self.automaton(*self.BOTH), "a", [0.5, 0.0], [1.0, 1.25])
+    @pytest.mark.parametrize("order", [1, -1])
+    def test_it_fires_where_the_last_half_space_is_entered(self, order: int) -> None:
+        result = step(self.automaton(*self.BOTH[::order]), "a", [0.5, 0.0], [1.0, 1.25])
         assert result.events[0].fraction == pytest.approx(0.8)
         np.testing.assert_allclose(result.events[0].x_before, [1.3, 1.0], atol=1e-12)
 
@@ -87,6 +88,13 @@ class TestIntersections:
         passing = self.automaton(([1, 0], [0, 0], 1.0), ([0, -1], [0, 0], -0.5))
         assert targets(passing, "a", [0.0, 0.0], [1.25, 0.6]) == ["b"]
         assert targets(passing, "a", [0.0, 0.0], [1.25, 0.7]) == []
+
+    @pytest.mark.parametrize("order", [1, -1])
+    def test_the_first_half_space_to_be_left_counts(self, order: int) -> None:
+        left = (([0, -1], [0, 0], -0.25), ([-0.1, -1], [0, 0], -0.9))
+        band = self.automaton(([1, 0], [0, 0], 1.0), *left[::order])
+        assert targets(band, "a", [0.0, 0.0], [2.0, 0.4]) == ["b"]
+        assert targets(band, "a", [0.0, 0.0], [2.0, 0.6]) == []
 
     def test_a_path_that_only_touches_the_corner_does_not_fire(self) -> None:
         corner = self.automaton(([1, 0], [0, 0], 1.0), ([0, -1], [0, 0], -1.0))
@@ -120,6 +128,19 @@ class TestResets:
         result = step(plain(dict.fromkeys("abc", ONE), edges), "a", [0.5], [1.0])
         assert [event.fraction for event in result.events] == [0.5, 0.5]
         assert result.x == pytest.approx([6.5])
+
+    def pinned(self, *edges: Edge) -> HybridAutomaton:
+        """x0 is held at 0, x1 moves."""
+        automaton = plain({"a": [[0.0, 0.0], [0.0, 1.0]]}, edges)
+        return replace(automaton, modes=(replace(automaton.modes[0], pins=(Pin(0, 0.0, 0.01),)),))
+
+    def test_a_self_transition_does_not_set_a_pinned_coordinate_in_motion(self) -> None:
+        mixing = Edge("a", "a", guard(([0, 1], [0, 0], 1.0)), Reset(A=((1.0, 1.0), (0.0, 0.0)), c=(0.0, 1.0)))
+        np.testing.assert_allclose(step(self.pinned(mixing), "a", [0.0, 0.0], [0.0, 2.0]).x, [0.0, 1.0], atol=1e-12)
+
+    def test_a_wall_does_not_set_a_pinned_coordinate_in_motion(self) -> None:
+        wall = Edge("a", "a", guard(([1, 1], [0, 0], 1.0)))
+        np.testing.assert_allclose(step(self.pinned(wall), "a", [0.0, 0.0], [0.0, 2.0]).x, [0.0, 1.0], atol=1e-12)
 
     def test_a_self_transition_turns_the_motion_with_the_linear_part_of_its_reset(self) -> None:
         bounce = Edge("a", "a", guard(UP), Reset(A=((-0.5,),), c=(1.5,)))
@@ -196,6 +217,20 @@ class TestChattering:
         result = step(plain({"a": PLANE}, edges), "a", [0.0, 0.0], [3.0, 0.0])
         np.testing.assert_allclose(result.x, [1.0, 0.0], atol=1e-12)
         assert result.complete
+
+    def test_a_mode_change_forgets_the_walls_of_the_mode_before(self) -> None:
+        """b pushes back and slides on x0 = 0; so the closed guard to c holds, and c, which pushes back too, slides."""
+        right, left = ([1, 0], [0, 0], 0.0), ([-1, 0], [0, 0], 0.0, True)
+        flows = {"a": PLANE, "b": [[-1.0, 0.0], [0.0, 1.0]], "c": [[-1.0, 0.0], [0.0, 0.5]]}
+        edges = [
+            Edge("a", "b", guard(right)),
+            Edge("b", "a", guard(left)),
+            Edge("b", "c", guard(([1, 0], [0, 0], 0.0))),
+            Edge("c", "a", guard(left)),
+        ]
+        result = step(plain(flows, edges), "a", [-0.5, 0.0], [1.0, 1.0])
+        assert [event.target for event in result.events] == ["b", "c"]
+        np.testing.assert_allclose(result.x, [0.0, 0.5 + 0.5 * 0.5], atol=1e-12)
 
     def test_a_reset_in_front_of_its_own_guard_reaches_the_limit_and_is_reported(self) -> None:
         again = Edge("a", "a", guard(UP), Reset(c=(-1e-4,)))
