@@ -78,7 +78,7 @@ class Link:
 class Pin:
     """A coordinate that a mode holds at one value: a rigid joint at its configurational changepoint.
 
-    Being in such a mode is information: the coordinate is known to `std`. Whoever enters the mode elsewhere is put there.
+    Being in such a mode is information: the coordinate is known to `std`. A state elsewhere is put at `value`.
     """
 
     coordinate: int
