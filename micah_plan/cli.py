@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -122,7 +123,7 @@ def learn(
     if html is not None:
         from micah_plan.view.page import recording_page
 
-        replace_file(html, recording_page(learned.recording, learned.graph).encode())
+        replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
     summary = summaries.learned(learned, seed)
     _report(as_json, summary, lambda: _print_learned(learned, (output, figure, html)))
 
@@ -155,7 +156,7 @@ def solve(
     if html is not None:
         from micah_plan.view.page import plan_page
 
-        replace_file(html, plan_page(plan, asked).encode())
+        replace_file(html, plan_page(plan, asked, title=problem.stem).encode())
     if figure is not None and plan.trajectory is not None:
         from micah_plan.view.figures import belief_figure, save_figure
 
@@ -242,18 +243,18 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> tuple[str, s
     if file.suffix.lower() in (".yaml", ".yml"):
         from micah_plan.spec.model_file import load_model
 
-        return "model", page.model_page(load_model(file))
+        return "model", page.model_page(load_model(file), title=file.stem)
     if file.suffix.lower() == ".json":
         from micah_plan.spec.plan_file import load_plan
 
         stored = load_plan(file)
-        return "plan", page.plan_page(stored.plan, stored.problem)
+        return "plan", page.plan_page(stored.plan, stored.problem, title=file.stem)
     recording = workflow.read(file)
     try:
         learned = workflow.learn(recording, progress=progress)
     except InputError:  # too short to learn from: the track alone is still worth seeing
-        return "recording", page.recording_page(recording, None)
-    return "recording", page.recording_page(recording, learned.graph)
+        return "recording", page.recording_page(recording, None, title=file.stem)
+    return "recording", page.recording_page(recording, learned.graph, title=file.stem)
 
 
 def _check_outputs(*paths: Path | None) -> None:
@@ -265,7 +266,7 @@ def _check_outputs(*paths: Path | None) -> None:
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True, disable=quiet and not err.is_terminal) as bars:
+    with Progress(*columns, console=err, transient=True, disable=quiet or not err.is_terminal) as bars:
         task = bars.add_task("starting", total=1.0)
         yield lambda message, fraction: bars.update(task, description=message, completed=fraction)
 
@@ -279,7 +280,17 @@ def _report(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -
 
 def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
     for edge in learned.graph.edges:
-        table = Table("mode", "rows", "from", "to", "axis", "radius", title=f"{edge.child} relative to {edge.parent}")
+        table = Table(
+            "mode",
+            "rows",
+            "from",
+            "to",
+            "axis",
+            "radius",
+            box=SIMPLE,
+            title_justify="left",
+            title=f"{edge.child} relative to {edge.parent}",
+        )
         for segment in edge.segments:
             row = summaries.segment_row(segment)
             table.add_row(*row)
@@ -308,7 +319,7 @@ def _print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> 
 
 
 def _print_predicted(summary: dict[str, Any]) -> None:
-    table = Table("", "position [m]", "rotation [rad]", "configuration")
+    table = Table("", "position [m]", "rotation [rad]", "configuration", box=SIMPLE)
     for name in ("one_step", "rollout"):
         values = summary[name]
         rotation = values["rotation_rmse_rad"]

@@ -58,10 +58,10 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
     """One line of the table that `learn` prints."""
     joint = segment.joint
     unit = {"rigid": "", "prismatic": " m"}.get(joint.kind, " rad")
-    axis = "" if joint.kind == "rigid" else " ".join(f"{value:+.3f}" for value in joint.axis)
+    axis = "" if joint.kind == "rigid" else " ".join(f"{value:+.2f}" for value in joint.axis)
     arm = f"{radius(joint):.3f} m" if joint.kind in ("revolute", "screw") else ""
     ends = (f"{segment.configuration_start:+.3f}{unit}", f"{segment.configuration_end:+.3f}{unit}")
-    return (joint.kind, f"{segment.start} to {segment.end}", *ends, axis, arm)
+    return (joint.kind, f"{segment.start}-{segment.end}", *ends, axis, arm)
 
 
 def solved(plan: Plan) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
         own,
         position=pose.translation,
         quaternion=None if own.quaternion is None else pose.rotation.as_quat(),
-        action=None if own.action is None else frame.rotation.apply(own.action),
+        action=None if own.action is None else frame.rotation.apply(own.action.copy()),  # SciPy refuses read-only rows
     )
 
 

@@ -1,0 +1,162 @@
+"""Predictions of planted motion: exact where the model is true, and off by what was planted where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import prismatic, revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.tracks import tracks
+from micah_plan.automaton.transition import step
+from micah_plan.errors import InputError
+from micah_plan.recording.value import Recording
+from micah_plan.residual.prediction import predict_recording, rmse
+
+SHUT = 1.0
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
+SLIDE = prismatic((0.0, 1.0, 0.0), (0.1, 0.0, 0.0))
+
+
+def _segment(joint, start, end, rows):
+    return Segment(joint, 0, *rows, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
+
+
+def _door_edge():
+    shut = forward(SWING, SHUT)[0]
+    held = rigid(shut.translation, shut.rotation.as_quat(), SHUT)
+    return KinematicEdge(BASE, "door", (_segment(SWING, 0.0, SHUT, (0, 9)), _segment(held, SHUT, SHUT, (10, 19))))
+
+
+@pytest.fixture
+def door():
+    """Swings from 0 to 1 rad and is rigid there."""
+    return build_automaton(KinematicGraph((_door_edge(),)))
+
+
+@pytest.fixture
+def oven():
+    """The door, and a tray that slides in the frame of the door."""
+    tray = KinematicEdge("door", "tray", (_segment(SLIDE, 0.0, 0.2, (0, 19)),))
+    return build_automaton(KinematicGraph((_door_edge(), tray)))
+
+
+def executed(automaton, inputs, gain=1.0, run=0):
+    """Perfectly measured rows of the automaton's first link under inputs of which the plant realises a share."""
+    mode, x = "revolute", np.zeros(1)
+    poses, actions = [], []
+    for u in [*inputs, None]:
+        pose = forward(automaton.mode(mode).joints[0], x)[0]
+        poses.append(pose)
+        if u is None:
+            actions.append(np.full(3, np.nan))
+            break
+        actions.append(np.cross((0.0, 0.0, 1.0), pose.translation) * u)  # J u, written out for the vertical hinge
+        reached = step(automaton, mode, x, np.array([gain * u]))
+        mode, x = reached.mode, reached.x
+    return Recording(
+        time=np.arange(len(poses)) * 0.1,
+        position=np.array([pose.translation for pose in poses]),
+        quaternion=np.array([pose.rotation.as_quat() for pose in poses]),
+        action=np.array(actions),
+        run=np.full(len(poses), run),
+        has_run=True,
+    )
+
+
+def joined(first, second):
+    return Recording(
+        **{
+            name: np.concatenate([getattr(first, name), getattr(second, name)])
+            for name in ("time", "position", "quaternion", "action", "run")
+        },
+        has_run=True,
+    )
+
+
+@pytest.mark.parametrize("inputs", [[0.1] * 8, [0.15] * 10, [0.3, 0.3, 0.3, 0.3, 0.3, -0.2, -0.2]])
+def test_a_true_model_predicts_perfect_measurements_exactly(door, inputs):
+    (run,) = predict_recording(door, executed(door, inputs))
+    for error in (run.one_step, run.rollout):
+        assert error.position == pytest.approx(0.0, abs=1e-9)
+        assert error.rotation == pytest.approx(0.0, abs=1e-7)
+        assert error.configuration == pytest.approx(0.0, abs=1e-9)
+    assert len(run.one_step.modes) == len(inputs)
+
+
+def test_mode_changes_are_predicted(door):
+    (run,) = predict_recording(door, executed(door, [0.3, 0.3, 0.3, 0.3, 0.3, -0.2]))
+    expected = ("revolute", "revolute", "revolute", "rigid", "rigid", "revolute")
+    assert run.rollout.modes == expected
+    assert run.one_step.modes == expected
+
+
+def test_a_planted_gain_shows_in_each_step_and_adds_up_in_the_rollout(door):
+    recording = executed(door, [0.1] * 6, gain=0.8)
+    (run,) = predict_recording(door, recording)
+    assert run.one_step.configuration[:, 0] == pytest.approx(0.02, abs=1e-9)
+    assert run.rollout.configuration[:, 0] == pytest.approx(0.02 * np.arange(1, 7), abs=1e-3)
+    chord = 2 * np.hypot(0.3, 0.0) * np.sin(0.01)
+    assert run.one_step.position[:, 0] == pytest.approx(chord, abs=1e-9)
+    assert run.one_step.rotation[:, 0] == pytest.approx(0.02, abs=1e-9)
+
+
+def test_runs_are_predicted_apart(door):
+    recording = joined(executed(door, [0.1] * 4, run=3), executed(door, [0.2] * 3, gain=0.5, run=7))
+    first, second = predict_recording(door, recording)
+    assert (first.run, second.run) == (3, 7)
+    assert rmse([first.one_step.configuration]) == pytest.approx(0.0, abs=1e-9)
+    assert rmse([second.one_step.configuration]) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_positions_alone_can_be_predicted(door):
+    full = executed(door, [0.1] * 4)
+    (run,) = predict_recording(door, Recording(time=full.time, position=full.position, action=full.action))
+    assert run.one_step.rotation is None
+    assert run.one_step.configuration == pytest.approx(0.0, abs=1e-9)
+
+
+def test_parts_that_hang_on_parts_are_seen_in_their_parents_frame(oven):
+    turn, slid = np.array([0.2, 0.5, 0.9]), np.array([0.0, 0.05, 0.15])
+    door = forward(SWING, turn)
+    tray = door * forward(SLIDE, slid)
+    both = RigidTransform.concatenate([door, tray])
+    ahead = door.rotation.apply([0.0, 0.01, 0.0])
+    recording = Recording(
+        time=np.tile(np.arange(3.0), 2),
+        position=both.translation,
+        quaternion=both.rotation.as_quat(),
+        action=np.concatenate([np.zeros((3, 3)), ahead]),
+        part=("door",) * 3 + ("tray",) * 3,
+        has_part=True,
+    )
+    (track,) = tracks(oven, recording)
+    assert track.x == pytest.approx(np.stack([turn, slid], axis=1), abs=1e-9)
+    assert track.u == pytest.approx(np.tile([0.0, 0.01], (2, 1)), abs=1e-9)
+    assert Rotation.from_quat(track.quaternion[:, 1]).magnitude() == pytest.approx(0.0, abs=1e-7)
+
+
+def test_an_unknown_part_names_both_sides(oven):
+    recording = Recording(time=[0.0], position=np.zeros((1, 3)), part=("lid",), has_part=True)
+    with pytest.raises(InputError, match=r"door, tray .* found lid"):
+        tracks(oven, recording)
+
+
+def test_parts_must_be_measured_together(oven):
+    recording = Recording(time=[0.0, 1.0], position=np.zeros((2, 3)), part=("door", "tray"), has_part=True)
+    with pytest.raises(InputError, match=r"'tray' was not measured at the same times"):
+        tracks(oven, recording)
+
+
+def test_without_actions_nothing_can_be_predicted(door):
+    full = executed(door, [0.1] * 4)
+    with pytest.raises(InputError, match="expected actions"):
+        predict_recording(door, Recording(time=full.time, position=full.position))
+
+
+def test_a_single_row_cannot_be_predicted(door):
+    with pytest.raises(InputError, match="at least 2 rows"):
+        predict_recording(door, executed(door, []))

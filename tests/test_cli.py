@@ -1,0 +1,210 @@
+"""The command line end to end on what the project ships: results, JSON keys, exit codes and one-line errors."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from micah_plan.recording.read import read_recording
+
+
+@pytest.fixture(scope="module")
+def micah(repository):
+    """Runs `micah-plan` with arguments in the repository and returns the finished process."""
+
+    def run(*arguments, cwd=repository):
+        command = [sys.executable, "-W", "error", "-m", "micah_plan", *map(str, arguments)]
+        return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def only_json(done):
+    assert len(done.stdout.splitlines()) == 1, done.stdout
+    return json.loads(done.stdout)
+
+
+def only_error(done, code=2):
+    """The single line of an error, after checking that there is nothing else: no traceback, no output."""
+    assert done.returncode == code, done.stderr
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    return line
+
+
+@pytest.fixture(scope="module")
+def road(micah, tmp_path_factory):
+    """Learn, solve, execute and predict once, as a user would; the tests look at what came out."""
+    folder = tmp_path_factory.mktemp("road")
+    commands = {
+        "learn": "learn examples/demonstrations/microwave.csv --parts models/parts/microwave.yaml"
+        f" -o {folder}/model.yaml --figure {folder}/segments.png --html {folder}/recording.html --seed 3",
+        "solve": f"solve problems/microwave_open.yaml --model {folder}/model.yaml -o {folder}/plan.json"
+        f" --html {folder}/plan.html --figure {folder}/plan.png --seed 3",
+        "execute": f"execute {folder}/plan.json --trials 2 -o {folder}/runs.csv --seed 3",
+        "predict": f"predict {folder}/model.yaml {folder}/runs.csv",
+    }
+    return folder, {name: micah(*command.split(), "--json") for name, command in commands.items()}
+
+
+def test_every_step_of_the_road_ends_well(road):
+    for name, done in road[1].items():
+        assert done.returncode == 0, (name, done.stderr)
+        assert done.stderr == "", name
+
+
+def test_learn_reports_segments_and_writes_its_files(road):
+    folder, done = road
+    found = only_json(done["learn"])
+    assert [segment["model"] for segment in found["segments"]] == ["revolute", "rigid"]
+    assert found["segments"][0]["start"] == 0
+    assert found["segments"][1]["start"] == found["changepoints"][0] == found["segments"][0]["end"] + 1
+    assert found["segments"][0]["parameters"]["radius"] == pytest.approx(0.31, abs=0.01)
+    assert {"seconds", "seed"} <= found.keys()
+    assert (folder / "segments.png").read_bytes().startswith(b"\x89PNG")
+    assert "<html" in (folder / "recording.html").read_text()
+
+
+def test_solve_reports_a_verified_plan(road):
+    folder, done = road
+    found = only_json(done["solve"])
+    assert found["outcome"] == "solved"
+    assert found["modes"] == ["rigid", "revolute"]
+    assert found["goal_error"] < 0.03
+    assert found["success_probability"] > 0.9
+    assert {"total", "search", "optimise"} <= found["seconds"].keys()
+    assert "<html" in (folder / "plan.html").read_text()
+
+
+def test_execute_reports_trials_and_logs_a_recording(road):
+    folder, done = road
+    found = only_json(done["execute"])
+    assert found["trials"] == 2
+    assert found["successes"] + len(found["failures"]) == 2
+    assert {"mean", "std", "max"} == found["final_error"].keys()
+    runs = read_recording(folder / "runs.csv")
+    assert runs.runs == (0, 1)
+    assert runs.has_actions
+
+
+def test_predict_reports_errors_per_run(road):
+    found = only_json(road[1]["predict"])
+    assert [run["run"] for run in found["per_run"]] == [0, 1]
+    for kind in ("one_step", "rollout"):
+        assert found[kind].keys() == {"position_rmse_m", "rotation_rmse_rad", "configuration_rmse"}
+        assert 0 < found[kind]["configuration_rmse"] < 0.1
+
+
+def test_an_executed_run_can_be_learned_from(micah, road, tmp_path):
+    runs = read_recording(road[0] / "runs.csv")
+    assert len(runs) > 10
+    found = only_json(micah("learn", road[0] / "runs.csv", "-o", tmp_path / "again.yaml", "--json"))
+    assert "revolute" in [segment["model"] for segment in found["segments"]]
+
+
+@pytest.mark.parametrize("shown", ["model.yaml", "plan.json", "runs.csv"])
+def test_show_writes_a_page(micah, road, shown, tmp_path):
+    done = micah("show", road[0] / shown, "-o", tmp_path / "page.html", "--json")
+    assert done.returncode == 0, done.stderr
+    assert only_json(done)["bytes"] == len((tmp_path / "page.html").read_bytes())
+
+
+def test_the_same_seed_gives_the_same_bytes(micah, road, tmp_path):
+    micah("learn", "examples/demonstrations/microwave.csv", "--parts", "models/parts/microwave.yaml", "--seed", 3,
+          "-o", tmp_path / "model.yaml")  # fmt: skip
+    assert (tmp_path / "model.yaml").read_bytes() == (road[0] / "model.yaml").read_bytes()
+    micah("solve", "problems/microwave_open.yaml", "--model", road[0] / "model.yaml", "--seed", 3,
+          "-o", tmp_path / "plan.json", "--html", tmp_path / "plan.html")  # fmt: skip
+    assert (tmp_path / "plan.json").read_bytes() == (road[0] / "plan.json").read_bytes()
+    assert (tmp_path / "plan.html").read_bytes() == (road[0] / "plan.html").read_bytes()
+    micah("execute", road[0] / "plan.json", "--trials", 2, "--seed", 3, "-o", tmp_path / "runs.csv")
+    assert (tmp_path / "runs.csv").read_bytes() == (road[0] / "runs.csv").read_bytes()
+
+
+@pytest.fixture
+def edited(repository, tmp_path):
+    """A copy of the drawer problem with one text replaced by another."""
+
+    def edit(old, new):
+        text = (repository / "problems" / "drawer_open.yaml").read_text()
+        assert old in text
+        text = text.replace("../models", str(repository / "models")).replace(old, new)
+        path = tmp_path / "problem.yaml"
+        path.write_text(text)
+        return path
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("tolerance", "tolerence", ["key 'goal.target.drawer.tolerence'", "tolerance"]),
+        ("drawer.yaml", "drawers.yaml", ["key 'model'", "drawers.yaml", "does not exist"]),
+        ("value: 0.25", "value: 2.5", ["key 'goal.target.drawer.value'", "2.5", " m"]),
+        ("mean: {drawer: 0.03}", "mean: {drawer: -3}", ["start.mean", "-3"]),
+    ],
+    ids=["typo", "missing file", "goal out of range", "start in no mode"],
+)
+def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_path, old, new, said):
+    problem = edited(old, new)
+    line = only_error(micah("solve", problem, "-o", tmp_path / "plan.json"))
+    assert str(problem) in line
+    assert ", line " in line
+    for words in said:
+        assert words in line
+    assert not (tmp_path / "plan.json").exists()
+
+
+def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):
+    model = (repository / "models" / "microwave.yaml").read_text()
+    before, latch = model.split("  - source: rigid\n")
+    (tmp_path / "stuck.yaml").write_text(before)
+    assert "target: revolute" in latch
+    done = micah("solve", repository / "problems" / "microwave_open.yaml", "--model", tmp_path / "stuck.yaml", "--json",
+                 "-o", tmp_path / "plan.json", "--html", tmp_path / "plan.html")  # fmt: skip
+    assert done.returncode == 1
+    found = only_json(done)
+    assert found["outcome"] == "no_plan"
+    assert "rigid" in found["reason"]
+    assert "NO PLAN" in (tmp_path / "plan.html").read_text().upper()
+    line = only_error(micah("execute", tmp_path / "plan.json", "-o", tmp_path / "runs.csv"))
+    assert "no_plan" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("learn", "nowhere.csv", "-o", "model.yaml"), ["nowhere.csv", "does not exist"]),
+        (("learn", "examples/demonstrations/microwave.csv", "-o", "no/such/model.yaml"), ["no/such", "directory"]),
+        (
+            ("predict", "models/drawer.yaml", "examples/demonstrations/microwave.csv"),
+            ["microwave.csv", "drawer", "door"],
+        ),
+        (("predict", "problems/drawer_open.yaml", "examples/demonstrations/drawer.csv"), ["drawer_open.yaml", "model"]),
+        (("execute", "models/drawer.yaml", "-o", "runs.csv"), ["drawer.yaml"]),
+        (("show", "README.md", "-o", "page.html"), ["README.md"]),
+    ],
+)
+def test_bad_arguments_are_one_line(micah, repository, arguments, said):
+    line = only_error(micah(*arguments))
+    for words in said:
+        assert words in line
+    assert not (repository / "runs.csv").exists()
+    assert not (repository / "page.html").exists()
+
+
+def test_an_error_is_json_too_when_asked(micah):
+    done = micah("learn", "nowhere.csv", "-o", "model.yaml", "--json")
+    assert done.returncode == 2
+    assert "nowhere.csv" in only_json(done)["error"]
+
+
+def test_version_and_help(micah):
+    assert micah("--version").stdout.strip()
+    for command in ("learn", "solve", "execute", "predict", "show"):
+        assert command in micah("--help").stdout
