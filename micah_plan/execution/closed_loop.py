@@ -71,9 +71,10 @@ def execute(
 ) -> TrialResult:
     """Carry out a plan on a plant.
 
-    Every step measures the poses, updates the belief, stops if the belief is in the goal set with the problem's
-    confidence, and otherwise applies the plan's feedback. A new plan is asked for where the belief leaves the plan,
-    where a planned transition does not happen, and where the plan ends short of the goal.
+    Every step measures the poses, updates the belief, and applies the plan's feedback. It stops when the plan is
+    carried out and the belief is in the goal set with the problem's confidence: a plan aims at the middle of the goal,
+    and to stop at its edge would waste that. A new plan is asked for where the belief leaves the plan, where a planned
+    transition does not happen, and where the plan ends short of the goal. A start in the goal needs no step.
 
     Args:
         problem: automaton, start belief, goal, confidence and input limits.
@@ -92,8 +93,10 @@ def execute(
     measurement = plant.reset(rng)
     beliefs = [_updated(automaton, prior, measurement)]
     confidence = goal_probability(automaton, problem.goal, beliefs[-1])
-    while confidence < problem.settings.confidence and len(beliefs) <= longest:
+    while len(beliefs) <= longest:
         belief = beliefs[-1]
+        if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
+            break
         u = pilot.input(belief)
         order = command(automaton, automaton.modes[belief.most_likely].name, belief.means[belief.most_likely], u)
         log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
@@ -127,6 +130,10 @@ class _Pilot:
         self._asked = 0
         self.replans = 0
         self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
+
+    def is_finished(self, belief: HybridBelief) -> bool:
+        """Whether the plan that is followed has no further steps for this belief."""
+        return self._follower.is_finished(belief)
 
     def input(self, belief: HybridBelief) -> Floats:
         """(m,) the input to apply now."""

@@ -52,8 +52,7 @@ class PlanFollower:
         plan = self._trajectory
         number = belief.most_likely
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
-        self._skip_transitions()
-        self._catch_up_with(mode)
+        self._align(mode)
         knot = self._knot
         if knot == len(plan.inputs):
             if mode == plan.modes[knot]:
@@ -69,6 +68,17 @@ class PlanFollower:
         if earlier:
             return Advice(self._towards(mode, estimate, earlier[-1]), "lagging")
         return Advice(self._towards(mode, estimate, knot), "off_plan")
+
+    def is_finished(self, belief: HybridBelief) -> bool:
+        """Whether the plan has no further steps for this belief."""
+        mode = self._automaton.modes[belief.most_likely].name
+        self._align(mode)
+        return self._knot == len(self._trajectory.inputs) and mode == self._trajectory.modes[-1]
+
+    def _align(self, mode: str) -> None:
+        """Move on to the knot that the next input belongs to."""
+        self._skip_transitions()
+        self._catch_up_with(mode)
 
     def _skip_transitions(self) -> None:
         while self._knot < len(self._trajectory.inputs) and self._trajectory.is_transition[self._knot]:

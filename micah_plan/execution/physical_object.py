@@ -151,7 +151,7 @@ def _default_box(joint: Joint) -> Primitive:
     along, axis = reach / length, np.array(joint.axis)
     frame = np.column_stack([along, np.cross(axis, along), axis])
     turned = pose.rotation.inv().as_matrix() @ frame
-    middle = pose.rotation.inv().apply(-reach / 2)
+    middle = pose.rotation.inv().apply(-reach / 2).tolist()
     quaternion = _quaternion(turned)
     return Primitive("box", (length, _PANEL, length), (middle[0], middle[1], middle[2]), quaternion)
 

@@ -55,6 +55,14 @@ def test_a_start_in_the_goal_needs_no_step():
     assert np.isnan(result.recording.action).all()
 
 
+def test_a_wide_goal_is_entered_up_to_where_the_plan_aims():
+    problem = replace(PULL, goal=Goal(((0, 0.25, 0.1),)))
+    result = run(problem, pulling())
+    assert result.success
+    assert result.final_error < 0.01
+    assert result.steps == 8
+
+
 def test_it_stops_where_the_steps_end_and_says_how_sure_it_was():
     result = run(PULL, pulling(), max_steps=3)
     assert result.steps == 3
