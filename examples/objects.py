@@ -1,11 +1,13 @@
-"""The true microwave and drawer of the simulated demonstrations: mechanism, shapes and handles, in one place.
+"""The true microwave and drawer of the simulated demonstrations.
 
-The base frame has x to the right, y out of the front and z up, in metres. `micah-plan learn` does not see these values;
-it sees recordings. Shapes and handles are not learned: a learned model takes them from `microwave_parts` and
-`drawer_parts`, which are given in each part's own frame, the one that the tracker reports.
+The base frame has x to the right, y out of the front and z up, in metres. `micah-plan learn` does not see these
+mechanisms; it sees recordings. Shapes and handles are not learned: the true objects and the learned models take them
+from `models/parts`, where they are given in each part's own frame, the one that the tracker reports.
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,11 +21,11 @@ from micah_plan.automaton.hybrid import (
     Noise,
     Part,
     Pin,
-    Primitive,
 )
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import Region, above, below, box, input_below
+from micah_plan.spec.parts_file import load_parts
 
 DOOR_OPEN = 1.2
 """Angle between the open door, where demonstrations start, and the shut one [rad]."""
@@ -33,8 +35,7 @@ DRAWER_TRAVEL = 0.32
 
 _HINGE = (-0.24, 0.01, 0.0)
 _TRACKED = 0.31
-_DOOR = (0.36, 0.02, 0.28)
-_BODY, _FRONT, _METAL = "#5b6470", "#c9d1d9", "#e6b450"
+_PARTS = Path(__file__).resolve().parent.parent / "models" / "parts"
 
 
 def microwave() -> HybridAutomaton:
@@ -63,52 +64,12 @@ def drawer() -> HybridAutomaton:
 
 def microwave_parts() -> tuple[Part, ...]:
     """The oven and its door; the door's frame: x from the hinge along the door, y outwards, z up, origin 0.31 m out."""
-    oven = Part(
-        "base",
-        (
-            Primitive("box", (0.48, 0.36, 0.01), (0.0, -0.18, 0.145), color=_BODY),
-            Primitive("box", (0.48, 0.36, 0.01), (0.0, -0.18, -0.145), color=_BODY),
-            Primitive("box", (0.48, 0.01, 0.28), (0.0, -0.355, 0.0), color=_BODY),
-            Primitive("box", (0.01, 0.36, 0.28), (-0.235, -0.18, 0.0), color=_BODY),
-            Primitive("box", (0.12, 0.36, 0.28), (0.18, -0.18, 0.0), color=_BODY),
-        ),
-    )
-    middle = 0.5 * _DOOR[0] - _TRACKED
-    door = Part(
-        "door",
-        (
-            Primitive("box", _DOOR, (middle, 0.0, 0.0), color=_FRONT),
-            Primitive("cylinder", (0.008, 0.2), (0.03, 0.045, 0.0), color=_METAL),
-        ),
-        handle=(0.03, 0.045, 0.0),
-    )
-    return oven, door
+    return load_parts(_PARTS / "microwave.yaml")
 
 
 def drawer_parts() -> tuple[Part, ...]:
     """The cabinet and its drawer; the drawer's frame is parallel to the base, its origin in the middle of the front."""
-    cabinet = Part(
-        "base",
-        (
-            Primitive("box", (0.44, 0.36, 0.01), (0.0, -0.19, 0.085), color=_BODY),
-            Primitive("box", (0.44, 0.36, 0.01), (0.0, -0.19, -0.085), color=_BODY),
-            Primitive("box", (0.01, 0.36, 0.16), (-0.215, -0.19, 0.0), color=_BODY),
-            Primitive("box", (0.01, 0.36, 0.16), (0.215, -0.19, 0.0), color=_BODY),
-            Primitive("box", (0.42, 0.01, 0.16), (0.0, -0.365, 0.0), color=_BODY),
-        ),
-    )
-    sides = tuple(Primitive("box", (0.01, 0.33, 0.1), (x, -0.175, 0.0), color=_FRONT) for x in (-0.19, 0.19))
-    sliding = Part(
-        "drawer",
-        (
-            Primitive("box", (0.44, 0.02, 0.18), color=_FRONT),
-            *sides,
-            Primitive("box", (0.38, 0.33, 0.01), (0.0, -0.175, -0.045), color=_FRONT),
-            Primitive("sphere", (0.015,), (0.0, 0.03, 0.0), color=_METAL),
-        ),
-        handle=(0.0, 0.03, 0.0),
-    )
-    return cabinet, sliding
+    return load_parts(_PARTS / "drawer.yaml")
 
 
 def _object(
