@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import jacobian
@@ -42,12 +43,14 @@ class JointView:
         hypothesis: the joint and its rows.
         configuration: (n,) continuous over the rows [rad or m].
         error: (n, 6) [rad, m] what is left across the joint.
+        leverage: (3,) J⁻¹ for the part's translation, in the frame of the track's actions [rad or m per m].
         white_variance, wander_variance: noise of one configuration, of either kind [rad² or m²].
     """
 
     hypothesis: Hypothesis
     configuration: Floats
     error: Floats
+    leverage: Floats
     white_variance: float
     wander_variance: float
 
@@ -65,4 +68,8 @@ def view(hypothesis: Hypothesis, track: PartTrack, noise: NoiseScales, inlier: N
     total = max(moves + turns, 1e-12) ** 2
     white = (moves * noise.position_white**2 + turns * length**2 * noise.rotation_white**2) / total
     wander = (moves * noise.position_wander**2 + turns * length**2 * noise.rotation_wander**2) / total
-    return JointView(hypothesis, c, residuals.error, white, wander)
+    # The part's translation per unit of configuration has a constant direction in the part's frame.
+    lever = direction[3:] / max(moves, 1e-12)
+    if track.quaternion is not None:
+        lever = Rotation.from_quat(joint.quaternion).inv().apply(lever)
+    return JointView(hypothesis, c, residuals.error, lever, white, wander)

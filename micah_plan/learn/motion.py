@@ -113,8 +113,13 @@ def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: F
     free = _freely_moving(innovations[..., 0], quiet, grid, rest)
     if action is None or len(rows) < _FEWEST_ROWS:
         return free
-    led = _led_by_actions(innovations, quiet, grid)
-    return led if led.log_likelihood - 1.5 * np.log(len(rows)) > free.log_likelihood else free
+    # The action as it is defined, with a gain; or, where that explains less, in any frame.
+    candidates = [
+        free,
+        _led(innovations, quiet, grid, one.leverage[:, None]),
+        _led(innovations, quiet, grid, np.eye(3)),
+    ]
+    return max(candidates, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
 
 
 def _freely_moving(innovation: Floats, quiet: Floats, grid: Floats, rest: float) -> _Model:
@@ -134,15 +139,17 @@ def _freely_moving(innovation: Floats, quiet: Floats, grid: Floats, rest: float)
     return _Model(float(grid[i]), float(mean[i]), float(variance[i]), rest, np.zeros(3), 2.0, float(density[i]))
 
 
-def _led_by_actions(innovations: Floats, quiet: Floats, grid: Floats) -> _Model:
-    """h for every E[w²] of the grid, and the ρ that goes with it best."""
-    gains = np.array([_gain(innovations[:, i], quiet[:, i] + grid[i]) for i in range(len(grid))])
+def _led(innovations: Floats, quiet: Floats, grid: Floats, basis: Floats) -> _Model:
+    """h in the span of a basis (3, k) for every E[w²] of the grid, and the ρ that goes with it best."""
+    gains = np.array([_gain(innovations[:, i], quiet[:, i] + grid[i], basis) for i in range(len(grid))])
     left = innovations[..., 0] - np.einsum("tgk,gk->tg", innovations[..., 1:], gains)
     variance = grid[:, None] / (1 - _EXPLAINED_SHARES)
     density = log_step_density(left[..., None], quiet[..., None], np.zeros(1), variance, _EXPLAINED_SHARES).sum(axis=0)
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(density)), density.shape))
     best = float(density[i, j])
-    return _Model(float(grid[i]), 0.0, float(variance[i, j]), float(_EXPLAINED_SHARES[j]), gains[i], 5.0, best)
+    return _Model(
+        float(grid[i]), 0.0, float(variance[i, j]), float(_EXPLAINED_SHARES[j]), gains[i], 2.0 + basis.shape[1], best
+    )
 
 
 def _innovations(signals: Floats, white: float, renewed: Floats, grid: Floats) -> tuple[Floats, Floats]:
@@ -163,9 +170,9 @@ def _innovations(signals: Floats, white: float, renewed: Floats, grid: Floats) -
     return innovations, variances
 
 
-def _gain(innovations: Floats, variance: Floats) -> Floats:
+def _gain(innovations: Floats, variance: Floats, basis: Floats) -> Floats:
     """h (3,) by weighted least squares of the configuration's innovations on those of the commanded signals."""
-    commanded = innovations[:, 1:] / np.sqrt(variance)[:, None]
+    commanded = innovations[:, 1:] @ basis / np.sqrt(variance)[:, None]
     measured = innovations[:, 0] / np.sqrt(variance)
     normal = commanded.T @ commanded
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ (commanded.T @ measured))
+    return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ (commanded.T @ measured))

@@ -25,6 +25,7 @@ Bools = NDArray[np.bool_]
 
 _SMOOTHED_ROWS = 5
 _PROJECTIONS = 10
+_FINEST_STEP = 0.1  # of the measurement noise; the rows of one recording cannot tell a smaller process noise from 0
 _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
 
 
@@ -35,18 +36,20 @@ class FittedPiece:
     Attributes:
         piece: rows within the track (all of its rows, not thinned).
         joint: with covariance; its configuration counts from an arbitrary pose.
-        gain: (3,) h of the step model, 0 where actions say nothing.
+        gain: (3,) h of the step model, 0 where actions say nothing; it counts along the axis of `leader`.
+        leader: the joint that won the evidence; None for rigid.
     """
 
     piece: Piece
     joint: Joint
     gain: Floats
+    leader: Joint | None
 
 
 def fit_piece(
     piece: Piece,
     kind: JointKind,
-    fallback: Joint | None,
+    leader: Joint | None,
     gain: Floats,
     track: PartTrack,
     inlier: Bools,
@@ -54,10 +57,10 @@ def fit_piece(
     settings: LearnSettings,
     rng: np.random.Generator,
 ) -> FittedPiece:
-    """MLESAC on all rows of a piece; the fallback (the joint that won the evidence) where they cannot tell a joint."""
+    """MLESAC on all rows of a piece; the joint that won the evidence where they cannot tell a joint."""
     index = np.arange(piece.start, piece.end + 1)
     fit = robust_fit(kind, track, index, inlier, noise, settings, rng)
-    joint = fallback if fit is None else fit.joint
+    joint = leader if fit is None else fit.joint
     if joint is None:
         # Only outliers: a rigid pose is all that can be said of them.
         rotation = None if track.rotation is None else track.rotation[index]
@@ -67,7 +70,7 @@ def fit_piece(
     weight = inlier[index].astype(float) if fit is None else fit.inlier * inlier[index]
     rotation = None if track.rotation is None else track.rotation[index]
     stds = (noise.rotation_std, noise.position_std)
-    return FittedPiece(piece, with_covariance(joint, track.position[index], rotation, weight, stds), gain)
+    return FittedPiece(piece, with_covariance(joint, track.position[index], rotation, weight, stds), gain, leader)
 
 
 def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseScales) -> list[FittedPiece]:
@@ -120,7 +123,7 @@ def to_segment(
         smooth = _smoothed(c)
         start, end = float(smooth[0]), float(smooth[-1])
         limits = (float(min(smooth.min(), start)), float(max(smooth.max(), end)))
-        process = _process_std(c, used, one.gain, track, _observation_std(joint, joint, used, track, noise))
+        process = _process_std(one, c, used, track, _observation_std(joint, joint, used, track, noise))
     measured_by = _last_moving(chain[: chain.index(one) + 1]) or _first_moving(chain) or joint
     return Segment(
         joint=joint,
@@ -227,20 +230,23 @@ def _observation_std(
     return float(np.sqrt(variance)) / max(moves + turns, 1e-12)
 
 
-def _process_std(c: Floats, rows: NDArray[np.int64], gain: Floats, track: PartTrack, observation_std: float) -> float:
+def _process_std(
+    one: FittedPiece, c: Floats, rows: NDArray[np.int64], track: PartTrack, observation_std: float
+) -> float:
     """Std of the steps that the actions, or without them a smooth motion, leave unexplained."""
     steps = np.diff(c)
     if len(steps) < 3:
         return 0.0
-    if track.action is not None and gain.any():
+    if track.action is not None and one.leader is not None and one.gain.any():
+        sign = 1.0 if np.dot(one.leader.axis, one.joint.axis) >= 0 else -1.0
         commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(track.action, axis=0)])[rows]
-        left = steps - np.diff(commanded, axis=0) @ gain
+        left = steps - sign * np.diff(commanded, axis=0) @ one.gain
     else:
         left = steps - _smoothed(steps)
     # A measured step contains the noise of two rows; their covariance with the next step is what tells it apart.
     noise_variance = max(-float(np.mean(left[1:] * left[:-1])), 0.0)
     variance = float(np.mean(left**2)) - 2 * noise_variance
-    return float(np.sqrt(max(variance, (0.01 * observation_std) ** 2)))
+    return float(np.sqrt(max(variance, (_FINEST_STEP * observation_std) ** 2)))
 
 
 def _last_moving(chain: Sequence[FittedPiece]) -> Joint | None:
