@@ -2,8 +2,8 @@
 
 Source: Jain and Niekum, CoRL 2018; Platt et al., RSS 2010 (belief space, maximum-likelihood observations); Betts,
 "Practical Methods for Optimal Control" (transcription in phases). The state of a knot is the mean and the lower
-Cholesky factor of the covariance. With k = Φ⁻¹(confidence), a half-space a'x >= c is planned to hold as
-a'mean - c >= k ||L'a||:
+Cholesky factor L of the covariance. With k = Φ⁻¹(confidence), a half-space a'x >= c is planned to hold as
+a'mean - c >= k sqrt(||L'a||² + a'Λa), where Λ is the spread of the estimate in closed loop (`PhaseGuess.spreads`):
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
@@ -232,7 +232,8 @@ def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, p
 
     nlp.require(margins, [named(i, "") for i in range(len(phase.corridor))])
     if uncertain:
-        soft = margins[uncertain].T - k * stds[uncertain].T + scales * phase.slacks
+        spreads = ca.DM([phase.corridor[i].spread for i in uncertain])
+        soft = margins[uncertain].T - k * _total_std(stds[uncertain].T, spreads) + scales * phase.slacks
         nlp.require(soft, [named(i, f" at {settings.confidence:.0%}") for i in uncertain])
         nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
 
@@ -242,6 +243,11 @@ def _margin_function(n: int) -> ca.Function:
     state, a, c = ca.SX.sym("z", n + n * (n + 1) // 2), ca.SX.sym("a", n), ca.SX.sym("c")
     std = smooth_norm(ca.mtimes(_factor(state, n).T, a))
     return ca.Function("margin", [state, a, c], [ca.dot(a, state[:n]) - c, std])
+
+
+def _total_std(std: ca.MX, spread: ca.DM | float) -> ca.MX:
+    """Std of the true state: of the belief and of the estimate, whose variance is given."""
+    return ca.sqrt(std**2 + spread)
 
 
 def _join(
@@ -269,8 +275,12 @@ def _join(
         name = f"the guard '{half_space.name}' of '{edge.edge.name}'"
         name += "" if certain else f" at {problem.settings.confidence:.0%}"
         unit = row_unit(automaton, half_space)
-        nlp.require(margins[i] - (0.0 if certain else k) * stds[i], [Row(guess.mode, knot, name, unit, low, np.inf)])
-    reset = edge.belief_reset.call([state[:n], _factor(state, n), ca.MX.zeros(automaton.m, 1)])
+        a = np.array(half_space.a)
+        std = _total_std(stds[i], a @ guess.spreads[-1] @ a)
+        nlp.require(margins[i] - (0.0 if certain else k) * std, [Row(guess.mode, knot, name, unit, low, np.inf)])
+    by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
+    last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)
+    reset = edge.belief_reset.call([state[:n], _factor(state, n), ca.MX(u) if by_input else last])
     first = nlp.guess[after].first_knot
     names = [f"the reset of '{edge.edge.name}'"] * (n + n * (n + 1) // 2)
     rows = [Row(edge.edge.target, first, name, "", 0.0, 0.0) for name in names]

@@ -27,7 +27,8 @@ class CorridorRow:
         step: knot within the phase, from 1.
         uncertain: whether it should hold at k-sigma; else (a clamp) for the mean only.
         scale: length of one step across it [its unit].
-        margin, std: of the guess.
+        spread: variance across it by which the estimate wanders in closed loop, to be added to the belief's.
+        margin, std: of the guess, with the spread.
     """
 
     half_space: HalfSpace
@@ -35,6 +36,7 @@ class CorridorRow:
     step: int
     uncertain: bool
     scale: float
+    spread: float
     margin: float
     std: float
 
@@ -66,8 +68,9 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
             a = np.array(half_space.a)
             if np.any(a @ mode.B):
                 scale = float(np.abs(a) @ limits.speed)
-                margin, std = sign * (float(a @ mean) - half_space.c), float(np.linalg.norm(factor.T @ a))
-                rows.append(CorridorRow(half_space, sign, step, uncertain, scale, margin, std))
+                margin, spread = sign * (float(a @ mean) - half_space.c), float(a @ guess.spreads[step] @ a)
+                std = float(np.hypot(np.linalg.norm(factor.T @ a), np.sqrt(max(0.0, spread))))
+                rows.append(CorridorRow(half_space, sign, step, uncertain, scale, spread, margin, std))
     return rows
 
 

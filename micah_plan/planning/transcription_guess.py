@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_search import ModeSequence
 from micah_plan.planning.polytope import mode_states
@@ -37,6 +38,9 @@ class PhaseGuess:
         edge: index of the edge that leaves it; None in the last phase.
         first_knot: number of its first knot in the whole plan.
         means: (N+1, n); factors: (N+1, n, n) lower Cholesky factors; inputs: (N, m).
+        spreads: (N+1, n, n) covariance of the estimate around the mean in closed loop. Planning assumes that every
+            measurement is the most likely one; real ones move the estimate, and the true state is spread around the
+            planned mean by this and the belief's covariance together (van den Berg et al., LQG-MP, IJRR 2011).
     """
 
     mode: str
@@ -45,6 +49,7 @@ class PhaseGuess:
     means: Floats
     factors: Floats
     inputs: Floats
+    spreads: Floats
 
     @property
     def steps(self) -> int:
@@ -136,6 +141,8 @@ def _roll(
     mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
     factor = np.diag(np.array(problem.start.std, dtype=float))
     mean, factor = _belief(compiled.modes[sequence.modes[0]].condition(mean, factor))
+    gains = _gains(problem, limits, sequence, steps)
+    spread = np.zeros_like(factor)
     phases: list[PhaseGuess] = []
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
@@ -144,18 +151,48 @@ def _roll(
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
             _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
-            rows = problem.automaton.edges[edge].guard.half_spaces
-            path = np.vstack([path, _inside(path[-1], factors[-1], rows, mode.mode.B, problem, limits)])
+            covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, gains[first_knot:])[-1]
+            path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         needed.append(_input_length(path, mode.mode.B, limits.max_step))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(mode.mode.B).T
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)
-        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs))
+        spreads = _spreads(mode, spread, factors, gains[first_knot:])
+        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads))
         first_knot += count + 1
         if edge is not None:
-            reset = compiled.edges[edge].belief_reset(means[-1], factors[-1], np.zeros(problem.automaton.m))
-            mean, factor = _belief(reset)
+            u = inputs[-1] if count else np.zeros(problem.automaton.m)
+            mean, factor = _belief(compiled.edges[edge].belief_reset(means[-1], factors[-1], u))
+            spread = _spread_after(problem, edge, spreads[-1])
     return tuple(phases), needed
+
+
+def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> Floats:
+    """(K-1, m, n) feedback gains, which depend on the modes of the knots alone."""
+    modes = [mode for mode, count in zip(sequence.modes, steps, strict=True) for _ in range(count + 1)]
+    is_transition = np.zeros(len(modes) - 1, dtype=bool)
+    is_transition[np.cumsum(np.array(steps) + 1)[:-1] - 1] = True
+    return belief_lqr(problem, limits, tuple(modes), is_transition)
+
+
+def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, gains: Floats) -> Floats:
+    """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
+    spreads, u = [spread], np.zeros(mode.mode.B.shape[1])
+    n = len(spread)
+    for before, after, gain in zip(factors[:-1], factors[1:], gains, strict=False):
+        predicted = _belief(mode.predict(np.zeros(n), before, u))[1]
+        closed = np.eye(n) + mode.mode.B @ gain
+        spreads.append(closed @ spreads[-1] @ closed.T + predicted @ predicted.T - after @ after.T)
+    return np.array(spreads)
+
+
+def _spread_after(problem: Problem, edge: int, spread: Floats) -> Floats:
+    """The estimate's covariance after a transition: through the reset, and none where the new mode pins."""
+    automaton = problem.automaton
+    A = automaton.edges[edge].reset.matrices(automaton.n, automaton.m)[0]
+    free = np.ones(automaton.n)
+    free[[pin.coordinate for pin in automaton.mode(automaton.edges[edge].target).pins]] = 0.0
+    return np.asarray(A @ spread @ A.T * np.outer(free, free))
 
 
 def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
@@ -167,7 +204,7 @@ def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats
     return np.array(means), np.array(factors)
 
 
-def _belief(pair: tuple[object, object]) -> tuple[Floats, Floats]:
+def _belief(pair: Any) -> tuple[Floats, Floats]:
     """A mean (n,) and factor (n, n) as arrays from what a compiled function returned."""
     return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
 
@@ -192,20 +229,19 @@ def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, s
     return min(spare, _MOST_LOCALISING_STEPS)
 
 
-def _inside(
-    x: Floats, factor: Floats, rows: tuple[HalfSpace, ...], B: Floats, problem: Problem, limits: Limits
-) -> Floats:
+def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
     """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
     k = float(norm.ppf(problem.settings.confidence))
     u = np.zeros(problem.automaton.m)
     moved = x.copy()
+    guard, B = problem.automaton.edges[edge].guard, problem.automaton.mode(problem.automaton.edges[edge].source).B
     for _ in range(3):  # rows that are not perpendicular disturb each other a little
-        for row in rows:
+        for row in guard.half_spaces:
             a = np.array(row.a)
             direction = B @ (B.T @ a)
             if any(row.b) or a @ direction <= 0:
                 continue
-            wanted = k * float(np.linalg.norm(factor.T @ a)) + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
+            wanted = k * float(np.sqrt(a @ covariance @ a)) + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
             moved = moved + direction * max(0.0, wanted - float(row.margin(moved, u))) / float(a @ direction)
     return np.asarray(moved)
 

@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 
 # Violations below this are the solver's own tolerance, not a message [in the unit of the row].
 NEGLIGIBLE = 1e-5
+# Rows violated by less than this share of the worst only distract.
+_VISIBLE_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,12 @@ class RowNames:
 
     def worst(self, g: Floats, count: int = 3) -> list[str]:
         """Sentences for the worst violated rows, one per name and mode, worst first."""
-        order = sorted(range(len(self.rows)), key=lambda i: -self.rows[i].violation(float(g[i])))
+        violations = [row.violation(float(value)) for row, value in zip(self.rows, g, strict=True)]
+        largest = max((v for v in violations if np.isfinite(v)), default=0.0)
+        visible = max(NEGLIGIBLE, _VISIBLE_SHARE * largest)
         sentences: dict[tuple[str, str], str] = {}
-        for i in order:
-            row = self.rows[i]
-            if row.violation(float(g[i])) <= NEGLIGIBLE or len(sentences) >= count:
+        for i in sorted(range(len(violations)), key=lambda i: -violations[i]):
+            if violations[i] <= visible or len(sentences) >= count:
                 break
-            sentences.setdefault((row.mode, row.name), row.sentence(float(g[i])))
+            sentences.setdefault((self.rows[i].mode, self.rows[i].name), self.rows[i].sentence(float(g[i])))
         return list(sentences.values())

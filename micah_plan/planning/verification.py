@@ -60,8 +60,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, limits: Limits, rng: np.r
     mode, x = _true_start(problem, trajectory.modes[0], rng)
     belief = belief_filter.initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
     for knot in time_knots(trajectory):
-        estimate = belief.mean
-        believed = automaton.modes[belief.most_likely]
+        believed, estimate = automaton.modes[belief.most_likely], belief.means[belief.most_likely]
         wanted = feedback_input(trajectory, int(knot), estimate)
         u = limited_input(believed, estimate, wanted, limits.max_step)
         moved = step(automaton, mode, x, u, process * rng.standard_normal(automaton.n))

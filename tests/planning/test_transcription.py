@@ -12,8 +12,9 @@ import pytest
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 from scipy.stats import norm
 
-from micah_plan.automaton.hybrid import Edge, Noise
+from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
+from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.mode_search import search_modes
 from micah_plan.planning.pomdp_hd import plan
@@ -171,7 +172,8 @@ def test_a_gate_too_narrow_for_the_belief_is_named_with_the_amount() -> None:
     nlp = transcription(problem, "left", ("left", "right"))
     assert not solve(nlp, problem).feasible
     # Both boundaries ask for k-sigma, together they leave 0.01 m: the sum of what is missed is known.
-    k, std = norm.ppf(0.95), nlp.guess[0].factors[-1, 1, 1]
+    k, phase = norm.ppf(0.95), nlp.guess[0]
+    std = np.sqrt((phase.factors[-1] @ phase.factors[-1].T + phase.spreads[-1])[1, 1])
     missed = [re.fullmatch(GUARD_MESSAGE, sentence) for sentence in unmet(nlp, problem)]
     assert all(missed)
     assert sum(float(m.group(1)) for m in missed if m) == pytest.approx(2 * k * std - 0.01, rel=2e-2)
@@ -214,6 +216,42 @@ def test_an_input_guard_of_another_transition_is_not_triggered() -> None:
     assert found.trajectory is not None
     assert found.mode_sequence == ("swings",)
     assert found.trajectory.inputs.min() >= -0.02 - 1e-7
+
+
+def test_the_spread_of_the_true_state_is_that_of_simulated_filters() -> None:
+    """Belief and closed-loop spread together against 20,000 simulated loops of filter and feedback."""
+    problem = with_settings(drawer_problem(0.05, 0.3), max_knots=30)
+    limits = limits_of(problem)
+    (phase,) = transcription(problem, "slides", ("slides",)).guess
+    gains = belief_lqr(problem, limits, ("slides",) * (phase.steps + 1), np.zeros(phase.steps, dtype=bool))
+    rng, trials = np.random.default_rng(0), 20_000
+    process, observation = problem.automaton.noise.process_std[0], problem.automaton.noise.observation_std[0]
+    variance = problem.start.std[0] ** 2
+    estimate = np.full(trials, 0.05)
+    x = estimate + problem.start.std[0] * rng.standard_normal(trials)
+    for k in range(phase.steps):
+        u = phase.inputs[k, 0] + gains[k, 0, 0] * (estimate - phase.means[k, 0])
+        x = x + u + process * rng.standard_normal(trials)
+        prior = variance + process**2
+        gain = prior / (prior + observation**2)
+        estimate = estimate + u
+        estimate = estimate + gain * (x + observation * rng.standard_normal(trials) - estimate)
+        variance = (1 - gain) * prior
+        planned = np.sqrt(phase.factors[k + 1, 0, 0] ** 2 + phase.spreads[k + 1, 0, 0])
+        assert np.std(x) == pytest.approx(planned, rel=0.03)
+
+
+def test_a_reset_that_depends_on_the_input_gets_the_input_that_opens_the_guard() -> None:
+    """A latch that springs: leaving it throws the door as far again as it is pulled."""
+    problem = door_problem(DOOR_SHUT, 0.3, mode="shut")
+    first, release, clamp = problem.automaton.edges
+    springing = replace(release, reset=Reset(B=((1.0,),)))
+    automaton = replace(problem.automaton, edges=(first, springing, clamp))
+    path = optimised(replace(problem, automaton=automaton), "shut", ("shut", "swings"))
+    assert path.feasible
+    at = int(np.flatnonzero(path.is_transition)[0])
+    assert path.inputs[at + 1, 0] < 0
+    assert path.means[at + 1, 0] == pytest.approx(path.means[at, 0] + path.inputs[at + 1, 0], abs=1e-6)
 
 
 def test_rows_say_what_is_wrong_worst_first() -> None:

@@ -59,6 +59,19 @@ def test_open_loop_success_probability_is_the_gaussians() -> None:
     assert low <= checked.success_probability * trials <= high
 
 
+@pytest.mark.slow
+def test_the_latch_is_reached_as_often_as_planned() -> None:
+    """The only goal is to be latched, so the guard's confidence is the plan's: neither much less nor certain."""
+    automaton = replace(door_automaton(), noise=Noise((0.005,), (0.01,)))
+    problem = door_problem(0.2, DOOR_SHUT, automaton=automaton, goal_modes=("shut",))
+    trials = 400
+    share = verify(problem, plan(problem), trials=trials, seed=11).success_probability
+    assert share is not None
+    low, _ = binom.interval(0.999, trials, problem.settings.confidence)
+    assert share * trials >= low
+    assert share < 1.0
+
+
 def test_feedback_helps() -> None:
     problem = door_problem(0.3, 0.6, start_std=0.06)
     found = plan(problem)
