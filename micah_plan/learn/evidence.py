@@ -28,6 +28,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 _LOG_2PI = float(np.log(2 * np.pi))
+_JUMP = 8.0  # how much wider than an ordinary innovation a jump of the tracker is
 RIGID = -1  # index of the rigid model, which needs no hypothesis
 
 
@@ -127,6 +128,8 @@ class EvidenceStream:
         self._still_spread = np.zeros((0, h))
         self._moving = np.zeros((0, h))
         self._log_dets = np.zeros((0, 2))
+        self._tail = np.zeros(0)
+        self._jumps = noise.outlier_ratio
         self._count = np.zeros(0)
         self.starts: Ints = np.zeros(0, dtype=np.int64)
         self.row = -1
@@ -137,14 +140,15 @@ class EvidenceStream:
         self._open()
         seen = bool(self.inlier[self.row])
         channels = 2 if self.has_orientation else 1
-        across = np.zeros_like(self._moving)
+        squares, peaks = np.zeros_like(self._moving), np.zeros(len(self.starts))
+        kept = self._kept[self.row + 1] if self.row + 1 < len(self.track) else 1.0
         for i in range(channels):
-            kept = self._kept[self.row + 1] if self.row + 1 < len(self.track) else 1.0
             value = self._error[:, self.row, 3:] if i == 0 else self._error[:, self.row, :3]
             innovation, variance = self._across[i].advance(value, kept, seen)
-            across -= 0.5 * ((innovation**2).sum(axis=2) / variance[:, None])
-            across -= 1.5 * (_LOG_2PI + np.log(variance))[:, None]
-            self._advance_fixed(i, kept, seen)
+            squares += (innovation**2).sum(axis=2) / variance[:, None]
+            peaks -= 1.5 * (_LOG_2PI + np.log(variance))
+        across = peaks[:, None] + self._tails(squares)[0]
+        self._advance_fixed(kept, seen)
         along = self._advance_along(seen)
         if seen:
             self._moving += across + along
@@ -157,7 +161,7 @@ class EvidenceStream:
             channel.keep(index)
         self._sums = [s[index] for s in self._sums]
         self._crosses = [s[index] for s in self._crosses]
-        for name in ("_along", "_along_spread", "_still_spread", "_moving", "_log_dets", "_count", "starts"):
+        for name in ("_along", "_along_spread", "_still_spread", "_moving", "_log_dets", "_tail", "_count", "starts"):
             setattr(self, name, getattr(self, name)[index])
 
     def _open(self) -> None:
@@ -171,19 +175,44 @@ class EvidenceStream:
         self._still_spread = np.vstack([self._still_spread, self._wander])
         self._moving = np.vstack([self._moving, np.zeros(h)])
         self._log_dets = np.vstack([self._log_dets, np.zeros(2)])
+        self._tail = np.append(self._tail, 0.0)
         self._count = np.append(self._count, 0.0)
         self.starts = np.append(self.starts, self.row)
 
-    def _advance_fixed(self, channel: int, kept: float, seen: bool) -> None:
-        pose = self.track.position[self.row] if channel == 0 else self._rotation4[self.row]  # type: ignore[index]
-        innovation, variance = self._fixed[channel].advance(np.append(1.0, pose), kept, seen)
+    def _tails(self, squares: Floats) -> tuple[Floats, Floats]:
+        """ln of the mixture (1 - γ) N + γ (a jump, `_JUMP` times as wide) over N's peak, and the share of N.
+
+        Args:
+            squares: of whitened innovations, summed over the 3 or 6 channels of a row.
+        """
+        size = 6 if self.has_orientation else 3
+        normal = np.log1p(-self._jumps) - 0.5 * squares
+        jump = np.log(self._jumps) - size * np.log(_JUMP) - 0.5 * squares / _JUMP**2
+        total = np.logaddexp(normal, jump)
+        return total, np.exp(normal - total)
+
+    def _advance_fixed(self, kept: float, seen: bool) -> None:
+        """Take the row into the running sums of the rigid model, as much of it as is no jump."""
+        taken = []
+        squares = np.zeros(len(self.starts))
+        for i in range(2 if self.has_orientation else 1):
+            pose = self.track.position[self.row] if i == 0 else self._rotation4[self.row]  # type: ignore[index]
+            innovation, variance = self._fixed[i].advance(np.append(1.0, pose), kept, seen)
+            ones, values = innovation[:, 0], innovation[:, 1:]
+            weight = self._sums[i][:, :1]
+            mean = self._crosses[i] / np.maximum(weight, 1e-300)
+            missed = np.where(weight > 0, values - ones[:, None] * mean, 0.0)
+            squares += (missed**2).sum(axis=1) / variance
+            taken.append((ones, values, variance))
         if not seen:
             return
-        ones, values = innovation[:, 0], innovation[:, 1:]
-        self._sums[channel][:, 0] += ones**2 / variance
-        self._sums[channel][:, 1] += (values**2).sum(axis=1) / variance
-        self._crosses[channel] += ones[:, None] * values / variance[:, None]
-        self._log_dets[:, channel] += 1.5 * (_LOG_2PI + np.log(variance))
+        total, share = self._tails(squares)
+        self._tail += total + 0.5 * share * squares
+        for i, (ones, values, variance) in enumerate(taken):
+            self._sums[i][:, 0] += share * ones**2 / variance
+            self._sums[i][:, 1] += share * (values**2).sum(axis=1) / variance
+            self._crosses[i] += (share / variance * ones)[:, None] * values
+            self._log_dets[:, i] += 1.5 * (_LOG_2PI + np.log(variance))
 
     def _advance_along(self, seen: bool) -> Floats:
         """ln p of the configuration's innovation, less what the across channels already counted for its direction."""
@@ -227,7 +256,7 @@ class EvidenceStream:
         return EvidenceColumn(self.starts.copy(), table, which)
 
     def _rigid(self) -> Floats:
-        total = np.zeros(len(self.starts))
+        total = self._tail.copy()
         for i in range(2 if self.has_orientation else 1):
             ones, squares = self._sums[i][:, 0], self._sums[i][:, 1]
             explained = (self._crosses[i] ** 2).sum(axis=1) / np.maximum(ones, 1e-300)
