@@ -132,7 +132,7 @@ def execute(
         MissingDependencyError: if the plant needs a library that is not installed.
     """
     from micah_plan.execution.trials import run_trials
-    from micah_plan.planning.replanning import replan
+    from micah_plan.planning.pomdp_hd import replan
 
     return run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan, progress=progress)
 
