@@ -8,10 +8,12 @@ updates; a test compares the two.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg.lapack import dgeqrf
 from scipy.special import log_ndtr, ndtr
 
 from micah_plan.automaton.hybrid import Pin, Reset
@@ -26,9 +28,12 @@ SMALLEST_STD = 1e-9
 def lower_factor(matrix: Floats) -> Floats:
     """Lower triangular L (n, n) with non-negative diagonal and L L' = M M', for M (n, k)."""
     n, k = matrix.shape
+    if n == 1:
+        return np.asarray([[math.sqrt(float(matrix[0] @ matrix[0]))]])
     padded = matrix if k >= n else np.hstack([matrix, np.zeros((n, n - k))])
-    factor = np.asarray(np.linalg.qr(padded.T, mode="r")).T
-    signs = np.where(np.diag(factor) < 0, -1.0, 1.0)
+    # LAPACK itself: for matrices this small the checks of np.linalg.qr take several times as long as the work.
+    factor = np.asarray(dgeqrf(padded.T)[0])[:n].T
+    signs = np.where(factor.diagonal() < 0, -1.0, 1.0)
     return np.asarray(np.tril(factor * signs))
 
 
