@@ -112,6 +112,8 @@ class EvidenceStream:
         self._drift = np.zeros((h, len(track)))
         if action is not None:
             self._drift[:, 1:] = self.motion.gain @ action[:-1].T
+        self._usual_step = (1 - self.motion.rest) * self.motion.mean
+        self._drift += self._usual_step[:, None]
         self._white = np.array([v.white_variance for v in views])
         self._wander = np.array([v.wander_variance for v in views])
         counts = [parameter_count(v.hypothesis.joint.kind, self.has_orientation) for v in views]
@@ -232,7 +234,7 @@ class EvidenceStream:
         measured = self._configuration[:, self.row]
         innovation = np.where(first, 0.0, measured - self._along)
         quiet = np.where(first, variance, variance - self.motion.spread)
-        density = self.motion.log_density(innovation, quiet)
+        density = self.motion.log_density(innovation + self._usual_step, quiet)
         density = np.where(first, counted, density)
         trust = np.where(first, 1.0, spread / variance)
         self._along = self._along + trust * (measured - self._along)
@@ -240,13 +242,14 @@ class EvidenceStream:
         return np.asarray(density - counted)
 
     def _column(self) -> EvidenceColumn:
-        m, rows = len(self.starts), np.maximum(self._count, 1.0)
+        m, rows = len(self.starts), self._count[:, None]
         table = np.full((m, len(self.kinds)), -np.inf)
         which = np.full((m, len(self.kinds)), RIGID, dtype=np.int64)
-        penalised = self._moving - 0.5 * self._parameters * np.log(rows)[:, None]
+        penalised = self._moving - _penalty(self._parameters, rows)
         for column, kind in enumerate(self.kinds):
             if kind == "rigid":
-                table[:, column] = self._rigid() - 0.5 * parameter_count("rigid", self.has_orientation) * np.log(rows)
+                size = np.array([float(parameter_count("rigid", self.has_orientation))])
+                table[:, column] = self._rigid() - _penalty(size, rows)[:, 0]
                 continue
             members = np.array([i for i, v in enumerate(self.views) if v.hypothesis.joint.kind == kind], dtype=np.int64)
             if len(members):
@@ -262,3 +265,11 @@ class EvidenceStream:
             explained = (self._crosses[i] ** 2).sum(axis=1) / np.maximum(ones, 1e-300)
             total -= 0.5 * np.maximum(squares - explained, 0.0) + self._log_dets[:, i]
         return total
+
+
+def _penalty(parameters: Floats, rows: Floats) -> Floats:
+    """k/2 ln n (m, h) of models with k (h,) parameters on n (m, 1) rows.
+
+    Fewer rows than parameters fit exactly and would make them free; they pay as for k rows.
+    """
+    return np.asarray(0.5 * parameters * np.log(np.maximum(rows, parameters)))

@@ -104,13 +104,13 @@ def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: F
     renewed = one.wander_variance * np.diff(np.cumsum(forgetting)[rows])
     mean_square = max(float(np.mean(np.diff(c) ** 2)), one.white_variance * 1e-3, _TINY)
     grid = mean_square * _STEP_SHARES
-    signals = c[:, None]
+    signals = np.column_stack([c, rows - rows[0]])
     if action is not None:
         # What the actions commanded between the rows used: their running sum, as a signal that is filtered alike.
         commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action, axis=0)])[rows]
-        signals = np.column_stack([c, commanded - commanded[0]])
+        signals = np.column_stack([signals, commanded - commanded[0]])
     innovations, quiet = _innovations(signals, one.white_variance, renewed, grid)
-    free = _freely_moving(innovations[..., 0], quiet, grid, rest)
+    free = _freely_moving(innovations[..., 0], innovations[..., 1], quiet, grid, rest)
     if action is None or len(rows) < _FEWEST_ROWS:
         return free
     # The action as it is defined, with a gain; or, where that explains less, in any frame.
@@ -122,19 +122,28 @@ def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: F
     return max(candidates, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
 
 
-def _freely_moving(innovation: Floats, quiet: Floats, grid: Floats, rest: float) -> _Model:
-    """(μ, q) by expectation maximisation for every E[w²] of the grid; the best of them."""
+def _freely_moving(innovation: Floats, ramp: Floats, quiet: Floats, grid: Floats, rest: float) -> _Model:
+    """(μ, q) by expectation maximisation for every E[w²] of the grid; the best of them.
+
+    The filter drifts by its expected step (1 - ρ) μ. Its innovations are those without drift, less the drift times the
+    innovations of a ramp, so that under noise a stop shows in the rows that follow.
+    """
+    expected = 1 - rest
+    resting = expected * (ramp - 1)
+    going = resting + 1
     mean = np.median(innovation, axis=0)
     variance = grid.copy()
     for _ in range(_EXPECTATION_STEPS):
         moving = quiet + variance
-        log_go = np.log1p(-rest) - 0.5 * (np.log(moving) + (innovation - mean) ** 2 / moving)
-        log_rest = np.log(rest) - 0.5 * (np.log(quiet) + innovation**2 / quiet)
-        going = np.exp(log_go - np.logaddexp(log_go, log_rest))
-        total = np.maximum(going.sum(axis=0), 1e-9)
-        mean = (going * innovation).sum(axis=0) / total
-        variance = np.maximum((going * ((innovation - mean) ** 2 - quiet)).sum(axis=0) / total, 0.01 * grid)
-    density = log_step_density(innovation, quiet, mean, variance, np.array(rest)).sum(axis=0)
+        log_go = np.log1p(-rest) - 0.5 * (np.log(moving) + (innovation - mean * going) ** 2 / moving)
+        log_rest = np.log(rest) - 0.5 * (np.log(quiet) + (innovation - mean * resting) ** 2 / quiet)
+        share = np.exp(log_go - np.logaddexp(log_go, log_rest))
+        weight_go, weight_rest = share / moving, (1 - share) / quiet
+        pull = (weight_go * going * innovation + weight_rest * resting * innovation).sum(axis=0)
+        mean = pull / np.maximum((weight_go * going**2 + weight_rest * resting**2).sum(axis=0), 1e-300)
+        missed = share * ((innovation - mean * going) ** 2 - quiet)
+        variance = np.maximum(missed.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
+    density = log_step_density(innovation - mean * resting, quiet, mean, variance, np.array(rest)).sum(axis=0)
     i = int(np.argmax(density))
     return _Model(float(grid[i]), float(mean[i]), float(variance[i]), rest, np.zeros(3), 2.0, float(density[i]))
 
@@ -142,7 +151,7 @@ def _freely_moving(innovation: Floats, quiet: Floats, grid: Floats, rest: float)
 def _led(innovations: Floats, quiet: Floats, grid: Floats, basis: Floats) -> _Model:
     """h in the span of a basis (3, k) for every E[w²] of the grid, and the ρ that goes with it best."""
     gains = np.array([_gain(innovations[:, i], quiet[:, i] + grid[i], basis) for i in range(len(grid))])
-    left = innovations[..., 0] - np.einsum("tgk,gk->tg", innovations[..., 1:], gains)
+    left = innovations[..., 0] - np.einsum("tgk,gk->tg", innovations[..., 2:], gains)
     variance = grid[:, None] / (1 - _EXPLAINED_SHARES)
     density = log_step_density(left[..., None], quiet[..., None], np.zeros(1), variance, _EXPLAINED_SHARES).sum(axis=0)
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(density)), density.shape))
@@ -172,7 +181,7 @@ def _innovations(signals: Floats, white: float, renewed: Floats, grid: Floats) -
 
 def _gain(innovations: Floats, variance: Floats, basis: Floats) -> Floats:
     """h (3,) by weighted least squares of the configuration's innovations on those of the commanded signals."""
-    commanded = innovations[:, 1:] @ basis / np.sqrt(variance)[:, None]
+    commanded = innovations[:, 2:] @ basis / np.sqrt(variance)[:, None]
     measured = innovations[:, 0] / np.sqrt(variance)
     normal = commanded.T @ commanded
     return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ (commanded.T @ measured))
