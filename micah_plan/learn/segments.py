@@ -25,6 +25,7 @@ Bools = NDArray[np.bool_]
 
 _SMOOTHED_ROWS = 5
 _PROJECTIONS = 10
+_DECIMALS = 12
 _FINEST_STEP = 0.1  # of the measurement noise; the rows of one recording cannot tell a smaller process noise from 0
 _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
 
@@ -121,6 +122,8 @@ def to_segment(
         process = 0.0
     else:
         smooth = _smoothed(c)
+        # Rounded so that the first row of a chain is at 0 and not at what is left of adding and subtracting.
+        smooth = np.round(smooth, _DECIMALS) + 0.0
         start, end = float(smooth[0]), float(smooth[-1])
         limits = (float(min(smooth.min(), start)), float(max(smooth.max(), end)))
         process = _process_std(one, c, used, track, _observation_std(joint, joint, used, track, noise))
