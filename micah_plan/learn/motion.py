@@ -33,7 +33,7 @@ class MotionModels:
     """The step models of m hypotheses.
 
     Attributes:
-        spread: (m,) E[w²] [rad² or m² per row], by which the filter of the configuration opens.
+        spread: (m,) mean of w² [rad² or m² per row], by which the filter of the configuration opens.
         mean: (m,) μ [rad or m per row].
         variance: (m,) q [rad² or m² per row].
         rest: (m,) ρ.
