@@ -1,0 +1,225 @@
+"""MkDocs hook: pages on the YAML files and on the command line, made from their definitions whenever the site is built.
+
+The tables come from the JSON Schemas of `micah_plan.spec.schema`, the examples are files that the project ships, the
+help texts are what the commands print. Nothing of it is stored, so it cannot go stale. Without MkDocs,
+`python docs/generate_reference.py FOLDER` writes the same pages into a folder.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner
+
+from micah_plan.cli import app
+from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.spec.schema import schema
+
+ROOT = Path(__file__).resolve().parents[1]
+WIDTH = 100
+
+INTRODUCTIONS = {
+    "model": (
+        "Model file",
+        "models/drawer.yaml",
+        "The [hybrid automaton](../concepts/automaton.md) of an object. `micah-plan learn` writes it; people can read "
+        "and edit it. What is loaded is checked.",
+    ),
+    "parts": (
+        "Parts file",
+        "models/parts/drawer.yaml",
+        "Shapes and handles of an object's parts. `micah-plan learn --parts` copies them into the model. They are for "
+        "drawing and for physics; planning does not look at the shapes.",
+    ),
+    "problem": (
+        "Problem file",
+        "problems/microwave_close.yaml",
+        "What `micah-plan solve` is asked: from which uncertain start to which goal, with which model.",
+    ),
+    "plan": (
+        "Plan file",
+        "",
+        "What `micah-plan solve` writes, as JSON: the outcome, the belief trajectory and the whole problem, so that it "
+        "can be executed and shown without other files. The same problem and seed give the same bytes; timings lie "
+        "beside it in `*.timings.json`. It is made to be read by programs: an edited plan is refused.",
+    ),
+}
+
+HALF_SPACES = """
+## Half-spaces and expressions
+
+Guards, invariants and admissible inputs are lists of half-spaces that must all hold. A half-space is one comparison of
+two sums:
+
+```yaml
+guard: [door >= 1.2]
+inputs: [input door <= 0.1, input door >= -0.1]
+invariant:
+  - door <= 1.2
+  - in front of the table: 0.5*x + 2*z - input x > 0.1   # with a name of its own
+```
+
+A plain name is a coordinate, `input name` is an input. A name that is no plain identifier stands in double quotes. The
+operators are `>=`, `>`, `<=` and `<`; `>` and `<` leave out the boundary. `step` and `reset` take the same sums without
+a comparison, and a coordinate that is left out there does not move or keeps its value.
+"""
+
+
+def pages() -> dict[str, str]:
+    """Markdown of every generated page and text of every generated file, by its place below docs/."""
+    made = {f"reference/{kind}_file.md": _file_page(kind) for kind in INTRODUCTIONS}
+    made |= {f"reference/{kind}.schema.json": json.dumps(schema(kind), indent=2) + "\n" for kind in INTRODUCTIONS}
+    return {**made, "reference/cli.md": _cli_page()}
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """MkDocs calls this when it has listed the files of the site."""
+    from mkdocs.structure.files import File
+
+    for place, text in pages().items():
+        files.append(File.generated(config, place, content=text))
+    return files
+
+
+def _file_page(kind: str) -> str:
+    title, example, introduction = INTRODUCTIONS[kind]
+    described = schema(kind)
+    sections = [
+        f"# {title}\n\n{introduction}\n",
+        f"Unknown keys, missing keys and wrong types are errors with the line number. Units are SI, angles in rad, "
+        f"quaternions scalar last, paths relative to the file.\n\nFor editors: [JSON Schema]({kind}.schema.json).\n",
+        _example(example),
+        f"## The file\n\n{_table(described)}",
+    ]
+    for name in _in_order_of_use(described):
+        anchor = f"## {_heading(name)} {{#{_anchor(name)}}}"
+        sections.append(f"{anchor}\n\n{_table(described['$defs'][name], name)}")
+    if kind == "model":
+        sections.append(HALF_SPACES)
+    return "\n".join(sections)
+
+
+def _example(place: str) -> str:
+    if not place:
+        return ""
+    return f"## Example\n\n`{place}`:\n\n```yaml\n{_shortened((ROOT / place).read_text(encoding='utf-8'))}```\n"
+
+
+def _shortened(text: str) -> str:
+    """A file without the rows of covariance matrices, which are long and say little."""
+    kept: list[str] = []
+    depth = -1
+    for line in text.splitlines():
+        indent = len(line) - len(line.lstrip())
+        if depth >= 0 and indent > depth:
+            continue
+        depth = -1
+        if line.strip() == "covariance:":
+            depth = indent
+            line = " " * indent + "covariance: # names and matrix, left out on this page"
+        kept.append(line)
+    return "\n".join(kept) + "\n"
+
+
+def _in_order_of_use(described: Mapping[str, Any]) -> list[str]:
+    """Names of the definitions, each after the one that first refers to it."""
+    found: list[str] = []
+    waiting = [described]
+    while waiting:
+        text = json.dumps({key: value for key, value in waiting.pop(0).items() if key != "$defs"})
+        for name in re.findall(r'"#/\$defs/(\w+)"', text):
+            if name not in found:
+                found.append(name)
+                waiting.append(described["$defs"][name])
+    return found
+
+
+def _heading(name: str) -> str:
+    words = re.findall(r"[A-Z][a-z]*", name.removesuffix("Document"))
+    return " ".join(words).capitalize()
+
+
+def _anchor(name: str) -> str:
+    return _heading(name).lower().replace(" ", "-")
+
+
+def _table(entry: Mapping[str, Any], name: str = "") -> str:
+    lines = ["| key | value | default | meaning |", "| --- | --- | --- | --- |"]
+    required = entry.get("required", [])
+    for key, value in entry["properties"].items():
+        default = "*required*" if key in required else _default(key, value, name)
+        meaning = value.get("description", "").replace("|", "\\|")
+        lines.append(f"| `{key}` | {_kind(value)} | {default} | {meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+def _default(key: str, value: Mapping[str, Any], name: str) -> str:
+    default = value.get("default")
+    if name == "PlantDocument" and default is None:
+        # The file leaves these open; what then holds is what the plant is built with.
+        default = {field.name: field.default for field in fields(PhysicalParameters)}[key]
+    return "" if default is None else f"`{json.dumps(default)}`"
+
+
+def _kind(value: Mapping[str, Any]) -> str:
+    """A JSON Schema type in words."""
+    if "$ref" in value:
+        name = value["$ref"].rpartition("/")[2]
+        return f"[{_heading(name).lower()}](#{_anchor(name)})"
+    if "const" in value:
+        return f"`{value['const']}`"
+    if "enum" in value:
+        return ", ".join(f"`{choice}`" for choice in value["enum"])
+    if "anyOf" in value:
+        if any(option.get("maxProperties") == 1 for option in value["anyOf"]):
+            return "[half-space](#half-spaces-and-expressions)"
+        if {option.get("type") for option in value["anyOf"]} == {"string", "number"}:
+            return "[expression](#half-spaces-and-expressions)"
+        options = [option for option in value["anyOf"] if option.get("type") != "null"]
+        return " or ".join(dict.fromkeys(_kind(option) for option in options))
+    if value.get("type") == "array":
+        if "prefixItems" in value:
+            return f"{len(value['prefixItems'])} numbers"
+        return f"list of {_kind(value['items'])}"
+    if value.get("type") == "object":
+        inner = value.get("additionalProperties")
+        return f"by name: {_kind(inner)}" if isinstance(inner, dict) else "keys"
+    plain = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
+    return plain.get(value.get("type", ""), "any") + _limits(value)
+
+
+def _limits(value: Mapping[str, Any]) -> str:
+    symbols = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    found = [f"{symbol} {value[key]:,}" for key, symbol in symbols.items() if key in value]
+    return f" {', '.join(found)}" if found else ""
+
+
+def help_text(*command: str) -> str:
+    """What `micah-plan COMMAND --help` prints in a terminal of `WIDTH` columns."""
+    options = {"prog_name": "micah-plan", "terminal_width": WIDTH, "max_content_width": WIDTH}
+    return CliRunner().invoke(app, [*command, "--help"], **options).output  # type: ignore[arg-type]
+
+
+def _cli_page() -> str:
+    sections = [
+        "# Command line\n\nThe help texts, as the commands print them. Exit codes: 0 done, 1 an honest negative (for "
+        "example: no plan), 2 bad input. Results go to stdout, progress and errors to stderr. With `--json`, stdout "
+        "gets exactly one JSON object.\n",
+        f"```text\n{help_text()}```\n",
+    ]
+    commands = [str(info.name or getattr(info.callback, "__name__", "")) for info in app.registered_commands]
+    sections += [f"## {name}\n\n```text\n{help_text(name)}```\n" for name in commands]
+    return "\n".join(sections)
+
+
+if __name__ == "__main__":
+    for written, content in pages().items():
+        target = Path(sys.argv[1]) / written
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(content, encoding="utf-8")

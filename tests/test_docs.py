@@ -1,0 +1,224 @@
+"""README and documentation say what is so: examples print what they show, commands work, links lead somewhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.spec.schema import schema
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
+SHIPPED = ("examples", "models", "problems")
+COMMANDS = ("learn", "solve", "execute", "predict", "show")
+
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page: its language and text."""
+
+    language: str
+    text: str
+
+
+def text_of(page: str) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(page: str, *languages: str) -> list[Block]:
+    found = re.findall(r"^```(\w*)[^\n]*\n(.*?)^```$", text_of(page), flags=re.MULTILINE | re.DOTALL)
+    return [Block(language, text) for language, text in found if not languages or language in languages]
+
+
+def printed_lines(code: str) -> Iterator[str]:
+    """What an example shows as its output: comments after a print, and comment lines."""
+    for line in code.splitlines():
+        shown = re.match(r"\s*print\(.*\)  # (.*)$", line) or re.match(r"# (.*)$", line)
+        if shown:
+            yield shown.group(1)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A `micah-plan` line of a page and what the page shows as its output; None if it shows none."""
+
+    line: str
+    output: str | None
+
+
+def commands(page: str) -> list[Command]:
+    found = []
+    for block in blocks(page, "bash", "console"):
+        prompt = "$ " if block.language == "console" else ""
+        for part in re.split(rf"^(?={re.escape(prompt)}micah-plan )", block.text, flags=re.MULTILINE):
+            line, _, output = part.partition("\n")
+            if line.startswith(f"{prompt}micah-plan "):
+                found.append(Command(line.removeprefix(prompt), output if block.language == "console" else None))
+    return found
+
+
+WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
+WITH_COMMANDS = [page for page in PAGES if commands(page)]
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory from which the shipped files are seen as from the root of the repository."""
+    for name in SHIPPED:
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def generator() -> ModuleType:
+    """The hook that generates reference pages."""
+    place = importlib.util.spec_from_file_location("generate_reference", ROOT / "docs" / "generate_reference.py")
+    assert place is not None
+    assert place.loader is not None
+    module = importlib.util.module_from_spec(place)
+    place.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def generated(generator: ModuleType) -> dict[str, str]:
+    """The generated pages and files by their place below docs/."""
+    return dict(generator.pages())
+
+
+def test_the_tools_of_this_file_find_examples() -> None:
+    assert "README.md" in WITH_PYTHON
+    assert {"README.md", "docs/start.md"} <= set(WITH_COMMANDS)
+    assert list(printed_lines("print(1)  # 1\nx = 2  # why\n# two\n")) == ["1", "two"]
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON)
+@pytest.mark.usefixtures("workplace")
+def test_python_examples_print_what_they_show(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    namespace: dict[str, object] = {}
+    expected = []
+    for number, block in enumerate(blocks(page, "python"), start=1):
+        exec(compile(block.text, f"{page}, example {number}", "exec"), namespace)  # noqa: S102
+        expected += list(printed_lines(block.text))
+    assert capsys.readouterr().out.splitlines() == expected
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS)
+def test_commands_have_known_names_and_options_and_read_shipped_files(page: str, generator: ModuleType) -> None:
+    for command in commands(page):
+        name, *arguments = shlex.split(command.line)[1:]
+        assert name in (*COMMANDS, "--help"), command
+        known = generator.help_text(*([] if name == "--help" else [name]))
+        for argument in arguments:
+            if argument.startswith("-"):
+                assert re.search(rf"(^|\s|,){re.escape(argument)}(\s|,)", known), f"{argument} in: {command.line}"
+            elif argument.startswith(SHIPPED):
+                assert (ROOT / argument).is_file(), argument
+
+
+def test_commands_named_in_the_text_exist() -> None:
+    named = {page: set(re.findall(r"`micah-plan (\w+)", text_of(page))) - set(COMMANDS) for page in PAGES}
+    assert {page: unknown for page, unknown in named.items() if unknown} == {}
+
+
+def alike(shown: str, printed: str) -> bool:
+    """Whether two outputs say the same: the same words, numbers close; times and the lengths of rules do not count."""
+
+    def lines(text: str) -> list[str]:
+        kept = [re.sub("─+", "─", " ".join(line.split())) for line in text.splitlines()]
+        return [line for line in kept if line and not line.startswith("seconds")]
+
+    def words(line: str) -> str:
+        return NUMBER.sub("#", line)
+
+    def values(line: str) -> list[float]:
+        return [float(number) for number in NUMBER.findall(re.sub(r" in [\d.]+ s$", "", line))]
+
+    old, new = lines(shown), lines(printed)
+    if [words(line) for line in old] != [words(line) for line in new]:
+        return False
+    pairs = [pair for a, b in zip(old, new, strict=True) for pair in zip(values(a), values(b), strict=True)]
+    return all(abs(a - b) <= 0.02 + 0.1 * abs(a) for a, b in pairs)
+
+
+def test_outputs_are_compared_by_words_and_roughly_by_numbers() -> None:
+    assert alike("learned 2 mode(s) in 1.63 s\n ───\nerror 0.10", "learned 2 mode(s) in 9.9 s\n ─────\nerror   0.11")
+    assert not alike("error 0.10", "error 0.16")
+    assert not alike("2 modes", "2 joints")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_COMMANDS)
+def test_commands_work_one_after_the_other_and_print_what_is_shown(page: str, workplace: Path) -> None:
+    pytest.importorskip("mujoco", reason="the pages execute plans in MuJoCo (extra 'sim')")
+    environment = {**os.environ, "COLUMNS": "100"}
+    for command in commands(page):
+        arguments = [sys.executable, "-m", "micah_plan", *shlex.split(command.line)[1:]]
+        done = subprocess.run(
+            arguments, cwd=workplace, env=environment, capture_output=True, encoding="utf-8", check=False
+        )
+        assert done.returncode == 0, f"{command.line}\n{done.stderr}"
+        if command.output is not None:
+            assert alike(command.output, done.stdout), f"{command.line} now prints\n{done.stdout}"
+
+
+def test_relative_links_and_images_lead_somewhere(generated: dict[str, str]) -> None:
+    made = {(ROOT / "docs" / place).resolve() for place in generated}
+    dead = []
+    for page in PAGES:
+        prose = re.sub(r"^```.*?^```$", "", text_of(page), flags=re.MULTILINE | re.DOTALL)
+        for target in re.findall(r"\]\(([^)\s]+)\)", prose):
+            file = (ROOT / page).parent / target.partition("#")[0]
+            if not re.match(r"[a-z]+:|#", target) and not file.exists() and file.resolve() not in made:
+                dead.append((page, target))
+    assert dead == []
+
+
+def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) -> None:
+    for place, text in generated.items():
+        if place.endswith(".md"):
+            anchors = set(re.findall(r"\{#([\w-]+)\}", text))
+            anchors |= {title.lower().replace(" ", "-") for title in re.findall(r"^## (.+)$", text, re.MULTILINE)}
+            assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors, place
+
+
+@pytest.mark.parametrize("kind", ["model", "parts", "problem", "plan"])
+def test_the_page_on_a_file_has_every_key(kind: str, generated: dict[str, str]) -> None:
+    described = schema(kind)
+    page = generated[f"reference/{kind}_file.md"]
+    for entry in (described, *described["$defs"].values()):
+        for key, value in entry["properties"].items():
+            assert re.search(rf"^\| `{key}` \| .+ \| .* \| {re.escape(value['description'])} \|$", page, re.MULTILINE)
+
+
+def test_the_page_on_the_command_line_is_what_the_commands_print(generated: dict[str, str]) -> None:
+    page = generated["reference/cli.md"]
+    assert re.findall(r"^## (\w+)$", page, re.MULTILINE) == list(COMMANDS)
+    done = subprocess.run(
+        [sys.executable, "-m", "micah_plan", "solve", "--help"], capture_output=True, encoding="utf-8", check=True
+    )
+    told = done.stdout.partition("Arguments:")[2].split()
+    assert told
+    assert " ".join(told) in " ".join(page.split())
+
+
+def test_the_page_on_learning_names_every_setting() -> None:
+    _, _, section = text_of("docs/concepts/learning.md").partition("\n## Settings\n")
+    rows = re.findall(r"^\| (`[^|]+`) \|", section.partition("\n## ")[0], re.MULTILINE)
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == {
+        item.name for item in fields(LearnSettings)
+    }
