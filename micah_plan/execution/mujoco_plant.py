@@ -18,9 +18,9 @@ from micah_plan.execution.mjcf import latch_name, mjcf
 from micah_plan.execution.physical_object import PhysicalLink, fixed_shapes, physical_links
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.execution.start import sample_start
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.planning.problem import Start
+from micah_plan.planning.start_state import sample_start
 
 Floats = NDArray[np.float64]
 

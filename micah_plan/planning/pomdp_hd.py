@@ -12,13 +12,13 @@ from time import perf_counter
 
 import numpy as np
 
-from micah_plan.automaton.hybrid import Mode
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.mode_search import ModeSequence, search_modes
 from micah_plan.planning.plan import Candidate, Plan, Trajectory
 from micah_plan.planning.problem import Problem, Start
+from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.transcription import transcribe
 from micah_plan.planning.transcription_guess import guess
 from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
@@ -26,8 +26,6 @@ from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
 Progress = Callable[[str, float], None]
 
-# A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
-_START_SIGMAS = 3.0
 # How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
@@ -45,7 +43,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    mode, reason = start_mode(problem)
+    mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
         return Plan("no_plan", reason, seed=seed, timings=_Clock().timings())
     return _plan_from(problem, mode, seed, progress or (lambda _text, _fraction: None))
@@ -87,45 +85,6 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
         return Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, timings=clock.timings())
     return _solved(problem, limits, best, tuple(candidates), seed, clock)
-
-
-def start_mode(problem: Problem) -> tuple[str | None, str]:
-    """The mode that the start is in; None with the reason if its mean lies in no mode's (or not in the named) range."""
-    automaton, start = problem.automaton, problem.start
-    if start.mode is not None:
-        mode = automaton.mode(start.mode)
-        if _sigmas_outside(problem, mode) <= _START_SIGMAS:
-            return mode.name, ""
-        return (
-            None,
-            f"the start {_start_text(problem)} lies outside the range of its mode '{mode.name}'; correct either",
-        )
-    outside = {mode.name: _sigmas_outside(problem, mode) for mode in automaton.modes}
-    nearest = min(outside, key=outside.__getitem__)
-    if outside[nearest] <= _START_SIGMAS:
-        return nearest, ""
-    names = ", ".join(f"'{name}'" for name in outside)
-    return None, f"the start {_start_text(problem)} lies in the range of no mode ({names}); move it into one"
-
-
-def _sigmas_outside(problem: Problem, mode: Mode) -> float:
-    """By how many standard deviations the start's mean lies outside of a mode's invariant and pins; 0 inside."""
-    mean, std = np.array(problem.start.mean), np.array(problem.start.std)
-    outside = [0.0]
-    for half_space in mode.invariant.half_spaces:
-        shortage = -float(half_space.margin(mean, np.zeros(problem.automaton.m)))
-        if shortage > 0:
-            outside.append(shortage / max(float(np.linalg.norm(std * np.array(half_space.a))), 1e-9))
-    for pin in mode.pins:
-        distance = abs(float(mean[pin.coordinate]) - pin.value)
-        spread = float(np.hypot(std[pin.coordinate], pin.std))
-        outside.append(distance / max(spread, 1e-9))
-    return max(outside)
-
-
-def _start_text(problem: Problem) -> str:
-    pairs = zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)
-    return ", ".join(f"{c.name} = {mean:g} ± {std:g} {c.unit}" for c, mean, std in pairs)
 
 
 def _optimise(

@@ -17,6 +17,7 @@ from micah_plan.planning.limits import Limits, limited_input, limits_of
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.planning.problem import Goal, Problem
+from micah_plan.planning.start_state import sample_start
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, limits: Limits, rng: np.r
     """One closed-loop execution: the true mode and state (n,) at its end."""
     automaton = problem.automaton
     process, observation = (np.array(s) for s in (automaton.noise.process_std, automaton.noise.observation_std))
-    mode, x = _true_start(problem, trajectory.modes[0], rng)
+    mode, x = sample_start(automaton, replace(problem.start, mode=trajectory.modes[0]), rng)
     belief = belief_filter.initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
     for knot in time_knots(trajectory):
         believed, estimate = automaton.modes[belief.most_likely], belief.means[belief.most_likely]
@@ -76,22 +77,3 @@ def is_in_goal(goal: Goal, mode: str, x: Floats) -> bool:
     return (not goal.modes or mode in goal.modes) and all(
         abs(float(x[index]) - value) <= tolerance for index, value, tolerance in goal.target
     )
-
-
-def _true_start(problem: Problem, mode: str, rng: np.random.Generator) -> tuple[str, Floats]:
-    """A true mode and state of the start belief, clamps and pins applied; the mode is one whose invariant holds it."""
-    automaton = problem.automaton
-    x = np.array(problem.start.mean) + np.array(problem.start.std) * rng.standard_normal(automaton.n)
-    for pin in automaton.mode(mode).pins:
-        x[pin.coordinate] = pin.value
-    u = np.zeros(automaton.m)
-    if not automaton.mode(mode).invariant.contains(x, u, tolerance=1e-9):
-        # A step at rest takes what holds already: clamps and transitions.
-        rested = step(automaton, mode, x, u)
-        mode, x = rested.mode, rested.x
-        holding = automaton.modes_at(x, tolerance=1e-9)
-        if holding and mode not in holding:
-            mode = holding[0]
-            for pin in automaton.mode(mode).pins:
-                x[pin.coordinate] = pin.value
-    return mode, x

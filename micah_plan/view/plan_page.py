@@ -11,6 +11,7 @@ from scipy.stats import chi2, norm
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import start_mode
 from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
 from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners
 from micah_plan.view.model_page import (
@@ -61,7 +62,7 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     keys, bands = keyframes(plan.trajectory, automaton) if plan.trajectory else (_still(problem), ())
     draw_object(scene, automaton, keys)
     draw_mode_joints(scene, automaton, keys, size)
-    _draw_state(scene, "start", problem, np.array(problem.start.mean), start_mode(problem), START)
+    _draw_state(scene, "start", problem, np.array(problem.start.mean), _start_mode(problem), START)
     _draw_state(scene, "goal", problem, *_goal(problem, keys), GOAL)
     if plan.trajectory:
         _draw_belief(scene, problem, keys, sigmas, size)
@@ -92,10 +93,9 @@ def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(~trajectory.is_transition)]).astype(np.int64)
 
 
-def start_mode(problem: Problem) -> str:
-    """The mode that the problem starts in."""
-    at = problem.automaton.modes_at(np.array(problem.start.mean), 1e-9)
-    return problem.start.mode or (at[0] if at else problem.automaton.modes[0].name)
+def _start_mode(problem: Problem) -> str:
+    """The mode that the problem starts in; the first for a start that is in none."""
+    return start_mode(problem.automaton, problem.start)[0] or problem.automaton.modes[0].name
 
 
 def keyframes(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
@@ -137,7 +137,7 @@ def _knot_times(trajectory: Trajectory) -> Floats:
 
 
 def _still(problem: Problem) -> Keyframes:
-    return Keyframes(np.zeros(1), (start_mode(problem),), np.array([problem.start.mean]))
+    return Keyframes(np.zeros(1), (_start_mode(problem),), np.array([problem.start.mean]))
 
 
 def _goal(problem: Problem, keys: Keyframes) -> tuple[Floats, str]:
@@ -236,7 +236,7 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
         f"{c.name} = {quantity(mean, c.unit)}, σ {quantity(std, c.unit)}"
         for c, mean, std in zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)
     ]
-    return [*details, ("Start belief", [*start, f"mode {start_mode(problem)}"])]
+    return [*details, ("Start belief", [*start, f"mode {_start_mode(problem)}"])]
 
 
 def _readouts(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[tuple[float, tuple[str, ...]], ...]:

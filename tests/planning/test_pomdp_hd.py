@@ -10,8 +10,9 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_pr
 
 from micah_plan.belief.filter import initial_belief
 from micah_plan.planning.plan import Plan
-from micah_plan.planning.pomdp_hd import plan, replan, start_mode
+from micah_plan.planning.pomdp_hd import plan, replan
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import start_mode
 
 
 @pytest.mark.parametrize(
@@ -90,12 +91,16 @@ def test_no_plan_after_optimisation_names_the_sequence_and_the_cause() -> None:
     assert all(c.cost is None for c in found.candidates)
 
 
+def mode_of(problem: Problem) -> tuple[str | None, str]:
+    return start_mode(problem.automaton, problem.start)
+
+
 def test_the_start_mode_is_the_named_one_or_the_first_that_holds_the_mean() -> None:
-    assert start_mode(door_problem(DOOR_SHUT, 0.3, mode="shut"))[0] == "shut"
-    assert start_mode(door_problem(DOOR_SHUT, 0.3))[0] == "swings"
+    assert mode_of(door_problem(DOOR_SHUT, 0.3, mode="shut"))[0] == "shut"
+    assert mode_of(door_problem(DOOR_SHUT, 0.3))[0] == "swings"
     # Slightly outside of every range, as an estimate may be: the nearest.
-    assert start_mode(door_problem(-0.01, 0.3))[0] == "swings"
-    mode, reason = start_mode(door_problem(0.3, 0.6, mode="shut"))
+    assert mode_of(door_problem(-0.01, 0.3))[0] == "swings"
+    mode, reason = mode_of(door_problem(0.3, 0.6, mode="shut"))
     assert mode is None
     assert "outside the range of its mode 'shut'" in reason
 
