@@ -5,11 +5,11 @@ BIN := .venv/bin
 .PHONY: demo test clean
 
 demo: $(BIN)/python  ## learn -> solve -> execute -> page, on a demonstration that the project ships
-	$(BIN)/python -m pip install --quiet '.[sim]'
+	$(BIN)/python -m pip install '.[sim]'
 	$(BIN)/python examples/demo.py
 
 test: $(BIN)/python  ## the quick test suite
-	$(BIN)/python -m pip install --quiet '.[sim,test]'
+	$(BIN)/python -m pip install '.[sim,test]'
 	$(BIN)/pytest
 
 $(BIN)/python:
