@@ -22,7 +22,7 @@ from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.spec.schema import schema
 
 ROOT = Path(__file__).resolve().parents[1]
-WIDTH = 100
+WIDTH = 88
 
 INTRODUCTIONS = {
     "model": (
