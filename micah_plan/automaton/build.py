@@ -1,6 +1,6 @@
 """The hybrid automaton of an articulated object from its extended kinematic graph.
 
-Source: MICAH, section III-C, "Hybrid Automaton Construction". Followed as there: Q is the Cartesian product of the
+Source: MICAH, section IV-B, "Hybrid Automaton Construction". Followed as there: Q is the Cartesian product of the
 edges' local models, X and U have one coordinate per edge, transitions change one edge's model at a time to a
 neighbouring one, guards come from the configurational changepoints, the ends of the range are clamped self
 transitions, resets are the identity. Where it differs, and why:

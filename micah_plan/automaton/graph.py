@@ -1,6 +1,6 @@
 """The extended kinematic graph: edges between parts, each with the segments of joints that govern it.
 
-Source: MICAH, section III-A, the set of tuples (τ^(k-1), τ^k, M^k, θ^k) per edge and its configurational changepoints.
+Source: MICAH, section IV-A, the set of tuples (τ^(k-1), τ^k, M^k, θ^k) per edge and its configurational changepoints.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The hybrid automaton H = (Q, X, U, Init, f, I, E, G, R, φ) of an articulated object.
 
-Source: MICAH, sections II-C and III-B; Lygeros, Sastry and Tomlin, "Hybrid systems".
+Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid systems".
 """
 
 from __future__ import annotations

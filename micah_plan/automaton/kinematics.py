@@ -1,6 +1,6 @@
 """Kinematics of joints: f(c), its unique inverse, the Jacobian and the inverse Jacobian, vectorised over rows.
 
-Sources: MICAH, section II-B, for f, f⁻¹, J and J⁻¹; Murray, Li and Sastry, ch. 2 and 3, for twists.
+Sources: MICAH, section IV-A, for f, f⁻¹, J and J⁻¹; Murray, Li and Sastry, ch. 2 and 3, for twists.
 
 Conventions: a twist or pose derivative is [rotation (3), translation (3)] in the base frame, the order of SciPy's
 exponential coordinates. Where a pose is not on the joint's manifold, "closest" weighs position [m] against rotation

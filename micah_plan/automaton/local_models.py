@@ -1,6 +1,6 @@
 """From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
 
-Source: MICAH, section III-C. The paper takes the segments of one sweep as they come; a recording may also stop on the
+Source: MICAH, section IV-B. The paper takes the segments of one sweep as they come; a recording may also stop on the
 way, return, or pass through a region several times, and all these segments tell about the same models. What is done:
 
 1. Moving segments that cover the same configurations (more than half of the shorter range) are one model, with the

@@ -1,6 +1,6 @@
 """One step of a hybrid automaton, with every event located exactly, in the order in which the motion meets it.
 
-Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid automata; MICAH, section II-C. MICAH
+Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid automata; MICAH, section III-C. MICAH
 tests guards between steps; here they are located within the step, so that the result does not depend on how finely the
 motion is cut into steps and no threshold is overrun.
 

@@ -1,6 +1,6 @@
 """Learning the extended kinematic graph of a recording: CHAMP and Act-CHAMP for every part.
 
-Sources: MICAH, section III-B (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
+Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
 """
 

@@ -40,7 +40,8 @@ class PlannerSettings:
     """Settings with defaults that serve ordinary problems.
 
     Attributes:
-        confidence: probability that guards, invariants and the goal are planned to hold with.
+        confidence: probability that guards and invariants are planned to hold with, and that roll-outs must confirm for
+            the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
         candidates: how many of the cheapest mode sequences are optimised.
         max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,

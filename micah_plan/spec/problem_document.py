@@ -109,7 +109,7 @@ class ProblemDocument(Document):
     )
     confidence: Confidence = Field(
         default=PlannerSettings.confidence,
-        description="Probability that guards, invariants and goal are planned to hold with.",
+        description="Probability that guards and invariants are planned to hold with and roll-outs must reach.",
     )
     planner: PlannerDocument = Field(default_factory=PlannerDocument, description="Settings of the planner.")
     plant: PlantDocument = Field(default_factory=PlantDocument, description="Physical parameters for MuJoCo.")
