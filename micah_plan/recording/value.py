@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,12 +76,12 @@ class Recording:
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
+    @cached_property
     def runs(self) -> tuple[int, ...]:
         """Run numbers in order of first appearance."""
         return tuple(dict.fromkeys(int(r) for r in self.run))
 
-    @property
+    @cached_property
     def parts(self) -> tuple[str, ...]:
         """Part names in order of first appearance."""
         return tuple(dict.fromkeys(self.part))
