@@ -24,6 +24,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("recording",),
     ("automaton",),
     ("planning.problem", "planning.plan"),
+    ("planning.start_state",),
     ("spec", "learn", "symbolic"),
     ("belief",),
     ("planning",),

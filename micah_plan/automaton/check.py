@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
+from micah_plan.automaton.consistency import check_connected, check_entry, check_held, check_pin
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
@@ -14,6 +16,7 @@ from micah_plan.errors import InputError, shown
 
 UNITS = ("rad", "m")
 _ROOM = 1e-9
+Place = tuple[str | int, ...]
 
 
 def check_automaton(automaton: HybridAutomaton) -> None:
@@ -21,19 +24,43 @@ def check_automaton(automaton: HybridAutomaton) -> None:
 
     Raises:
         InputError: names that are not unique or not known, dimensions that do not fit, an invariant, guard or set of
-            inputs that nothing satisfies, a pin on a coordinate that moves, a self transition without effect,
-            process noise below 0, observation noise that is not above 0.
+            inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
+            held elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
+            without effect, a mode that is not connected, process noise below 0, observation noise not above 0.
     """
-    _check_names(automaton)
-    _check_links(automaton)
+    for _, check in checks(automaton):
+        check()
+
+
+def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
+    """The checks of `check_automaton` in their order, each with the place in the automaton that it is about.
+
+    Each must pass before the next is asked for. Places are (field,), (field, name or index) or further keys of it.
+    """
+    yield (), partial(_check_names, automaton)
+    yield ("links",), partial(_check_links, automaton)
     for mode in automaton.modes:
-        _check_mode(automaton, mode)
-    for edge in automaton.edges:
-        _check_edge(automaton, edge)
-    for name, region in automaton.init:
-        automaton.mode(name)
-        _check_region(automaton, region, f"init of mode {name}")
-    _check_noise(automaton)
+        yield ("modes", mode.name), partial(_check_mode, automaton, mode)
+    for i, edge in enumerate(automaton.edges):
+        yield ("edges", i), partial(_check_edge, automaton, edge)
+    for i, (name, region) in enumerate(automaton.init):
+        yield ("init", i, "mode"), partial(_check_init, automaton, name, region)
+    yield ("noise",), partial(_check_noise, automaton)
+    for mode in automaton.modes:
+        for pin in mode.pins:
+            name = automaton.coordinates[pin.coordinate].name
+            yield ("modes", mode.name, "pins", name, "value"), partial(check_pin, automaton, mode, pin)
+        for k, link in enumerate(automaton.links):
+            yield ("modes", mode.name, "joints", link.child, "held"), partial(check_held, automaton, mode, k)
+    for i, edge in enumerate(automaton.edges):
+        yield ("edges", i, "guard"), partial(check_entry, automaton, edge)
+    for mode in automaton.modes:
+        yield ("modes", mode.name), partial(check_connected, automaton, mode)
+
+
+def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
+    automaton.mode(name)
+    _check_region(automaton, region, f"init of mode {name}")
 
 
 def _check_names(automaton: HybridAutomaton) -> None:

@@ -19,7 +19,7 @@ Terms = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A half-space: weights of states and inputs, threshold, whether strict, and the margin that counts as 0."""
+    """A scaled half-space: weights of states and inputs, threshold, whether strict, and the margin that counts as 0."""
 
     states: Terms
     inputs: Terms
@@ -86,10 +86,19 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
 
 
 def _guard_rows(guard: Region) -> tuple[Row, ...]:
-    def row(h: HalfSpace) -> Row:
-        return Row(_terms(h.a), _terms(h.b), h.c, h.strict, TOLERANCE * max(1.0, abs(h.c)))
+    return tuple(map(_row, guard.half_spaces))
 
-    return tuple(row(h) for h in guard.half_spaces)
+
+def _row(h: HalfSpace) -> Row:
+    """A half-space with its weights of states (of inputs, if there are only those) scaled to length 1.
+
+    Margins are then distances [rad or m], so that the tolerance does not depend on how the half-space is written.
+    """
+    size = math.hypot(*h.a) or math.hypot(*h.b) or 1.0
+    a, b, c = [w / size for w in h.a], [w / size for w in h.b], h.c / size
+    if not math.isfinite(sum(map(abs, (*a, *b, c)))):  # weights next to 0 against a huge threshold
+        a, b, c = list(h.a), list(h.b), h.c
+    return Row(_terms(a), _terms(b), c, h.strict, TOLERANCE * max(1.0, abs(c)))
 
 
 def _terms(weights: Sequence[float]) -> Terms:

@@ -245,17 +245,6 @@ class HybridAutomaton:
             pin for pin in self.mode(edge.target).pins if any(h.a[pin.coordinate] for h in edge.guard.half_spaces)
         )
 
-    def coordinate_index(self, name: str) -> int:
-        """Index of the coordinate of that name.
-
-        Raises:
-            InputError: if there is none; the message lists the names.
-        """
-        names = [coordinate.name for coordinate in self.coordinates]
-        if name not in names:
-            raise InputError(f"unknown coordinate {shown(name)}", remedy=f"choose one of {', '.join(names)}")
-        return names.index(name)
-
     def part(self, name: str) -> Part:
         """The part of that name, without shapes if the model describes none."""
         return next((part for part in self.parts if part.name == name), Part(name))

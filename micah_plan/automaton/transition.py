@@ -16,7 +16,7 @@ left by then; and a guard ``c >= t`` does not fire while the flow leads away fro
 modes belongs to the mode that it moves into. A guard that is true when the step starts fires at s = 0, also if the
 motion leads out of it. A guard on inputs alone is constant during a step: it holds from the moment its mode is entered
 or not at all. A margin, or its change over a step, counts as 0 within ``guard_table.TOLERANCE`` (relative to
-thresholds above 1).
+thresholds above 1), after a half-space has been scaled to weights of length 1.
 
 **Order.** Earlier events first. Of several guards that hold at one instant, mode changes go before self transitions
 (clamps), then the first listed edge goes first. After each event guards are asked again, those of the new mode, at the

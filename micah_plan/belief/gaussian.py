@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dgeqrf
-from scipy.special import log_ndtr, ndtr
+from scipy.special import ndtr
 
 from micah_plan.automaton.hybrid import Pin, Reset
 from micah_plan.automaton.region import HalfSpace
@@ -103,9 +103,3 @@ def half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: 
     if not any(half_space.a):
         return float(value > 0 or (value == 0 and not half_space.strict))
     return float(ndtr(value / deviation))
-
-
-def log_half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> float:
-    """Logarithm of the probability of a'x + b'u >= c, accurate far into the tail."""
-    value, deviation = margin(mean, factor, u, half_space)
-    return float(log_ndtr(value / deviation))

@@ -15,6 +15,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.automaton.ranges import mode_interval
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -107,21 +108,8 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
 
 
 def _range(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
-    """The union of what the modes' invariants (and pins) allow for one coordinate."""
-    intervals = []
-    for mode in automaton.modes:
-        lower, upper = -np.inf, np.inf
-        for half_space in mode.invariant.half_spaces:
-            weight = half_space.a[coordinate]
-            alone = weight != 0 and not any(half_space.b) and sum(w != 0 for w in half_space.a) == 1
-            if alone and weight > 0:
-                lower = max(lower, half_space.c / weight)
-            elif alone:
-                upper = min(upper, half_space.c / weight)
-        for pin in mode.pins:
-            if pin.coordinate == coordinate:
-                lower = upper = pin.value
-        intervals.append((lower, upper))
+    """From the least to the largest value that the modes' invariants and pins allow for one coordinate."""
+    intervals = [mode_interval(mode, coordinate) for mode in automaton.modes]
     return min(low for low, _ in intervals), max(high for _, high in intervals)
 
 

@@ -16,11 +16,6 @@ def time_knots(trajectory: Trajectory) -> Ints:
     return np.asarray(np.flatnonzero(~trajectory.is_transition))
 
 
-def nominal_input(trajectory: Trajectory, knot: int) -> Floats:
-    """(m,) planned displacement from this knot to the next."""
-    return np.asarray(trajectory.inputs[knot])
-
-
 def feedback_input(trajectory: Trajectory, knot: int, estimate: Floats) -> Floats:
     """(m,) planned displacement corrected for the estimate (n,) of the state; limits are the caller's."""
     return np.asarray(trajectory.inputs[knot] + trajectory.gains[knot] @ (estimate - trajectory.means[knot]))

@@ -97,6 +97,17 @@ def canonical_name(half_space: HalfSpace, variables: Variables) -> str:
     return _comparison(half_space, variables, lambda value: f"{value:g}")
 
 
+def short_text(half_space: HalfSpace, variables: Variables) -> str:
+    """The exact text for messages: what a person copies from it is the limit itself, not a rounded one."""
+    return _comparison(half_space, variables, short_number)
+
+
+def short_number(value: float) -> str:
+    """The exact text of a number, without needless digits (``0`` and ``1.2``, not ``0.0``)."""
+    rounded = f"{value:g}"
+    return rounded if float(rounded) == value else _exact(value)
+
+
 def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, variables: Variables) -> str:
     """The text that `parse_affine` reads back as the same expression; ``0.0`` if nothing is left."""
     text = _sum(a, b, variables, _exact)

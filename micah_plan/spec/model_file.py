@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from micah_plan.automaton.check import checks
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.spec.model_data import model_data, std_comments
 from micah_plan.spec.model_document import ModelDocument
@@ -23,11 +25,28 @@ def load_model(path: str | Path) -> HybridAutomaton:
     Raises:
         InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
     """
-    return parse_model(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
+    return usable_model(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
+
+
+def usable_model(content: bytes, source: str) -> HybridAutomaton:
+    """As `parse_model`, and what the file describes is also an automaton that the algorithms can use.
+
+    Raises:
+        InputError: also for what `automaton.check` refuses, with the place in the file.
+    """
+    located = read_yaml(content, source)
+    automaton = automaton_of(validated(located, ModelDocument), located)
+    for place, check in checks(automaton):
+        try:
+            check()
+        except InputError as error:
+            path = ("transitions", *place[1:]) if place[:1] == ("edges",) else place
+            raise located.error(path, error.problem, error.remedy) from None
+    return automaton
 
 
 def parse_model(content: bytes, source: str) -> HybridAutomaton:
-    """The automaton that the content of a model file describes; `source` names the file in messages."""
+    """The automaton that the content of a model file describes, usable or not; `source` names the file in messages."""
     located = read_yaml(content, source)
     return automaton_of(validated(located, ModelDocument), located)
 

@@ -13,7 +13,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 from micah_plan.planning.problem import Problem
 from micah_plan.spec.located import Located
-from micah_plan.spec.model_file import parse_model
+from micah_plan.spec.model_file import usable_model
 from micah_plan.spec.problem_checks import check_problem
 from micah_plan.spec.problem_document import ProblemDocument
 from micah_plan.spec.problem_values import problem_of
@@ -42,7 +42,7 @@ def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         model = read_bytes(model_path, LARGEST_TEXT_BYTES)
     except InputError as error:
         raise located.error(("model",), f"model {model_path}: {error.problem}", error.remedy) from None
-    problem = problem_of(document, parse_model(model, str(model_path)), located)
+    problem = problem_of(document, usable_model(model, str(model_path)), located)
     check_problem(problem, located)
     digests = {"problem": _digest(content), "model": _digest(model)}
     return replace(problem, source=str(path), digests=digests)

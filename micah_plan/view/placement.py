@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.ranges import region_interval, single_bound
 
 Floats = NDArray[np.float64]
 
@@ -74,11 +74,11 @@ def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) ->
     Looked for in the mode's invariant, then in its clamps (self transitions), then in its guards; an end that none
     states is put 1 rad or 0.2 m away from the other end, or from 0.
     """
-    lower, upper = _bounds(mode.invariant, coordinate)
+    lower, upper = region_interval(mode.invariant, coordinate)
     for own in (True, False):
         for edge in automaton.edges_from(mode.name):
             if edge.is_self_transition == own:
-                above, below = _bounds(edge.guard, coordinate)
+                above, below = region_interval(edge.guard, coordinate)
                 # A guard that holds above a value ends the mode there.
                 upper = above if np.isinf(upper) and np.isfinite(above) else upper
                 lower = below if np.isinf(lower) and np.isfinite(below) else lower
@@ -95,7 +95,7 @@ def representative_state(automaton: HybridAutomaton, mode: Mode) -> Floats:
     """(n,) a state inside the mode to draw it at: pinned values, else the value closest to 0."""
     x = np.zeros(automaton.n)
     for i in range(automaton.n):
-        lower, upper = _bounds(mode.invariant, i)
+        lower, upper = region_interval(mode.invariant, i)
         x[i] = min(max(0.0, lower), upper)
     for pin in mode.pins:
         x[pin.coordinate] = pin.value
@@ -107,7 +107,7 @@ def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
     found: dict[tuple[int, float, frozenset[str]], Threshold] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces:
-            limit = _single(half_space)
+            limit = single_bound(half_space)
             if limit is not None and not edge.is_self_transition:
                 coordinate, value, _ = limit
                 key = (coordinate, round(value, 9), frozenset((edge.source, edge.target)))
@@ -121,25 +121,3 @@ def ellipsoid(covariance: Floats, factor: float, floor: float) -> tuple[Floats, 
     if np.linalg.det(axes) < 0:
         axes = axes * np.array([1.0, 1.0, -1.0])
     return axes, np.maximum(factor * np.sqrt(np.maximum(values, 0.0)), floor)
-
-
-def _bounds(region: Region, coordinate: int) -> tuple[float, float]:
-    """The limits that a region's half-spaces put on one coordinate alone; infinite where there are none."""
-    lower, upper = -np.inf, np.inf
-    for half_space in region.half_spaces:
-        limit = _single(half_space)
-        if limit is not None and limit[0] == coordinate:
-            if limit[2] > 0:
-                lower = max(lower, limit[1])
-            else:
-                upper = min(upper, limit[1])
-    return lower, upper
-
-
-def _single(half_space: HalfSpace) -> tuple[int, float, float] | None:
-    """(coordinate, threshold, sign) of a half-space on one coordinate alone, else None."""
-    used = np.flatnonzero(half_space.a)
-    if len(used) != 1 or any(half_space.b):
-        return None
-    weight = half_space.a[used[0]]
-    return int(used[0]), half_space.c / weight, float(np.sign(weight))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from micah_plan.automaton.check import check_automaton, is_empty
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Reset
+from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
 
@@ -56,6 +57,26 @@ MISTAKES = {
     "edge rigid -> ajar: unknown mode 'ajar'; choose one of revolute, rigid": with_edge(Edge("rigid", "ajar", IN)),
     "edge ajar -> rigid: unknown mode 'ajar'": with_edge(Edge("ajar", "rigid", IN)),
     "edge rigid -> revolute: a guard must have at least one half-space": with_edge(Edge("rigid", "revolute", Region())),
+    "mode rigid: the pin of door, 1.3 rad, lies outside of the mode's invariant [1.17, 1.23]; move": shut(
+        pins=(Pin(0, 1.3, 0.01),), joints=(rigid([1.2, 0, 0], held=1.3),)
+    ),
+    "mode rigid: the rigid joint of door is held at 1.2001 rad, but the pin of door says 1.2 rad; give": shut(
+        joints=(rigid([1.2, 0, 0], held=1.2001),)
+    ),
+    "edge revolute -> rigid: enters mode rigid at door = 1, outside of its invariant [1.17, 1.23]; move the guard or "
+    "the invariant, or give a reset": with_edge(Edge("revolute", "rigid", guard(([2], [0], 2.0)))),
+    "edge rigid -> revolute: enters mode revolute at door = 1.2, outside of its invariant [0, 1]": with_mode(
+        invariant=guard(([1], [0], 0.0), ([-1], [0], -1.0))
+    ),
+    "edge revolute -> rigid: enters mode rigid at door = 0.6, outside": with_edge(
+        Edge("revolute", "rigid", guard(([1], [0], 1.2)), Reset(A=((0.5,),)))
+    ),
+    "edge revolute -> rigid: enters mode rigid at door = [0.5, 0.8], outside": with_edge(
+        Edge("revolute", "rigid", guard(([1], [0], 0.5), ([-1], [0], -0.8)))
+    ),
+    "mode ajar is not connected: no transition enters or leaves it": replace(
+        door(), modes=(*door().modes, replace(door().modes[0], name="ajar"))
+    ),
     "edge rigid -> revolute: guard must not be empty": with_edge(
         Edge("rigid", "revolute", guard(([1], [0], 0.0, True), ([-1], [0], 0.0)))
     ),
@@ -93,6 +114,32 @@ def test_what_is_right_passes(automaton: HybridAutomaton) -> None:
 
 def test_known_motion_and_unmeasured_coordinates_are_allowed() -> None:
     check_automaton(replace(door(), noise=Noise((0.0,), (np.inf,))))
+
+
+LEGAL_EDGES = [
+    Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(A=((0.0,),), c=(1.2,))),
+    Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(B=((1.0,),))),  # an input may bring it anywhere
+    Edge("revolute", "rigid", guard(([1], [0], 1.165))),  # within the std of the pin
+    Edge("revolute", "rigid", guard(([1], [1], 1.0))),  # an input decides where
+    Edge("revolute", "rigid", guard(([1], [0], 1.0), ([0], [1], 0.1))),  # inputs may come late
+    Edge("revolute", "rigid", guard(([1], [0], -5.0))),  # holds anywhere in its mode
+    Edge("revolute", "rigid", guard(([1], [0], 7.0), ([-1], [0], -8.0))),  # nowhere in its mode
+    Edge("rigid", "revolute", guard(([1], [0], 1.0))),
+]
+
+
+@pytest.mark.parametrize("edge", LEGAL_EDGES)
+def test_a_transition_that_may_enter_its_target_passes(edge: Edge) -> None:
+    check_automaton(with_edge(edge))
+
+
+def test_one_mode_needs_no_transition() -> None:
+    check_automaton(replace(door(), modes=door().modes[:1], edges=()))
+
+
+def test_small_differences_of_numbers_written_by_hand_pass() -> None:
+    check_automaton(shut(joints=(rigid([1.2, 0, 0], held=1.2000005),)))
+    check_automaton(shut(invariant=guard(([1], [0], 1.205))))
 
 
 class TestEmpty:

@@ -312,3 +312,34 @@ class TestInputs:
 def test_regions_without_half_spaces_admit_everything() -> None:
     assert admissible(plain({"a": ONE}, []), "a", [0.0], [1e9])
     assert Region().is_everything
+
+
+class TestScale:
+    """A guard means the same however its weights are scaled."""
+
+    @pytest.mark.parametrize("scale", [1e-200, 1e-13, 1e-6, 1.0, 1e6, 1e13])
+    def test_a_guard_on_states_fires_at_its_threshold(self, scale: float) -> None:
+        automaton = plain({"a": ONE, "b": ONE}, [Edge("a", "b", guard(([scale], [0], scale)))])
+        assert step(automaton, "a", [0.0], [0.0]).mode == "a"
+        assert step(automaton, "a", [0.0], [0.5]).mode == "a"
+        assert step(automaton, "a", [1.0 - 5e-7], [0.0]).mode == "a"
+        assert step(automaton, "a", [1.0 - 1e-9], [5e-10]).mode == "a"
+        result = step(automaton, "a", [0.0], [4.0])
+        assert [event.fraction for event in result.events] == pytest.approx([0.25], abs=1e-12)
+
+    @pytest.mark.parametrize("scale", [1e-13, 1e-6, 1.0, 1e13])
+    def test_a_guard_on_inputs_fires_above_its_threshold(self, scale: float) -> None:
+        automaton = plain({"a": [[0.0]], "b": ONE}, [Edge("a", "b", guard(([0], [scale], 0.1 * scale, True)))])
+        modes = [step(automaton, "a", [0.0], [u]).mode for u in (0.0, 0.1 - 1e-9, 0.1 + 1e-9)]
+        assert modes == ["a", "a", "b"]
+
+    def test_weights_on_several_coordinates_are_scaled_together(self) -> None:
+        small = Edge("a", "b", guard(([3e-13, 4e-13], [0, 0], 5e-13)))
+        automaton = plain({"a": PLANE, "b": PLANE}, [small])
+        assert step(automaton, "a", [0.0, 0.0], [0.0, 0.0]).mode == "a"
+        (event,) = step(automaton, "a", [0.0, 0.0], [1.2, 1.6]).events
+        assert event.fraction == pytest.approx(0.5)
+
+    def test_a_threshold_too_far_away_for_floats_is_not_reached(self) -> None:
+        automaton = plain({"a": ONE, "b": ONE}, [Edge("a", "b", guard(([1e-300], [0], 1e300)))])
+        assert step(automaton, "a", [0.0], [1.0]).mode == "a"

@@ -13,7 +13,7 @@ from micah_plan.automaton.region import HalfSpace, Region, input_above
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.plan import Trajectory
-from micah_plan.planning.policy import feedback_input, nominal_input, time_knots
+from micah_plan.planning.policy import feedback_input, time_knots
 
 
 def test_gains_far_from_the_end_are_those_of_the_infinite_horizon() -> None:
@@ -56,7 +56,6 @@ def test_policy_corrects_the_nominal_input() -> None:
         ("q",) * 3, np.array([[0.0], [1.0], [1.0]]), np.zeros((3, 1, 1)), np.array([[1.0], [0.0]]),
         np.array([[[-0.5]], [[0.0]]]), np.array([False, True]),
     )  # fmt: skip
-    assert nominal_input(trajectory, 0) == pytest.approx(1.0)
     assert feedback_input(trajectory, 0, np.array([0.4])) == pytest.approx(0.8)
     np.testing.assert_array_equal(time_knots(trajectory), [0])
 

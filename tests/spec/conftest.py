@@ -59,7 +59,12 @@ def door() -> HybridAutomaton:
                 Region((below(0, 0.0, 1, 1, strict=True, name="door"),)),
                 Reset(((0.0,),), None, (0.0,)),
             ),
-            Edge("rigid", "rigid", Region((input_above(0, 0.0, 1, 1, name="input door"),))),
+            Edge(
+                "rigid",
+                "rigid",
+                Region((input_above(0, 0.0, 1, 1, name="input door"),)),
+                Reset(((0.0,),), None, (1.2,)),
+            ),
         ),
         noise=Noise((0.002,), (0.02,)),
         provenance={"method": "by hand", "seed": "0"},

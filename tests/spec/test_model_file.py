@@ -202,3 +202,40 @@ def test_shipped_models_read_back(repository: Path) -> None:
         if "format: micah-plan/model/" in text:
             automaton = load_model(path)
             assert parse_model(model_text(automaton).encode(), "again") == automaton
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("value: 1.2", "value: 1.1", "key 'modes.rigid.pins.door.value': mode rigid: the pin of door, 1.1 rad, lies"),
+        ("held: 1.2", "held: 1.1", "key 'modes.rigid.joints.door.held': mode rigid: the rigid joint of door is held"),
+        (
+            "guard: [door >= 1.2]",
+            "guard: [door >= 1.0]",
+            "key 'transitions.0.guard': edge revolute -> rigid: enters mode rigid at door = 1, outside of its "
+            "invariant [1.2, inf]; move the guard or the invariant, or give a reset",
+        ),
+        (
+            "[door >= 0.0, door < 1.2]",
+            "[door >= 2.0, door < 1.2]",
+            "key 'modes.revolute': mode revolute: invariant must",
+        ),
+        ("step: {}", "step: {door: input door}", "key 'modes.rigid': mode rigid: B must have a zero row"),
+        ("    reset:\n      door: 0.0\n", "", "key 'transitions.2': edge revolute -> revolute: a self transition"),
+    ],
+)
+def test_a_model_that_cannot_be_used_is_refused_with_its_line(
+    door: HybridAutomaton, tmp_path: Path, old: str, new: str, expected: str
+) -> None:
+    plain = replace(door, edges=(Edge("revolute", "rigid", door.edges[0].guard), *door.edges[1:]))
+    text, file = model_text(plain), tmp_path / "door.yaml"
+    assert text.count(old) == 1
+    file.write_text(text)
+    assert load_model(file) == plain
+    file.write_text(text.replace(old, new))
+    line = told(load_model, file)
+    assert expected in line
+    assert line.startswith(f"{file}, line ")
+    if expected.startswith(("key 'modes.rigid.", "key 'transitions.0.guard")):
+        number = int(line.removeprefix(f"{file}, line ").split(",")[0])
+        assert new in file.read_text().splitlines()[number - 1]

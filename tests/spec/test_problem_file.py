@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from spec_attempt import attempt, told
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
-from micah_plan.automaton.region import Region, above
+from micah_plan.automaton.ranges import coordinate_ranges
+from micah_plan.automaton.region import Region, above, box
 from micah_plan.errors import InputError
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.planning.start_state import start_mode
 from micah_plan.spec.model_file import dump_model
-from micah_plan.spec.problem_checks import coordinate_ranges
 from micah_plan.spec.problem_document import PlannerDocument, PlantDocument
 from micah_plan.spec.problem_file import load_problem
 
@@ -146,7 +147,7 @@ def test_a_mistake_is_one_line(folder: Path, old: str, new: str, expected: str) 
 
 def test_a_start_in_no_mode_lists_what_is_allowed(folder: Path) -> None:
     line = message(
-        folder, "mean: {door: 0.0}\n  std: {door: 0.03}\n  mode: revolute", "mean: {door: -0.5}\n  std: {door: 1}"
+        folder, "mean: {door: 0.0}\n  std: {door: 0.03}\n  mode: revolute", "mean: {door: -0.5}\n  std: {door: 0.1}"
     )
     assert line == (
         "p.yaml, line 4, key 'start.mean': the start door = -0.5 rad lies in no mode's invariant; "
@@ -158,6 +159,53 @@ def test_a_start_outside_init_is_refused(folder: Path, door: HybridAutomaton) ->
     limited = replace(door, init=(("revolute", Region((above(0, 0.5, 1, 1, name="door"),))),))
     dump_model(limited, folder / "models" / "door.yaml")
     assert "allowed: revolute (door >= 0, door < 1.2, door >= 0.5)" in told(load_problem, folder / "p.yaml")
+
+
+def test_a_start_is_refused_exactly_where_the_planner_finds_no_mode(folder: Path, door: HybridAutomaton) -> None:
+    limited = replace(door, init=(("revolute", Region((above(0, 0.5, 1, 1, name="door"),))),))
+    refused, accepted = set(), set()
+    for model in (door, limited):
+        dump_model(model, folder / "models" / "door.yaml")
+        for mode in (None, "revolute", "rigid"):
+            for mean in (-0.5, -0.1, -0.08, 0.0, 0.4, 0.45, 0.6, 1.1, 1.2, 1.28, 1.3):
+                named = "" if mode is None else f"\n  mode: {mode}"
+                text = TEXT.replace("mean: {door: 0.0}", f"mean: {{door: {mean}}}").replace("\n  mode: revolute", named)
+                (folder / "p.yaml").write_text(text)
+                found = attempt(load_problem, folder / "p.yaml")
+                planned = start_mode(model, Start((mean,), (0.03,), mode))[0]
+                assert isinstance(found, Problem) == (planned is not None)
+                (accepted if planned else refused).add((mode, mean, bool(model.init)))
+                if not planned:
+                    assert "p.yaml, line 4" in found or "p.yaml, line 6" in found
+    assert (None, -0.08, False) in accepted
+    assert (None, 0.4, False) in accepted
+    assert (None, 0.4, True) in refused
+    assert (None, 0.45, True) in accepted
+    assert ("rigid", 1.2, False) in accepted
+    assert ("rigid", 1.2, True) in refused
+
+
+LIMIT = 0.291520903568
+
+
+def test_limits_copied_from_messages_are_accepted(folder: Path, door: HybridAutomaton) -> None:
+    swings = replace(door.modes[0], invariant=box([0.0], [LIMIT], 1, ["door"]))
+    dump_model(replace(door, modes=(swings,), edges=()), folder / "models" / "door.yaml")
+    text = TEXT.replace("  modes: [rigid]\n", "").replace("tolerance: 0.03", "tolerance: 1e-9")
+    text = text.replace("std: {door: 0.03}", "std: {door: 1e-9}")
+
+    def load(start: str, goal: str) -> object:
+        written = text.replace("mean: {door: 0.0}", f"mean: {{door: {start}}}").replace("value: 1.2", f"value: {goal}")
+        (folder / "p.yaml").write_text(written)
+        return attempt(load_problem, folder / "p.yaml")
+
+    assert f"allowed: revolute (door >= 0, door <= {LIMIT})" in load("0.4", "0.1")
+    line = load("0.1", "0.4")
+    assert f"can reach, 0 to {LIMIT} rad, found 0.4; the nearest possible value is {LIMIT} rad" in line
+    for value in (str(LIMIT), "0.291521"):
+        assert isinstance(load(value, value), Problem)
+    assert isinstance(load("0.29153", "0.1"), str)
+    assert isinstance(load("0.1", "0.29153"), str)
 
 
 def test_an_empty_goal_is_refused(folder: Path) -> None:
