@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 an honest negative (no plan), 2 bad input.
 
-Results go to stdout (with --json exactly one JSON object), progress and errors to stderr.
+Results go to stdout (with --json exactly one JSON object), progress and errors to stderr. Wrong usage is bad input: one
+line, before any work, and so are outputs of a wrong kind or that would overwrite an input or one another.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.box import SIMPLE
@@ -22,14 +23,17 @@ from rich.table import Table
 
 from micah_plan import __version__, summaries
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
-from micah_plan.files import require_directory
+from micah_plan.outputs import FIGURE, MODEL, PAGE, PLAN, RUNS, Output, check_outputs
 
 HONEST_NEGATIVE = 1
 BAD_INPUT = 2
+INTERRUPTED = 130
+
+# Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
     help="From a recorded demonstration of an articulated object to a plan that holds under uncertainty.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -56,40 +60,64 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on
 Seed = Annotated[
     int, typer.Option("--seed", min=0, help="Seed of everything random; the same seed gives the same bytes.")
 ]
-Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
+OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
 
 
 def main() -> None:
     """Entry point of `micah-plan`: runs a command and turns errors into one line and an exit code."""
     try:
-        app(standalone_mode=True)
+        code = app(prog_name="micah-plan", standalone_mode=False) or 0
+    except _UsageError as error:
+        _fail(_usage_line(error), BAD_INPUT)
     except (InputError, MissingDependencyError) as error:
         _fail(error, BAD_INPUT)
     except MicahError as error:
         _fail(error, HONEST_NEGATIVE)
-    except KeyboardInterrupt:
-        err.print("interrupted; nothing was half-written")
-        sys.exit(130)
-
-
-def _fail(error: MicahError, code: int) -> None:
-    if "--json" in sys.argv:
-        print(json.dumps({"error": str(error)}))
-    err.print(f"error: {error}", markup=False, style="red")
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except Exception as error:
+        _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
+        raise
+    if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
+        _fail("interrupted; nothing was half-written", INTERRUPTED)
     sys.exit(code)
 
 
+def _usage_line(error: Any) -> InputError:
+    """What click says about wrong usage, in the form of all other errors."""
+    text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
+    command = error.ctx.command_path if error.ctx is not None else "micah-plan"
+    return InputError(text[:1].lower() + text[1:], remedy=f"see {command} --help")
+
+
+def _fail(error: MicahError | str, code: int) -> NoReturn:
+    _say(error)
+    sys.exit(code)
+
+
+def _say(error: MicahError | str) -> None:
+    text = " ".join(str(error).split())
+    if "--json" in sys.argv:
+        print(json.dumps({"error": text}))
+    err.print(f"error: {text}", markup=False, style="red")
+
+
 @app.callback(invoke_without_command=True)
-def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _version(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
     if version:
         out.print(__version__)
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(BAD_INPUT)
 
 
 @app.command()
 def learn(
     recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text or NPZ).")],
-    output: Output,
+    output: OutputPath,
     method: Annotated[
         LearnMethod, typer.Option(help="Score segments with or without the actions.")
     ] = LearnMethod.ACT_CHAMP,
@@ -104,13 +132,15 @@ def learn(
     """Learn a hybrid automaton from a recording and save it as YAML."""
     from micah_plan import workflow
     from micah_plan.files import replace_file
+    from micah_plan.learn.settings import FEWEST_ROWS
     from micah_plan.spec.model_file import dump_model
     from micah_plan.spec.parts_file import load_parts
 
-    _check_outputs(output, figure, html)
+    written = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
+    check_outputs((recording, parts), written)
     shapes = () if parts is None else load_parts(parts)
     with _progress(as_json) as progress:
-        measured = workflow.read(recording)
+        measured = workflow.read(recording, minimum_rows=FEWEST_ROWS)
         try:
             learned = workflow.learn(measured, method=method.value, seed=seed, parts=shapes, progress=progress)
         except InputError as error:
@@ -131,7 +161,7 @@ def learn(
 @app.command()
 def solve(
     problem: Annotated[Path, typer.Argument(help="Problem (YAML).")],
-    output: Output,
+    output: OutputPath,
     model: Annotated[
         Path | None, typer.Option(help="Model (YAML) to use instead of the one that the problem names.")
     ] = None,
@@ -143,10 +173,12 @@ def solve(
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
     from micah_plan.files import replace_file
-    from micah_plan.spec.plan_file import write_plan, write_timings
+    from micah_plan.spec.plan_file import timings_path, write_plan, write_timings
     from micah_plan.spec.problem_file import load_problem
 
-    _check_outputs(output, html, figure)
+    outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
+    outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
+    check_outputs((problem, model), outputs)
     overrides = None if model is None else {"model": str(model.resolve())}
     asked = load_problem(problem, overrides)
     with _progress(as_json) as progress:
@@ -170,7 +202,7 @@ def solve(
 @app.command()
 def execute(
     plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote.")],
-    output: Output,
+    output: OutputPath,
     plant: Annotated[PlantName, typer.Option(help="The model with noise, or independent physics.")] = PlantName.NOMINAL,
     trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
@@ -182,7 +214,7 @@ def execute(
     from micah_plan.recording.read import write_recording
     from micah_plan.spec.plan_file import load_plan, require_executable
 
-    _check_outputs(output, figure)
+    check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
     stored = load_plan(plan)
     require_executable(stored)
     begin = time.perf_counter()
@@ -222,13 +254,13 @@ def predict(
 @app.command()
 def show(
     file: Annotated[Path, typer.Argument(help="A recording, a model or a plan.")],
-    output: Output,
+    output: OutputPath,
     as_json: JsonFlag = False,
 ) -> None:
     """Write a self-contained page of a recording, a model or a plan."""
     from micah_plan.files import replace_file
 
-    _check_outputs(output)
+    check_outputs((file,), (Output("-o", output, PAGE),))
     with _progress(as_json) as progress:
         kind, page = _page_of(file, progress)
     replace_file(output, page.encode())
@@ -250,17 +282,13 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> tuple[str, s
         stored = load_plan(file)
         return "plan", page.plan_page(stored.plan, stored.problem, title=file.stem)
     recording = workflow.read(file)
+    if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
+        return "recording", page.recording_page(recording, None, title=file.stem)
     try:
         learned = workflow.learn(recording, progress=progress)
-    except InputError:  # too short to learn from: the track alone is still worth seeing
-        return "recording", page.recording_page(recording, None, title=file.stem)
+    except InputError as error:
+        raise error.located(file) from None
     return "recording", page.recording_page(recording, learned.graph, title=file.stem)
-
-
-def _check_outputs(*paths: Path | None) -> None:
-    for path in paths:
-        if path is not None:
-            require_directory(path)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from micah_plan import __version__
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
+from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.planning.plan import Plan
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
@@ -51,6 +53,12 @@ def read(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     return read_recording(Path(path), minimum_rows=minimum_rows)
 
 
+def is_long_enough(recording: Recording) -> bool:
+    """Whether every run has the rows of each of its parts that `learn` needs."""
+    rows = Counter(zip(recording.run.tolist(), recording.part, strict=True))
+    return min(rows.values(), default=0) >= FEWEST_ROWS
+
+
 def learn(
     recording: Recording,
     *,
@@ -62,7 +70,7 @@ def learn(
     """Segment a recording, fit its joints and build the hybrid automaton.
 
     Args:
-        recording: at least a few rows of one or several parts.
+        recording: at least `learn.settings.FEWEST_ROWS` rows per run of one or several parts.
         method: Act-CHAMP uses the actions, CHAMP only the poses.
         seed: of MLESAC and of the resampling.
         parts: shapes and handles of the object's bodies, for drawing and physics.

@@ -21,6 +21,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("files",),
+    ("outputs",),
     ("recording",),
     ("automaton",),
     ("planning.problem", "planning.plan"),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
+from micah_plan import cli, workflow
 from micah_plan.recording.read import read_recording
 
 
@@ -208,3 +210,150 @@ def test_version_and_help(micah):
     assert micah("--version").stdout.strip()
     for command in ("learn", "solve", "execute", "predict", "show"):
         assert command in micah("--help").stdout
+
+
+def demonstration(repository, path, rows=None, part="door"):
+    """The first rows of the microwave's demonstration (all: None), with its part renamed."""
+    lines = (repository / "examples/demonstrations/microwave.csv").read_text().splitlines()
+    kept = lines if rows is None else lines[: rows + 1]
+    path.write_text("\n".join([kept[0], *(part + line.removeprefix("door") for line in kept[1:])]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("rows", [1, 2, 4])
+def test_too_few_rows_to_learn_from_are_one_line_but_can_be_shown(micah, repository, tmp_path, rows):
+    short = demonstration(repository, tmp_path / "short.csv", rows)
+    line = only_error(micah("learn", short, "-o", tmp_path / "model.yaml"))
+    for words in ("short.csv", "part 'door'", "at least 5 rows", f"found {rows}"):
+        assert words in line
+    assert not (tmp_path / "model.yaml").exists()
+    if rows == 4:
+        assert only_json(micah("show", short, "-o", tmp_path / "page.html", "--json"))["kind"] == "recording"
+
+
+def test_the_fewest_rows_suffice_to_learn(micah, repository, tmp_path):
+    short = demonstration(repository, tmp_path / "short.csv", 5)
+    assert only_json(micah("learn", short, "-o", tmp_path / "model.yaml", "--json"))["segments"]
+
+
+@pytest.mark.parametrize(("command", "written"), [("learn", "out.yaml"), ("show", "out.html")])
+def test_a_part_named_as_the_base_is_refused_not_hidden(micah, repository, tmp_path, command, written):
+    recording = demonstration(repository, tmp_path / "named.csv", 8, part="base")
+    line = only_error(micah(command, recording, "-o", tmp_path / written))
+    for words in ("named.csv, column 'part'", "'base'", "another name"):
+        assert words in line
+    assert not (tmp_path / written).exists()
+
+
+def test_a_recording_of_another_object_does_not_fit_the_model(micah, repository, tmp_path):
+    header, *rows = demonstration(repository, tmp_path / "other.csv").read_text().splitlines()
+    reversed_rows = [row.split(",") for row in rows]
+    for row in reversed_rows:  # half a turn about the vertical: out of the range of the door
+        row[2], row[3] = str(-float(row[2])), str(-float(row[3]))
+        qx, qy, qz, qw = (float(value) for value in row[5:9])
+        row[5:9] = map(str, (-qy, qx, qw, -qz))
+    (tmp_path / "other.csv").write_text("\n".join([header, *(",".join(row) for row in reversed_rows)]) + "\n")
+    line = only_error(micah("predict", "models/microwave.yaml", tmp_path / "other.csv"))
+    for words in ("other.csv", "run 0 does not fit the model", "door = ", " rad", "allows door ", "take the model"):
+        assert words in line
+
+
+def test_a_list_is_no_plan(micah, tmp_path):
+    (tmp_path / "list.json").write_text("[1, 2]")
+    line = only_error(micah("show", tmp_path / "list.json", "-o", tmp_path / "page.html"))
+    assert "list.json: expected a plan, found a list of 2" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("learn in.csv -o in.csv", "in.csv: -o would overwrite an input"),
+        ("learn in.csv -o link.csv", "link.csv: -o would overwrite an input"),
+        ("learn in.csv --parts parts.yaml -o ./parts.yaml", "parts.yaml: -o would overwrite an input"),
+        ("learn in.csv -o same.yaml --html ../{folder}/same.yaml", "-o and --html would write the same file"),
+        ("solve problem.yaml -o problem.yaml", "problem.yaml: -o would overwrite an input"),
+        ("solve problem.yaml --model parts.yaml -o plan.json --html parts.yaml", "--html would overwrite an input"),
+        ("solve plan.timings.json -o plan.json", "plan.timings.json: the times of -o would overwrite an input"),
+        ("execute plan.json -o plan.json", "plan.json: -o would overwrite an input"),
+        ("show plan.json -o plan.json", "plan.json: -o would overwrite an input"),
+        ("learn in.csv -o new.txt", "new.txt: -o must end in .yaml or .yml, found '.txt'"),
+        ("learn in.csv -o new.yaml --figure new.pdf", "new.pdf: --figure must end in .png, found '.pdf'"),
+        ("learn in.csv -o new.yaml --html new", "new: --html must end in .html, found ''"),
+        ("solve problem.yaml -o new.yaml", "new.yaml: -o must end in .json, found '.yaml'"),
+        ("execute plan.json -o new.tum", "new.tum: -o must end in .csv or .npz, found '.tum'"),
+        ("execute plan.json -o new.csv --figure new.jpg", "new.jpg: --figure must end in .png"),
+        ("show plan.json -o new.json", "new.json: -o must end in .html, found '.json'"),
+        ("show plan.json -o .", "found a directory"),
+    ],
+)
+def test_outputs_never_destroy_files_or_have_the_wrong_kind(micah, tmp_path, arguments, said):
+    for name in ("in.csv", "parts.yaml", "problem.yaml", "plan.json"):
+        (tmp_path / name).write_text(f"what {name} holds")  # refused before it is read
+    (tmp_path / "link.csv").symlink_to("in.csv")
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    line = only_error(micah(*arguments.format(folder=tmp_path.name).split(), cwd=tmp_path))
+    assert said in line
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("learn x.csv", "missing option '-o' / '--output'; see micah-plan learn --help"),
+        ("solve", "missing argument"),
+        ("learn x.csv -o x.yaml --method foo", "'--method': 'foo' is not one of 'act-champ', 'champ'"),
+        ("learn x.csv -o x.yaml --seed -1", "'--seed'"),
+        ("execute x.json -o x.csv --trials 0", "'--trials'"),
+        ("predict a.yaml b.csv c.csv", "unexpected extra argument"),
+        ("lern x.csv", "no such command 'lern'"),
+        ("learn x.csv -o x.yaml --colour", "no such option: --colour"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_json_when_asked(micah, tmp_path, arguments, said):
+    line = only_error(micah(*arguments.split(), cwd=tmp_path))
+    assert said in line
+    done = micah(*arguments.split(), "--json", cwd=tmp_path)
+    assert done.returncode == 2
+    assert line == "error: " + only_json(done)["error"]
+
+
+def test_help_is_shown_without_arguments_and_for_commands(micah):
+    done = micah()
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == micah("--help").stdout
+    for command in ("learn", "solve", "execute", "predict", "show"):
+        done = micah(command, "--help")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith(f"Usage: micah-plan {command} ")
+
+
+@pytest.fixture
+def stopped(monkeypatch, capsys):
+    """Runs `learn --json` in this process, with an exception raised while it reads, and returns what it printed."""
+
+    def run(raised, expected):
+        def fail(*_, **__):
+            raise raised
+
+        monkeypatch.setattr(workflow, "read", fail)
+        monkeypatch.setattr(sys, "argv", ["micah-plan", "learn", "x.csv", "-o", os.devnull + ".yaml", "--json"])
+        monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # typer puts its own there
+        with pytest.raises(expected) as caught:
+            cli.main()
+        return caught.value, capsys.readouterr()
+
+    return run
+
+
+def test_an_interrupt_is_told_by_its_exit_code(stopped):
+    ended, printed = stopped(KeyboardInterrupt(), SystemExit)
+    assert ended.code == 130
+    assert "interrupted" in json.loads(printed.out)["error"]
+    assert printed.err.startswith("error: interrupted")
+
+
+def test_an_unexpected_exception_says_that_it_is_a_bug(stopped):
+    _, printed = stopped(RuntimeError("no such\nthing"), RuntimeError)
+    assert "this is a bug" in json.loads(printed.out)["error"]
+    (line,) = printed.err.splitlines()  # Python adds the traceback
+    assert line.startswith("error: RuntimeError: no such thing; this is a bug")

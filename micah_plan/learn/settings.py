@@ -7,6 +7,9 @@ from dataclasses import dataclass, fields
 from micah_plan.automaton.joint import JOINT_KINDS, JointKind
 from micah_plan.errors import InputError, shown
 
+# Rows that a run needs of each of its parts: with fewer, joints cannot be told from noise.
+FEWEST_ROWS = 5
+
 
 @dataclass(frozen=True)
 class LearnSettings:

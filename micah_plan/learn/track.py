@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.errors import InputError
+from micah_plan.automaton.graph import BASE
+from micah_plan.errors import InputError, shown
+from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
@@ -70,15 +72,17 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     """The rows of one part in one run.
 
     Raises:
-        InputError: if there are fewer than two rows, or one is not finite.
+        InputError: if there are fewer than FEWEST_ROWS rows, one is not finite, or a part has the base's name.
     """
+    if BASE in recording.parts:
+        problem = f"a part is named {shown(BASE)}, as the body that all parts are related to"
+        raise InputError(problem, where="column 'part'", remedy="give the part another name or leave its rows out")
     of_part = np.array([name == part for name in recording.part], dtype=bool)
     rows = np.flatnonzero(np.logical_and(recording.run == run, of_part))
     where = f"run {run}, part '{part}'"
-    if len(rows) < 2:
-        raise InputError(
-            f"learning needs at least 2 rows, found {len(rows)}", where=where, remedy="record the motion of the part"
-        )
+    if len(rows) < FEWEST_ROWS:
+        problem = f"learning needs at least {FEWEST_ROWS} rows, found {len(rows)}"
+        raise InputError(problem, where=where, remedy="record a longer motion or leave these rows out")
     position = recording.position[rows]
     quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[rows])
     if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):

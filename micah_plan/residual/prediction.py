@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.ranges import coordinate_ranges
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 
@@ -53,7 +55,8 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     first measured pose with all actions of the run, never looking at a measurement again.
 
     Raises:
-        InputError: if the recording has no actions, parts that the model does not know, or no run of two rows.
+        InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
+            that starts where no mode of the model allows.
     """
     if not recording.has_actions:
         raise InputError(
@@ -74,7 +77,7 @@ def rmse(errors: list[Floats]) -> float:
 
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
     u = _inputs(track)
-    belief = initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
+    belief = _first_belief(automaton, track)
     names = [mode.name for mode in automaton.modes]
     predicted, modes = [], []
     for k in range(len(u)):
@@ -86,7 +89,7 @@ def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
 
 
 def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
-    belief = initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
+    belief = _first_belief(automaton, track)
     mode, x = automaton.modes[belief.most_likely].name, track.x[0]
     predicted, modes = [], []
     for u in _inputs(track):
@@ -95,6 +98,24 @@ def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
         predicted.append(x)
         modes.append(mode)
     return _error(automaton, track, np.array(predicted), tuple(modes))
+
+
+def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
+    """The belief after the first measurement of a run."""
+    try:
+        return initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
+    except InputError:
+        pass
+    measured, allowed = [], []
+    for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
+        ranges = coordinate_ranges(index, automaton.modes)
+        measured.append(f"{coordinate.name} = {value:.4g} {coordinate.unit}")
+        allowed.append(f"{coordinate.name} " + " or ".join(f"{low:.4g} to {high:.4g}" for low, high in ranges))
+    raise InputError(
+        f"run {track.run} does not fit the model: it starts at {', '.join(measured)}, the model allows "
+        + ", ".join(allowed),
+        remedy="take the model that was learned from this object",
+    )
 
 
 def _inputs(track: Track) -> Floats:

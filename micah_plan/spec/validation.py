@@ -56,7 +56,10 @@ def check_format(located: Located, document: type[Document]) -> None:
     (expected,) = get_args(document.model_fields["format"].annotation)
     kind = expected.split("/")[1]
     data = located.data
-    if not isinstance(data, dict) or "format" not in data:
+    if not isinstance(data, dict):
+        remedy = f"a {kind} file is a mapping of keys to values and says 'format: {expected}'"
+        raise located.error((), f"expected a {kind}, found {_found(data)}", remedy)
+    if "format" not in data:
         raise located.error((), "missing key 'format'", f"a {kind} file says 'format: {expected}'")
     found = data["format"]
     if found == expected:

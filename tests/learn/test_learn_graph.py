@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planted import AXIS, JOINTS, Noise, moving_then_held, recorded
+from planted import AXIS, JOINTS, START, TRAVEL, Noise, moving_then_held, recorded
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.graph import KinematicEdge
@@ -189,17 +189,28 @@ def test_parts_become_edges_of_their_own() -> None:
     assert graph.edges[1].segments[0].start == 60
 
 
-def test_a_single_row_is_refused_with_a_remedy() -> None:
-    recording = Recording(time=np.zeros(1), position=np.zeros((1, 3)))
-    with pytest.raises(InputError, match="at least 2 rows, found 1; record"):
+@pytest.mark.parametrize("rows", [1, 2, 4])
+def test_too_few_rows_are_refused_with_a_remedy(rows: int) -> None:
+    recording = Recording(time=np.arange(float(rows)), position=np.zeros((rows, 3)))
+    with pytest.raises(InputError, match=f"run 0, part 'part': .* at least 5 rows, found {rows}; record"):
         learn_graph(recording)
+
+
+def test_a_part_cannot_have_the_name_of_the_base() -> None:
+    recording = Recording(time=np.arange(8.0), position=np.zeros((8, 3)), part=("base",) * 8)
+    with pytest.raises(InputError, match=r"column 'part': a part is named 'base'.*another name"):
+        learn_graph(recording)
+
+
+def test_unknown_methods_and_settings_are_refused() -> None:
+    recording = Recording(time=np.arange(8.0), position=np.zeros((8, 3)))
     with pytest.raises(InputError, match="method must be among"):
         learn_graph(recording, method="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="particles must be positive"):
         LearnSettings(particles=0)
 
 
-@pytest.mark.parametrize("rows", [2, 3, 5])
+@pytest.mark.parametrize("rows", [5, 6, 8])
 def test_the_shortest_recordings_give_an_answer(rows: int) -> None:
     found = edge(recorded([(JOINTS["prismatic"], np.linspace(0, 0.2, rows))], np.random.default_rng(14)))
     assert found.segments[0].start == 0
@@ -233,3 +244,50 @@ def test_the_recorded_stapler_is_revolute_until_it_latches() -> None:
     found = edge(read_recording(DATA / "demonstrations" / "stapler.csv"), method="champ")
     assert kinds(found) == ["revolute", "rigid"]
     assert abs(found.changepoints[0] - 100) <= 6
+
+
+PHASE = np.linspace(0.0, 1.0, 70)
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+@pytest.mark.parametrize(
+    "progress",
+    [(1 - np.cos(2 * np.pi * PHASE)) / 2, np.interp(PHASE, [0, 0.5, 1], [0, 0.75, 1]), PHASE**2],
+    ids=["out and back", "fast then slow", "accelerating"],
+)
+@pytest.mark.parametrize("position_noise", [0.0, 0.0005])
+def test_how_a_part_is_moved_does_not_split_its_joint(kind: str, progress: np.ndarray, position_noise: float) -> None:
+    noise = Noise(position_noise, 6 * position_noise)
+    recording = recorded([(JOINTS[kind], TRAVEL[kind] * progress)], np.random.default_rng(3), noise)
+    found = edge(recording, method="champ")
+    assert kinds(found) == [kind]
+
+
+def test_different_joints_of_one_kind_stay_apart() -> None:
+    along, across = JOINTS["prismatic"], prismatic((0.8, -0.6, 0.0), (0.5, 0.1, 0.3), START.as_quat())
+    travel = np.linspace(0.0, 0.25, 60)
+    corner = forward(along, travel[-1:])[0].translation
+    onward = prismatic(across.axis, tuple(corner), START.as_quat())
+    recording = recorded([(along, travel), (onward, travel)], np.random.default_rng(4), Noise(0.001, 0.006))
+    found = edge(recording, method="champ")
+    assert kinds(found) == ["prismatic", "prismatic"]
+    assert abs(found.changepoints[0] - 60) <= 2
+
+
+@pytest.mark.parametrize("position_noise", [0.0, 0.0005])
+def test_a_push_that_does_not_follow_the_arc_tells_a_stop(position_noise: float) -> None:
+    """Clean actions say nothing of most directions of the action channel; it must not use them to explain the stop."""
+    joint, swing = JOINTS["revolute"], np.linspace(0.0, 0.9, 70)
+    held = np.full(40, 0.9)
+    recording = recorded(
+        [(joint, swing), (joint, held)],
+        np.random.default_rng(5),
+        Noise(position_noise, 6 * position_noise),
+        commanded=[np.append(np.diff(swing), 0.0), np.zeros(40)],
+    )
+    middle = forward(joint, np.array([0.44, 0.46])).translation
+    action = recording.action.copy()
+    action[69:-1] = middle[1] - middle[0]
+    found = edge(replace(recording, action=action), method="act-champ")
+    assert kinds(found) == ["revolute", "rigid"]
+    assert abs(found.changepoints[0] - 70) <= 2

@@ -157,6 +157,20 @@ def test_without_actions_nothing_can_be_predicted(door):
         predict_recording(door, Recording(time=full.time, position=full.position))
 
 
+def test_a_start_that_no_mode_allows_says_what_was_measured_and_what_is_allowed(door):
+    turned = Rotation.from_euler("z", -0.5)
+    full = executed(door, [0.1] * 4)
+    elsewhere = Recording(
+        time=full.time,
+        position=turned.apply(full.position.copy()),
+        quaternion=(turned * full.poses().rotation).as_quat(),
+        action=full.action,
+    )
+    with pytest.raises(InputError, match=r"does not fit .* door = -0\.5 rad, .* door 0 to 1; take the model") as caught:
+        predict_recording(door, elsewhere)
+    assert "name a mode" not in str(caught.value)
+
+
 def test_a_single_row_cannot_be_predicted(door):
     with pytest.raises(InputError, match="at least 2 rows"):
         predict_recording(door, executed(door, []))

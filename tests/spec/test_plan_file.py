@@ -163,7 +163,11 @@ def test_formatting_is_not_content(plan: Plan, problem: Problem, tmp_path: Path)
     [
         (b"", "not valid JSON, damaged or cut short"),
         (b"\xff\xfe{}", "found bytes that are no text"),
-        (b"[1, 2]", "missing key 'format'; a plan file says 'format: micah-plan/plan/1'"),
+        (
+            b"[1, 2]",
+            "expected a plan, found a list of 2; a plan file is a mapping of keys to values and says 'format: ",
+        ),
+        (b"{}", "missing key 'format'; a plan file says 'format: micah-plan/plan/1'"),
         (b'{"format": "micah-plan/model/1"}', "expected a plan file, found a model file"),
         (b'{"format": "micah-plan/plan/9"}', "expected micah-plan/plan/1, found 'micah-plan/plan/9'"),
         (b'{"format": "micah-plan/plan/1"}', "does not match its digest"),
