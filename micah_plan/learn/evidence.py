@@ -88,6 +88,7 @@ class EvidenceStream:
         kinds: candidate kinds, in the order of the evidence's columns.
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        along: whether the motion along the joints counts; if not, the evidence is that of the poses across them.
     """
 
     def __init__(
@@ -99,7 +100,9 @@ class EvidenceStream:
         kinds: tuple[JointKind, ...],
         use_actions: bool,
         rest: float,
+        along: bool = True,
     ) -> None:
+        self.along = along
         self.track, self.inlier, self.kinds, self.views = track, inlier, kinds, tuple(views)
         self.has_orientation = track.quaternion is not None
         steps = np.diff(track.time, prepend=track.time[0])
@@ -117,7 +120,7 @@ class EvidenceStream:
         self._white = np.array([v.white_variance for v in views])
         self._wander = np.array([v.wander_variance for v in views])
         counts = [parameter_count(v.hypothesis.joint.kind, self.has_orientation) for v in views]
-        self._parameters = np.array(counts, dtype=float) + self.motion.parameters
+        self._parameters = np.array(counts, dtype=float) + (self.motion.parameters if along else 0.0)
         self._rotation4 = 2 * track.quaternion if track.quaternion is not None else None
         p2, b2 = noise.position_white**2, noise.position_wander**2
         r2, d2 = noise.rotation_white**2, noise.rotation_wander**2
@@ -153,7 +156,7 @@ class EvidenceStream:
         self._advance_fixed(kept, seen)
         along = self._advance_along(seen)
         if seen:
-            self._moving += across + along
+            self._moving += across + (along if self.along else 0.0)
             self._count += 1
         return self._column()
 
@@ -225,7 +228,8 @@ class EvidenceStream:
         self._still_spread = kept**2 * updated + self._wander * (1 - kept**2)
         renewed = self._wander * (1 - self._kept[self.row] ** 2)
         first = np.isinf(self._along_spread)
-        spread = np.where(first, 0.0, self._along_spread + self.motion.spread + renewed)
+        still_there = np.where(first, 0.0, self._along_spread + renewed)
+        spread = still_there + np.where(first, 0.0, self.motion.spread)
         self._along = self._along + np.where(first, 0.0, self._drift[:, self.row])
         if not seen:
             self._along_spread = np.where(first, np.inf, spread)
@@ -233,7 +237,7 @@ class EvidenceStream:
         variance = spread + self._white
         measured = self._configuration[:, self.row]
         innovation = np.where(first, 0.0, measured - self._along)
-        quiet = np.where(first, variance, variance - self.motion.spread)
+        quiet = still_there + self._white  # not variance - motion.spread, which rounds to 0 where steps are huge
         density = self.motion.log_density(innovation + self._usual_step, quiet)
         density = np.where(first, counted, density)
         trust = np.where(first, 1.0, spread / variance)

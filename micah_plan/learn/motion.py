@@ -24,6 +24,7 @@ Bools = NDArray[np.bool_]
 _STEP_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 3.0])  # of the mean squared step, as candidates for E[w²]
 _EXPLAINED_SHARES = np.array([0.4, 0.5, 0.6])  # candidates for ρ with actions
 _EXPECTATION_STEPS = 12
+_LARGEST_GAIN = 2.0  # of an action channel, by which a part moves more than it was commanded to
 _FEWEST_ROWS = 12  # to tell an action channel
 _TINY = 1e-16
 
@@ -119,7 +120,11 @@ def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: F
         _led(innovations, quiet, grid, one.leverage[:, None]),
         _led(innovations, quiet, grid, np.eye(3)),
     ]
-    return max(candidates, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
+    # An action channel turns and scales actions within bounds. Unbounded, h finds that one push moved the part and
+    # another, in all but the same direction, did not: a stop would be no evidence of anything any more.
+    reach = _LARGEST_GAIN * float(np.linalg.norm(one.leverage))
+    plausible = [m for m in candidates if float(np.linalg.norm(m.gain)) <= reach]
+    return max(plausible, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
 
 
 def _freely_moving(innovation: Floats, ramp: Floats, quiet: Floats, grid: Floats, rest: float) -> _Model:
@@ -169,13 +174,13 @@ def _innovations(signals: Floats, white: float, renewed: Floats, grid: Floats) -
     state = np.tile(signals[0], (len(grid), 1))
     spread = np.full(len(grid), white)
     for t in range(1, n):
-        spread = spread + grid + renewed[t - 1]
-        variance = spread + white
+        quiet = spread + renewed[t - 1] + white
+        spread, variance = spread + renewed[t - 1] + grid, quiet + grid
         innovation = signals[t] - state
         trust = spread / variance
         state = state + trust[:, None] * innovation
         spread = spread * (1 - trust)
-        innovations[t - 1], variances[t - 1] = innovation, variance - grid
+        innovations[t - 1], variances[t - 1] = innovation, quiet
     return innovations, variances
 
 

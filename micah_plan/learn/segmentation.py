@@ -11,6 +11,7 @@ from micah_plan.learn.changepoints import Segmentation, most_probable
 from micah_plan.learn.evidence import EvidenceStream
 from micah_plan.learn.hypothesis import Hypothesis, JointView, view
 from micah_plan.learn.length_prior import LengthPrior
+from micah_plan.learn.merging import merged
 from micah_plan.learn.noise import NoiseScales
 from micah_plan.learn.pool import moves, robust_fit, window_hypotheses
 from micah_plan.learn.settings import LearnSettings
@@ -50,7 +51,8 @@ def segment_track(
     """The most probable segments of a track.
 
     The pool starts with joints of windows; then the joints of the segments found, and of what their neighbours would be
-    if they were one, are fitted by MLESAC and join it, until the changepoints stay.
+    if they were one, are fitted by MLESAC and join it, until the changepoints stay. At last, neighbours on one joint
+    are joined (see `merging`).
     """
     views = [view(one, track, noise, inlier) for one in window_hypotheses(track, inlier, noise, settings.kinds)]
     prior = _prior(track, settings)
@@ -62,7 +64,11 @@ def segment_track(
         if not added:
             break
         views = views + added
-    return Segmented(track, inlier, noise, segmentation, stream)
+
+    def evidence(along: bool) -> EvidenceStream:
+        return EvidenceStream(track, inlier, noise, views, settings.kinds, use_actions, settings.rest, along)
+
+    return Segmented(track, inlier, noise, merged(segmentation, settings.kinds, evidence), stream)
 
 
 def _refitted(
