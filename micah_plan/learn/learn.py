@@ -51,7 +51,7 @@ def learn_graph(
     configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
 
     Args:
-        recording: at least 2 rows per part and run, positions or full poses.
+        recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
         method: Act-CHAMP predicts motion from the actions, CHAMP from the poses alone; without actions they are
             the same.
         settings: None: the defaults, which are meant for every recording.

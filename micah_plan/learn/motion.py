@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 _STEP_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 3.0])  # of the mean squared step, as candidates for E[w²]
 _EXPLAINED_SHARES = np.array([0.4, 0.5, 0.6])  # candidates for ρ with actions
 _EXPECTATION_STEPS = 12
-_LARGEST_GAIN = 2.0  # of an action channel, by which a part moves more than it was commanded to
+_MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _FEWEST_ROWS = 12  # to tell an action channel
 _TINY = 1e-16
 
@@ -115,15 +115,12 @@ def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: F
     if action is None or len(rows) < _FEWEST_ROWS:
         return free
     # The action as it is defined, with a gain; or, where that explains less, in any frame.
-    candidates = [
-        free,
-        _led(innovations, quiet, grid, one.leverage[:, None]),
-        _led(innovations, quiet, grid, np.eye(3)),
-    ]
-    # An action channel turns and scales actions within bounds. Unbounded, h finds that one push moved the part and
-    # another, in all but the same direction, did not: a stop would be no evidence of anything any more.
-    reach = _LARGEST_GAIN * float(np.linalg.norm(one.leverage))
-    plausible = [m for m in candidates if float(np.linalg.norm(m.gain)) <= reach]
+    along = _led(innovations, quiet, grid, one.leverage[:, None])
+    turned = _led(innovations, quiet, grid, np.eye(3))
+    # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved the
+    # part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
+    reach = _MOST_AMPLIFIED * max(float(np.linalg.norm(one.leverage)), float(np.linalg.norm(along.gain)))
+    plausible = [free, along, turned] if float(np.linalg.norm(turned.gain)) <= reach else [free, along]
     return max(plausible, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
 
 
