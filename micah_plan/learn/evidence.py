@@ -127,7 +127,7 @@ class EvidenceStream:
         self._across = [_Wander(p2, b2, (h, 3)), _Wander(r2, d2, (h, 3))]
         # Rigid: the filter of the pose itself and of the constant 1 share a gain, so they are one signal.
         self._fixed = [_Wander(p2, b2, (4,)), _Wander(r2, d2, (5,))]
-        self._sums = [np.zeros((0, 3)), np.zeros((0, 3))]  # Σ 1·1/S and Σ y·y/S; the vectors Σ 1·y/S are next
+        self._sums = [np.zeros((0, 2)), np.zeros((0, 2))]  # Σ 1·1/S and Σ y·y/S; the vectors Σ 1·y/S are next
         self._crosses = [np.zeros((0, 3)), np.zeros((0, 4))]
         self._along, self._along_spread = np.zeros((0, h)), np.zeros((0, h))
         self._still_spread = np.zeros((0, h))
@@ -154,9 +154,9 @@ class EvidenceStream:
             peaks -= 1.5 * (_LOG_2PI + np.log(variance))
         across = peaks[:, None] + self._tails(squares)[0]
         self._advance_fixed(kept, seen)
-        along = self._advance_along(seen)
+        along = self._advance_along(seen) if self.along else 0.0
         if seen:
-            self._moving += across + (along if self.along else 0.0)
+            self._moving += across + along
             self._count += 1
         return self._column()
 
