@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 
 BASE = "base"
@@ -28,6 +29,7 @@ class Segment:
         observation_std: std of one pose measurement expressed as configuration [rad or m].
         log_evidence: BIC-penalised log evidence of the chosen model (paper, equation for ln L).
         probability: posterior probability of the joint kind among the candidates for these rows.
+        certainty: how sure its start and its kind are; None where nobody asked.
     """
 
     joint: Joint
@@ -41,15 +43,17 @@ class Segment:
     observation_std: float
     log_evidence: float
     probability: float
+    certainty: SegmentCertainty | None = None
 
 
 @dataclass(frozen=True)
 class KinematicEdge:
-    """How one part moves relative to another: its segments in time order."""
+    """How one part moves relative to another: its segments in time order, and how sure they are."""
 
     parent: str
     child: str
     segments: tuple[Segment, ...]
+    certainty: EdgeCertainty | None = None
 
     @property
     def changepoints(self) -> tuple[int, ...]:

@@ -1,0 +1,123 @@
+"""How sure learning is: posteriors over changepoints and models, the action channel, and where no joint fits.
+
+Sources: Fearnhead and Liu, JRSS B 2007 (posterior over changepoints); MICAH, section IV-A (actions).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from micah_plan.automaton.joint import JointKind, Vector3
+
+CHANNEL_NAMES = ("frame_rotation_1", "frame_rotation_2", "frame_rotation_3", "gain", "delay")
+
+
+@dataclass(frozen=True)
+class RowPosterior:
+    """Posterior over the row at which a segment starts, given how many segments there are.
+
+    Attributes:
+        rows: (k,) rows of the recording, increasing; all that matter.
+        probabilities: (k,) theirs; they sum to 1.
+    """
+
+    rows: tuple[int, ...]
+    probabilities: tuple[float, ...]
+
+    def interval(self, probability: float = 0.95) -> tuple[int, int]:
+        """The narrowest range of rows (both inclusive) that holds at least this probability."""
+        total, best, first = 0.0, (self.rows[0], self.rows[-1]), 0
+        for last, row in enumerate(self.rows):
+            total += self.probabilities[last]
+            while total - self.probabilities[first] >= probability:
+                total -= self.probabilities[first]
+                first += 1
+            if total >= probability and row - self.rows[first] < best[1] - best[0]:
+                best = (self.rows[first], row)
+        return best
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far the best single joint misses rows that no single joint explains.
+
+    Attributes:
+        position, rotation: root mean square distance of the rows from the joint [m, rad]; None if not measured.
+        position_noise, rotation_noise: what the measurement alone would leave [m, rad].
+        log_odds: of free motion against the best joint [nats].
+    """
+
+    position: float
+    rotation: float | None
+    position_noise: float
+    rotation_noise: float | None
+    log_odds: float
+
+
+@dataclass(frozen=True)
+class ActionChannel:
+    """What was really commanded when an action a was recorded: gain · R(frame_rotation) a, `delay` later.
+
+    Attributes:
+        frame_rotation: rotation vector from the frame in which the actions were given to the base frame [rad].
+        gain: displacement made per displacement recorded.
+        delay: time from the recorded action to the motion [s]; negative if the motion comes first.
+        covariance: (5, 5) of CHANNEL_NAMES, in the units above. What the recording cannot tell (a rotation about the
+            joint's direction of motion) keeps its prior spread.
+        explained: share of the variance of the part's steps that the actions explain, 0 to 1.
+    """
+
+    frame_rotation: Vector3
+    gain: float
+    delay: float
+    covariance: tuple[tuple[float, ...], ...]
+    explained: float
+
+
+@dataclass(frozen=True)
+class EvidenceTrace:
+    """The evidence over time, for looking at.
+
+    Attributes:
+        rows: (n,) rows of the recording.
+        models: names of the m models (``"revolute"``, ``"rigid"``, ``"rigid_2"``, ``"free"``).
+        log_density: (n, m) of each row under each model, given the rows before [nats].
+        changepoint: (n,) posterior probability that a segment starts at the row.
+    """
+
+    rows: tuple[int, ...]
+    models: tuple[str, ...]
+    log_density: tuple[tuple[float, ...], ...]
+    changepoint: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class EdgeCertainty:
+    """What a recording says about an edge beyond its most probable segments.
+
+    Attributes:
+        log_evidence: ln probability of the edge's rows, summed over segmentations of all runs [nats].
+        changepoint_counts: per run, probabilities of 0, 1, 2, ... changepoints; each sums to 1.
+        channel: how the recorded actions move the part; None if there are none, or they say nothing.
+        trace: evidence over time; not saved with a model.
+    """
+
+    log_evidence: float
+    changepoint_counts: tuple[tuple[float, ...], ...]
+    channel: ActionChannel | None = None
+    trace: EvidenceTrace | None = None
+
+
+@dataclass(frozen=True)
+class SegmentCertainty:
+    """What a recording says about one segment.
+
+    Attributes:
+        start: where it starts; None for the first of a run.
+        kinds: probability of every kind of joint for the segment's rows; they sum to 1 minus that of free motion.
+        misfit: why no single joint explains the rows; None if the segment's joint does.
+    """
+
+    start: RowPosterior | None
+    kinds: tuple[tuple[JointKind, float], ...]
+    misfit: Misfit | None = None
