@@ -37,7 +37,7 @@ class Piece:
     Attributes:
         start, end: first and last row (inclusive), within the track.
         kind: index of its model among the candidate kinds.
-        hypothesis: index of its joint in the pool; -1 for rigid.
+        hypothesis: index of its joint in the pool.
         log_evidence: of that model.
         probability: of that model among the candidates for these rows.
     """
@@ -58,6 +58,21 @@ class Segmentation:
     log_probability: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """The best last segment of the rows up to one: evidence (k,) and best hypotheses (k,) of all kinds for it."""
+
+    start: int
+    evidence: Floats
+    hypothesis: Ints
+
+    def piece(self, end: int) -> Piece:
+        kind = int(np.argmax(self.evidence))
+        best = float(self.evidence[kind])
+        share = float(np.exp(best - logsumexp(self.evidence)))
+        return Piece(self.start, end, kind, int(self.hypothesis[kind]), best, share)
+
+
 def most_probable(
     stream: Stream, rows: int, prior: LengthPrior, rng: np.random.Generator, particles: int | None = None
 ) -> Segmentation:
@@ -69,44 +84,31 @@ def most_probable(
         rng: for resampling; unused where every start is kept.
         particles: most starts kept after a row; None: all of them, which is exact.
     """
+    every = np.arange(1, rows + 1)
+    log_length, log_survival = prior.log_probability(every), prior.log_survival(every - 1)
     best_before = np.full(rows + 1, -np.inf)  # P^MAP of a changepoint before each row
     best_before[0] = 0.0
-    last: list[Piece | None] = [None] * (rows + 1)
+    last: list[_Choice | None] = [None] * (rows + 1)
     for row in range(rows):
         column = stream.advance()
         end = row + 1
-        lengths = end - column.starts
-        kinds = column.log_evidence.shape[1]
-        joint = column.log_evidence - np.log(kinds) + best_before[column.starts][:, None]
-        if end < rows:
-            score = joint + prior.log_probability(lengths)[:, None]
-        else:
-            score = joint + prior.log_survival(lengths - 1)[:, None]
-        i, k = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
-        best_before[end] = score[i, k]
-        last[end] = _piece(column, i, k, row)
+        joint = column.log_evidence.max(axis=1) + best_before[column.starts]
+        joint -= np.log(column.log_evidence.shape[1])
+        score = joint + (log_length if end < rows else log_survival)[row - column.starts]
+        i = int(np.argmax(score))
+        best_before[end] = score[i]
+        last[end] = _Choice(int(column.starts[i]), column.log_evidence[i], column.hypothesis[i])
         if particles is not None and len(column.starts) > particles:
-            filtering = logsumexp(joint + prior.log_survival(lengths - 1)[:, None], axis=1)
-            weights = np.exp(filtering - filtering.max())
-            stream.keep(resample(weights, particles, rng)[0])
+            # The weight of a start sums over the models of its segment.
+            of_kinds = logsumexp(column.log_evidence, axis=1) - column.log_evidence.max(axis=1)
+            filtering = joint + of_kinds + log_survival[row - column.starts]
+            stream.keep(resample(np.exp(filtering - filtering.max()), particles, rng)[0])
     pieces: list[Piece] = []
     end = rows
     while end > 0:
-        piece = last[end]
-        if piece is None:
+        choice = last[end]
+        if choice is None:
             break
-        pieces.append(piece)
-        end = piece.start
+        pieces.append(choice.piece(end - 1))
+        end = choice.start
     return Segmentation(tuple(reversed(pieces)), float(best_before[rows]))
-
-
-def _piece(column: EvidenceColumn, i: int, k: int, row: int) -> Piece:
-    evidence = column.log_evidence[i]
-    return Piece(
-        start=int(column.starts[i]),
-        end=row,
-        kind=k,
-        hypothesis=int(column.hypothesis[i, k]),
-        log_evidence=float(evidence[k]),
-        probability=float(np.exp(evidence[k] - logsumexp(evidence))),
-    )

@@ -13,6 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
+from micah_plan.learn.joint_arrays import (
+    JointArrays,
+    arrays_of,
+    conjugate,
+    cross,
+    product,
+    rotated,
+    rotation_vector,
+)
 
 Floats = NDArray[np.float64]
 
@@ -43,30 +52,40 @@ def compare_all(
     joints: Sequence[Joint], position: Floats, quaternion: Floats | None, rotation_length: float
 ) -> Compared:
     """Closest configurations, errors and directions of motion of rows (n, 3), (n, 4) under every joint."""
+    return compare_arrays(arrays_of(joints), position, quaternion, rotation_length)
+
+
+def compare_arrays(
+    joints: JointArrays, position: Floats, quaternion: Floats | None, rotation_length: float
+) -> Compared:
+    """The same for joints that are arrays already.
+
+    Args:
+        joints: the h joints.
+        position, quaternion: (n, 3) [m] and (n, 4) rows; quaternion None if not measured.
+        rotation_length: what weighs rotation against position in "closest" [m/rad].
+    """
     h, n = len(joints), len(position)
-    axis = np.array([j.axis for j in joints]).reshape(h, 1, 3)
-    center = np.array([j.center for j in joints]).reshape(h, 1, 3)
-    start = np.array([j.position for j in joints]).reshape(h, 1, 3)
-    pitch = np.array([j.pitch if j.kind == "screw" else 0.0 for j in joints]).reshape(h, 1)
-    turning = np.array([j.kind in ("revolute", "screw") for j in joints]).reshape(h, 1)
-    sliding = np.array([j.kind == "prismatic" for j in joints]).reshape(h, 1)
-    along = np.einsum("hnk,hk->hn", position[None] - start, axis[:, 0])
-    arm, arm0 = position[None] - center, start - center
+    axis, center, start = joints.axis[:, None], joints.center[:, None], joints.position[:, None]
+    pitch, turning = joints.pitch[:, None], joints.turning[:, None]
+    sliding = joints.moving[:, None] & ~turning
+    along = np.einsum("hnk,hk->hn", position[None] - start, joints.axis)
+    arm0 = start - center
     arm0 = arm0 - np.sum(arm0 * axis, axis=2, keepdims=True) * axis
-    side = np.cross(axis, arm0)
+    side = cross(axis, arm0)
+    arm = position[None] - center
     real = np.einsum("hnk,hk->hn", arm, arm0[:, 0])
     imaginary = np.einsum("hnk,hk->hn", arm, side[:, 0])
     relative = None
     if quaternion is not None:
-        first = np.array([j.quaternion for j in joints]).reshape(h, 1, 4)
-        relative = _times(np.broadcast_to(quaternion, (h, n, 4)), _conjugate(first))
-        twist = np.sum(relative[..., :3] * axis, axis=2)
+        relative = product(np.broadcast_to(quaternion, (h, n, 4)), conjugate(joints.quaternion)[:, None])
+        twist = np.einsum("hnk,hk->hn", relative[..., :3], joints.axis)
         real = real + rotation_length**2 * (relative[..., 3] ** 2 - twist**2)
         imaginary = imaginary + rotation_length**2 * 2 * relative[..., 3] * twist
     angle = np.arctan2(imaginary, real)
     weight = np.hypot(real, imaginary)
     angle = np.where(weight > _TINY, angle, 0.0)
-    if (np.abs(pitch) > 1e-7).any():
+    if (np.abs(joints.pitch) > 1e-7).any():
         angle = _balanced(angle, weight, along, pitch)
     turned = np.where(turning, angle, 0.0)
     if n:
@@ -83,9 +102,24 @@ def compare_all(
     if relative is None:
         return Compared(configuration, error, moved)
     half = np.concatenate([np.sin(turned / 2)[..., None] * axis, np.cos(turned / 2)[..., None]], axis=2)
-    rotation = _rotation_vector(_times(relative, _conjugate(half)))
+    rotation = rotation_vector(product(relative, conjugate(half)))
     turns = np.broadcast_to(turning[..., None] * axis, rotation.shape)
     return Compared(configuration, np.concatenate([rotation, error], axis=2), np.concatenate([turns, moved], axis=2))
+
+
+def levers(joints: JointArrays, in_part: bool) -> Floats:
+    """(h, 3) J⁻¹ for a displacement of the part's origin: configuration per displacement [rad or m per m].
+
+    In the part's frame (`in_part`) the direction in which a joint moves the part's origin is constant (MICAH, section
+    IV-A); in the base frame it is the one at configuration 0.
+    """
+    side = cross(joints.axis, joints.position - joints.center) + joints.pitch[:, None] * joints.axis
+    direction = np.where(joints.turning[:, None], side, joints.axis)
+    lever = direction / np.maximum(np.sum(direction**2, axis=1, keepdims=True), _TINY)
+    if not in_part:
+        return np.asarray(lever)
+    from_base = conjugate(joints.quaternion)
+    return rotated(from_base, lever)
 
 
 def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: Floats) -> Floats:
@@ -100,21 +134,3 @@ def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: Floats) -> Fl
         slope = weight * np.sin(c - target) - pitch * (along - pitch * c)
         c = c - slope / np.maximum(weight + pitch**2, _TINY)
     return np.asarray(c)
-
-
-def _times(a: Floats, b: Floats) -> Floats:
-    """Products of quaternions, scalar last."""
-    vector = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
-    scalar = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
-
-
-def _conjugate(q: Floats) -> Floats:
-    return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
-
-
-def _rotation_vector(q: Floats) -> Floats:
-    q = np.where(q[..., 3:] < 0, -q, q)
-    length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(length, q[..., 3:])
-    return np.asarray(q[..., :3] * np.where(length > _TINY, angle / np.maximum(length, _TINY), 2.0))

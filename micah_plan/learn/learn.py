@@ -1,12 +1,12 @@
 """Learning the extended kinematic graph of a recording: CHAMP and Act-CHAMP for every part.
 
-Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
+Sources: MICAH, section III-B (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -18,7 +18,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.changepoints import Piece
-from micah_plan.learn.noise import NoiseScales, measure_noise
+from micah_plan.learn.noise import NoiseModel, find_inliers
 from micah_plan.learn.segmentation import Segmented, segment_track
 from micah_plan.learn.segments import (
     FittedPiece,
@@ -51,7 +51,7 @@ def learn_graph(
     configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
 
     Args:
-        recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
+        recording: at least 2 rows per part and run, positions or full poses.
         method: Act-CHAMP predicts motion from the actions, CHAMP from the poses alone; without actions they are
             the same.
         settings: None: the defaults, which are meant for every recording.
@@ -97,13 +97,13 @@ def _learn_run(
 ) -> tuple[list[Segment], Joint | None]:
     """Segments of one run, and the joint that the coordinate of all runs is counted along."""
     track = part_track(recording, run, part)
-    noise, inlier = measure_noise(track, settings)
-    step = -(-len(track) // settings.most_rows)
-    thinned, kept = track.thinned(step), inlier[::step]
-    segmented = segment_track(thinned, kept, noise, settings, use_actions, rng)
-    fitted = [
-        _fitted(piece, segmented, step, track, inlier, noise, settings, rng) for piece in segmented.segmentation.pieces
-    ]
+    inlier = find_inliers(track)
+    used = np.flatnonzero(inlier)
+    used = used[:: -(-len(used) // settings.most_rows)]
+    segmented = segment_track(track.summed(used), settings, use_actions, rng)
+    noise = segmented.noise
+    pieces = _on_all_rows(segmented.segmentation.pieces, used, len(track))
+    fitted = [_fitted(piece, pieces, segmented, track, inlier, settings, rng) for piece in pieces]
     chain = chained(fitted, track, inlier, noise)
     longest = max((one for one in chain if one.joint.kind != "rigid"), key=_rows, default=None)
     if reference is not None:
@@ -113,32 +113,27 @@ def _learn_run(
     return [to_segment(one, chain, run, track, inlier, noise) for one in chain], reference
 
 
+def _on_all_rows(pieces: Sequence[Piece], used: NDArray[np.int64], rows: int) -> list[Piece]:
+    """Pieces of the rows used as pieces of all rows: each reaches to where the next one starts."""
+    starts = [0, *(int(used[piece.start]) for piece in pieces[1:]), rows]
+    return [replace(p, start=a, end=b - 1) for p, a, b in zip(pieces, starts[:-1], starts[1:], strict=True)]
+
+
 def _fitted(
     piece: Piece,
+    pieces: Sequence[Piece],
     segmented: Segmented,
-    step: int,
     track: PartTrack,
     inlier: NDArray[np.bool_],
-    noise: NoiseScales,
     settings: LearnSettings,
     rng: np.random.Generator,
 ) -> FittedPiece:
-    """The piece on all rows, with its joint."""
-    last = piece.end == len(segmented.track) - 1
-    full = replace(piece, start=piece.start * step, end=len(track) - 1 if last else (piece.end + 1) * step - 1)
-    stream = segmented.stream
-    moving = piece.hypothesis >= 0
-    return fit_piece(
-        full,
-        settings.kinds[piece.kind],
-        stream.views[piece.hypothesis].hypothesis.joint if moving else None,
-        stream.motion.gain[piece.hypothesis] if moving else np.zeros(3),
-        track,
-        inlier,
-        noise,
-        settings,
-        rng,
-    )
+    """The piece with its joint, fitted to all rows of all pieces that share it."""
+    joint = segmented.table.pool.hypotheses[piece.hypothesis].joint
+    same = [p for p in pieces if p.hypothesis == piece.hypothesis]
+    rows = np.concatenate([np.arange(p.start, p.end + 1) for p in same])
+    gain = segmented.table.motion.gain[piece.hypothesis]
+    return fit_piece(piece, rows, joint, gain, track, inlier, segmented.noise, settings, rng)
 
 
 def _aligned(
@@ -147,7 +142,7 @@ def _aligned(
     reference: Joint,
     track: PartTrack,
     inlier: NDArray[np.bool_],
-    noise: NoiseScales,
+    noise: NoiseModel,
 ) -> list[FittedPiece]:
     """A later run's pieces, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
     if longest is None:

@@ -6,184 +6,214 @@ unexplained, and ρ is how often it explains all. The action channel h is linear
 side of the joint the actions were given at: in the part's frame every joint's direction of motion is constant, so
 J⁻¹ R g is one row vector (MICAH, equation for the predicted pose, with the measured configuration replaced by its
 filtered estimate).
+
+All hypotheses are filtered together over all rows; the parameters are fitted to each one's own rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.hypothesis import JointView
+from micah_plan.learn.pool import Pool
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_STEP_SHARES = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 3.0])  # of the mean squared step, as candidates for E[w²]
-_EXPLAINED_SHARES = np.array([0.4, 0.5, 0.6])  # candidates for ρ with actions
-_EXPECTATION_STEPS = 12
+_STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
+_EXPLAINED = 0.5  # ρ with actions
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
+_EXPECTATION_STEPS = 6
 _FEWEST_ROWS = 12  # to tell an action channel
 _TINY = 1e-16
+_TURNING = 0.01  # probability that a step goes the other way than the one before
+_STARTING = 0.05  # probability that a part that has not moved yet starts to
+_SMOOTHED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class MotionModels:
-    """The step models of m hypotheses.
+class _StepModel:
+    """One way to explain the steps of h hypotheses: ln densities (n - 1, h) while going forth, back, or not started."""
+
+    forth: Floats
+    back: Floats
+    waiting: Floats
+    gain: Floats
+    parameters: float
+    allowed: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The step models of h hypotheses, and the density of every row's step.
 
     Attributes:
-        spread: (m,) mean of w² [rad² or m² per row], by which the filter of the configuration opens.
-        mean: (m,) μ [rad or m per row].
-        variance: (m,) q [rad² or m² per row].
-        rest: (m,) ρ.
-        gain: (m, 3) h [rad or m per m of action in the part's frame]; 0 where actions say nothing.
-        parameters: (m,) how many numbers were fitted.
+        log_density: (h, n) of the configuration at a row, given those before [1/rad or 1/m]; 0 for rigid.
+        gain: (h, 3) h [rad or m per m of action in the part's frame]; 0 where actions say nothing.
+        parameters: (h,) how many numbers were fitted.
     """
 
-    spread: Floats
-    mean: Floats
-    variance: Floats
-    rest: Floats
+    log_density: Floats
     gain: Floats
     parameters: Floats
 
-    def log_density(self, innovation: Floats, quiet: Floats) -> Floats:
-        """(..., m) ln density of innovations (..., m) whose variance is `quiet` (..., m) where w = 0."""
-        return log_step_density(innovation, quiet, self.mean, self.variance, self.rest)
 
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    spread: float
-    mean: float
-    variance: float
-    rest: float
-    gain: Floats
-    parameters: float
-    log_likelihood: float
-
-
-def fit_motion(
-    views: Sequence[JointView], action: Floats | None, inlier: Bools, forgetting: Floats, rest: float
-) -> MotionModels:
-    """Maximum-likelihood step models of hypotheses, each on the rows it was fitted to.
+def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) -> Motion:
+    """Maximum-likelihood step models.
 
     Args:
-        views: the m hypotheses.
         action: (n, 3) in the part's frame [m]; None for CHAMP.
-        inlier: (n,) rows that count.
-        forgetting: (n,) share of the wander's variance that is renewed before each row.
         rest: ρ where actions explain nothing.
+        scale: (h, n) how much wider than usual the noise of a row is, by what it leaves across the joint.
     """
-    models = [_fit_one(one, action, inlier, forgetting, rest) for one in views]
-    return MotionModels(
-        np.array([m.spread for m in models]),
-        np.array([m.mean for m in models]),
-        np.array([m.variance for m in models]),
-        np.array([m.rest for m in models]),
-        np.array([m.gain for m in models]).reshape(-1, 3),
-        np.array([m.parameters for m in models]),
-    )
+    count, n = pool.seen.configuration.shape
+    members = np.flatnonzero(pool.moving)
+    result = Motion(np.zeros((count, n)), np.zeros((count, 3)), np.zeros(count))
+    if not len(members) or n < 2:
+        return result
+    c = pool.seen.configuration[members]
+    used = pool.hypotheses.used[members]
+    weight = (used[:, 1:] & used[:, :-1]).T[:, :, None].astype(float)
+    enough = np.maximum(weight.sum(axis=(0, 2)), 1.0)
+    steps = weight[..., 0].T * np.diff(c, axis=1)
+    mean_square = np.maximum((steps**2).sum(axis=1) / enough, np.maximum(pool.white[members] * 1e-3, _TINY))
+    grid = mean_square[:, None] * _STEP_SHARES
+    signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
+    if action is not None:
+        commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
+        signals += [np.broadcast_to(commanded[:, i], c.shape) for i in range(3)]
+    stacked = np.stack(signals, axis=-1)
+    innovations, quiet = _innovations(stacked, pool.white[members], pool.renewed[members], grid, scale[members])
+    models = [_freely(innovations[..., 0], innovations[..., 1], quiet, grid, weight, rest, _directions(c))]
+    if action is not None:
+        lever = pool.lever[members]
+        along = _led(innovations, quiet, grid, weight, lever[:, :, None])
+        turned = _led(innovations, quiet, grid, weight, np.broadcast_to(np.eye(3), (len(members), 3, 3)))
+        # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
+        # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
+        lengths = (np.linalg.norm(one, axis=1) for one in (lever, along.gain))
+        plausible = np.linalg.norm(turned.gain, axis=1) <= _MOST_AMPLIFIED * np.maximum(*lengths)
+        models += [replace(along, allowed=enough >= _FEWEST_ROWS)]
+        models += [replace(turned, allowed=plausible & (enough >= _FEWEST_ROWS))]
+    density = _either(*(np.stack([getattr(m, name) for m in models], axis=2) for name in ("forth", "back", "waiting")))
+    numbers = np.array([m.parameters for m in models])
+    score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
+    score = np.where(np.stack([m.allowed for m in models], axis=1), score, -np.inf)
+    chosen, every = np.argmax(score, axis=1), np.arange(len(members))
+    result.log_density[members, 1:] = density[:, every, chosen].T
+    result.gain[members] = np.stack([m.gain for m in models], axis=1)[every, chosen]
+    result.parameters[members] = numbers[chosen]
+    return result
 
 
-def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: Floats, rest: Floats) -> Floats:
+def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: Floats, rest: float) -> Floats:
     """ln [ρ N(v; 0, S) + (1 - ρ) N(v; μ, S + q)], all broadcast: the density of an innovation v."""
     moving = quiet + variance
     log_rest = np.log(rest) - 0.5 * (np.log(2 * np.pi * quiet) + innovation**2 / quiet)
     log_go = np.log1p(-rest) - 0.5 * (np.log(2 * np.pi * moving) + (innovation - mean) ** 2 / moving)
-    return np.logaddexp(log_rest, log_go)
+    return np.asarray(np.logaddexp(log_rest, log_go))
 
 
-def _fit_one(one: JointView, action: Floats | None, inlier: Bools, forgetting: Floats, rest: float) -> _Model:
-    rows = np.arange(one.hypothesis.start, one.hypothesis.end + 1)
-    rows = rows[inlier[rows]]
-    if len(rows) < 2:
-        return _Model(_TINY, 0.0, _TINY, rest, np.zeros(3), 2.0, -np.inf)
-    c = one.configuration[rows]
-    renewed = one.wander_variance * np.diff(np.cumsum(forgetting)[rows])
-    mean_square = max(float(np.mean(np.diff(c) ** 2)), one.white_variance * 1e-3, _TINY)
-    grid = mean_square * _STEP_SHARES
-    signals = np.column_stack([c, rows - rows[0]])
-    if action is not None:
-        # What the actions commanded between the rows used: their running sum, as a signal that is filtered alike.
-        commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action, axis=0)])[rows]
-        signals = np.column_stack([signals, commanded - commanded[0]])
-    innovations, quiet = _innovations(signals, one.white_variance, renewed, grid)
-    free = _freely_moving(innovations[..., 0], innovations[..., 1], quiet, grid, rest)
-    if action is None or len(rows) < _FEWEST_ROWS:
-        return free
-    # The action as it is defined, with a gain; or, where that explains less, in any frame.
-    along = _led(innovations, quiet, grid, one.leverage[:, None])
-    turned = _led(innovations, quiet, grid, np.eye(3))
-    # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved the
-    # part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
-    reach = _MOST_AMPLIFIED * max(float(np.linalg.norm(one.leverage)), float(np.linalg.norm(along.gain)))
-    plausible = [free, along, turned] if float(np.linalg.norm(turned.gain)) <= reach else [free, along]
-    return max(plausible, key=lambda m: m.log_likelihood - 0.5 * m.parameters * np.log(len(rows)))
-
-
-def _freely_moving(innovation: Floats, ramp: Floats, quiet: Floats, grid: Floats, rest: float) -> _Model:
-    """(μ, q) by expectation maximisation for every E[w²] of the grid; the best of them.
-
-    The filter drifts by its expected step (1 - ρ) μ. Its innovations are those without drift, less the drift times the
-    innovations of a ramp, so that under noise a stop shows in the rows that follow.
-    """
-    expected = 1 - rest
-    resting = expected * (ramp - 1)
-    going = resting + 1
-    mean = np.median(innovation, axis=0)
-    variance = grid.copy()
-    for _ in range(_EXPECTATION_STEPS):
-        moving = quiet + variance
-        log_go = np.log1p(-rest) - 0.5 * (np.log(moving) + (innovation - mean * going) ** 2 / moving)
-        log_rest = np.log(rest) - 0.5 * (np.log(quiet) + (innovation - mean * resting) ** 2 / quiet)
-        share = np.exp(log_go - np.logaddexp(log_go, log_rest))
-        weight_go, weight_rest = share / moving, (1 - share) / quiet
-        pull = (weight_go * going * innovation + weight_rest * resting * innovation).sum(axis=0)
-        mean = pull / np.maximum((weight_go * going**2 + weight_rest * resting**2).sum(axis=0), 1e-300)
-        missed = share * ((innovation - mean * going) ** 2 - quiet)
-        variance = np.maximum(missed.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
-    density = log_step_density(innovation - mean * resting, quiet, mean, variance, np.array(rest)).sum(axis=0)
-    i = int(np.argmax(density))
-    return _Model(float(grid[i]), float(mean[i]), float(variance[i]), rest, np.zeros(3), 2.0, float(density[i]))
-
-
-def _led(innovations: Floats, quiet: Floats, grid: Floats, basis: Floats) -> _Model:
-    """h in the span of a basis (3, k) for every E[w²] of the grid, and the ρ that goes with it best."""
-    gains = np.array([_gain(innovations[:, i], quiet[:, i] + grid[i], basis) for i in range(len(grid))])
-    left = innovations[..., 0] - np.einsum("tgk,gk->tg", innovations[..., 2:], gains)
-    variance = grid[:, None] / (1 - _EXPLAINED_SHARES)
-    density = log_step_density(left[..., None], quiet[..., None], np.zeros(1), variance, _EXPLAINED_SHARES).sum(axis=0)
-    i, j = (int(v) for v in np.unravel_index(int(np.argmax(density)), density.shape))
-    best = float(density[i, j])
-    return _Model(
-        float(grid[i]), 0.0, float(variance[i, j]), float(_EXPLAINED_SHARES[j]), gains[i], 2.0 + basis.shape[1], best
-    )
-
-
-def _innovations(signals: Floats, white: float, renewed: Floats, grid: Floats) -> tuple[Floats, Floats]:
-    """Innovations (n-1, g, k) of signals (n, k) and their variances without a step (n-1, g), for each E[w²] of (g,)."""
-    n = len(signals)
-    innovations = np.zeros((n - 1, len(grid), signals.shape[1]))
-    variances = np.zeros((n - 1, len(grid)))
-    state = np.tile(signals[0], (len(grid), 1))
-    spread = np.full(len(grid), white)
+def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Innovations (n-1, h, g, k) of signals (h, n, k) and their variances without a step (n-1, h, g)."""
+    h, n, k = signals.shape
+    g = grid.shape[1]
+    innovations = np.zeros((n - 1, h, g, k))
+    variances = np.zeros((n - 1, h, g))
+    state = np.repeat(signals[:, None, 0], g, axis=1)
+    spread = np.broadcast_to(white[:, None], (h, g))
     for t in range(1, n):
-        quiet = spread + renewed[t - 1] + white
-        spread, variance = spread + renewed[t - 1] + grid, quiet + grid
-        innovation = signals[t] - state
-        trust = spread / variance
-        state = state + trust[:, None] * innovation
-        spread = spread * (1 - trust)
-        innovations[t - 1], variances[t - 1] = innovation, quiet
+        before = spread + renewed[:, None]
+        noise = white[:, None] * scale[:, t : t + 1]
+        variance = before + grid + noise
+        innovation = signals[:, None, t] - state
+        trust = (before + grid) / variance
+        state = state + trust[..., None] * innovation
+        spread = (before + grid) * (1 - trust)
+        innovations[t - 1], variances[t - 1] = innovation, before + noise
     return innovations, variances
 
 
-def _gain(innovations: Floats, variance: Floats, basis: Floats) -> Floats:
-    """h (3,) by weighted least squares of the configuration's innovations on those of the commanded signals."""
-    commanded = innovations[:, 2:] @ basis / np.sqrt(variance)[:, None]
-    measured = innovations[:, 0] / np.sqrt(variance)
-    normal = commanded.T @ commanded
-    return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ (commanded.T @ measured))
+def _freely(
+    innovation: Floats, ramp: Floats, quiet: Floats, grid: Floats, weight: Floats, rest: float, direction: Floats
+) -> _StepModel:
+    """(μ, q) by expectation maximisation for every E[w²] of the grid, the best of them.
+
+    The filter drifts by its expected step (1 - ρ) μ. Its innovations are those without drift, less the drift times the
+    innovations of a ramp, so that under noise a stop shows in the rows that follow. A part may turn back: the sign of
+    the steps is a hidden state that rarely changes.
+    """
+    resting = (1 - rest) * (ramp - 1)
+    going = resting + 1
+    folded = innovation * direction.T[:, :, None]
+    mean = (folded * weight).sum(axis=0) / np.maximum((going * weight).sum(axis=0), 1.0)
+    variance = grid.copy()
+    for _ in range(_EXPECTATION_STEPS):
+        moving = quiet + variance
+        odds = np.log1p(-rest) - np.log(rest) - 0.5 * (np.log(moving) + (folded - mean * going) ** 2 / moving)
+        odds += 0.5 * (np.log(quiet) + (folded - mean * resting) ** 2 / quiet)
+        share = weight / (1 + np.exp(-np.clip(odds, -500, 500)))
+        weight_go, weight_rest = share / moving, (weight - share) / quiet
+        pull = (weight_go * going * folded + weight_rest * resting * folded).sum(axis=0)
+        mean = pull / np.maximum((weight_go * going**2 + weight_rest * resting**2).sum(axis=0), 1e-300)
+        missed = share * ((folded - mean * going) ** 2 - quiet)
+        variance = np.maximum(missed.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
+    forth = log_step_density(innovation - mean * resting, quiet, mean, variance, rest)
+    back = log_step_density(innovation + mean * resting, quiet, -mean, variance, rest)
+    best = np.argmax((np.maximum(forth, back) * weight).sum(axis=0), axis=1)
+    at = np.arange(len(best))
+    waiting = _quiet_density(innovation[:, at, best], quiet[:, at, best])
+    sure = np.ones(len(best), dtype=bool)
+    return _StepModel(forth[:, at, best], back[:, at, best], waiting, np.zeros((len(best), 3)), 2.0, sure)
+
+
+def _either(forth: Floats, back: Floats, waiting: Floats) -> Floats:
+    """ln density (n, ...) of rows given those before, with a hidden state: not started yet, going forth, or back.
+
+    A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
+    """
+    density = np.zeros_like(forth)
+    states = np.stack([forth, back, waiting])
+    chance = np.broadcast_to(np.array([0.25, 0.25, 0.5]).reshape(3, *(1,) * (forth.ndim - 1)), states[:, 0].shape)
+    for t in range(len(forth)):
+        highest = states[:, t].max(axis=0)
+        # No state is ever ruled out: a row that only one explains must not leave none.
+        weight = np.maximum(chance, 1e-300) * np.exp(np.maximum(states[:, t] - highest, -300.0))
+        total = weight.sum(axis=0)
+        density[t] = highest + np.log(total)
+        ahead, behind, wait = weight / total
+        start = 0.5 * _STARTING * wait
+        turn = _TURNING * (ahead - behind)
+        chance = np.stack([ahead - turn + start, behind + turn + start, (1 - _STARTING) * wait])
+    return density
+
+
+def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:
+    return np.asarray(-0.5 * (np.log(2 * np.pi * quiet) + innovation**2 / quiet))
+
+
+def _directions(c: Floats) -> Floats:
+    """(h, n - 1) signs of smoothed steps."""
+    n = c.shape[1]
+    reach = min(_SMOOTHED, n - 1)
+    last, first = np.minimum(np.arange(1, n) + reach, n - 1), np.maximum(np.arange(n - 1) - reach, 0)
+    return np.where(c[:, last] >= c[:, first], 1.0, -1.0)
+
+
+def _led(innovations: Floats, quiet: Floats, grid: Floats, weight: Floats, basis: Floats) -> _StepModel:
+    """h in the span of bases (h, 3, k) for every E[w²] of the grid, the best of them."""
+    inverse = weight / (quiet + grid)
+    commanded = innovations[..., 2:] @ basis
+    turned = commanded.transpose(1, 2, 3, 0)
+    normal = (turned * inverse.transpose(1, 2, 0)[:, :, None]) @ turned.swapaxes(2, 3)
+    pull = np.einsum("thgi,thg->hgi", commanded, innovations[..., 0] * inverse)
+    gain = (np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ pull[..., None])[..., 0]
+    left = innovations[..., 0] - np.einsum("thgk,hgk->thg", commanded, gain)
+    led = log_step_density(left, quiet, np.zeros(1), grid / (1 - _EXPLAINED), _EXPLAINED)
+    best = np.argmax((led * weight).sum(axis=0), axis=1)
+    at = np.arange(len(best))
+    density, waiting = led[:, at, best], _quiet_density(innovations[:, at, best, 0], quiet[:, at, best])
+    full = np.einsum("hak,hk->ha", basis, gain[at, best])
+    return _StepModel(density, density, waiting, full, 2.0 + basis.shape[2], np.ones(len(best), dtype=bool))

@@ -1,125 +1,122 @@
-"""Noise scales of a track: white noise and outliers from the rows themselves, wander from the settings.
+"""Noise of a pose measurement: white, with fast and slow wander, and how much of it the rows before foretell.
 
-White noise is what neighbouring rows do not share: a line through the two neighbours predicts a row, and for white
-noise of variance σ² the miss has variance 1.5 σ². Medians keep outliers and real turns of the motion out of it.
+Measured pose = joint at its configuration + error e_t. Each channel's error is white noise + a fast wander + a slow
+wander of the tracker (Ornstein-Uhlenbeck each); a row's error given the p rows before it is normal around a linear
+prediction (Levinson, Durbin), so that likelihoods are sums over rows. What is left, the innovations, is correlated
+between channels (errors of rotation and position are tied by a lever arm) and has Student's tails.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.spatial.transform import Rotation
-
-from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
-_STD_PER_MAD = 1.4826
-_MISS_VARIANCE = 1.5
-_FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
-_FINEST_ROTATION = 1e-3  # rad
-_OUTLIER_STDS = 7.0
-_NEIGHBOURS = 7
+MEMORY = 8  # rows that a prediction looks back
 
 
-@dataclass(frozen=True)
-class NoiseScales:
-    """Noise of one pose measurement: white plus an Ornstein-Uhlenbeck wander.
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise of one pose measurement over d = 6 channels [rotation vector (rad), position (m)], or 3 of position.
 
     Attributes:
-        position_white, rotation_white: std of the white part [m, rad].
-        position_wander, rotation_wander: stationary std of the wander [m, rad].
-        wander_time: its correlation time [s].
-        outlier_ratio: γ, the share of rows that are outliers.
+        white, fast, slow: (d,) variances of the white noise and of two wanders.
+        fast_kept, slow_kept: (d,) correlation of a wander in neighbouring rows.
+        correlation: (d, d) of the channels' innovations.
+        dof: degrees of freedom of the innovations' tails.
+        coefficients: (p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
+        left: (p + 1, d) variances of what they leave.
     """
 
-    position_white: float
-    rotation_white: float
-    position_wander: float
-    rotation_wander: float
-    wander_time: float
-    outlier_ratio: float
+    white: Floats
+    fast: Floats
+    slow: Floats
+    fast_kept: Floats
+    slow_kept: Floats
+    correlation: Floats
+    dof: float
+    coefficients: Floats
+    left: Floats
+
+    @property
+    def innovation(self) -> Floats:
+        """(d, d) covariance of a row's error, given those before."""
+        std = np.sqrt(self.left[-1])
+        return np.asarray(std[:, None] * self.correlation * std)
+
+    @property
+    def renewed(self) -> Floats:
+        """(d,) variance of the wander that is new in each row."""
+        return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
+
+    @property
+    def information_share(self) -> Floats:
+        """(d,) information of a row about a constant, among many, over that of a single innovation's."""
+        return np.asarray((1 - self.coefficients[-1].sum(axis=0)) ** 2)
 
     @property
     def position_std(self) -> float:
-        """Total std of a position [m]."""
-        return float(np.hypot(self.position_white, self.position_wander))
+        """Total std of a position per axis [m]."""
+        return float(np.sqrt(np.mean((self.white + self.fast + self.slow)[-3:])))
 
     @property
     def rotation_std(self) -> float:
-        """Total std of a rotation [rad]."""
-        return float(np.hypot(self.rotation_white, self.rotation_wander))
+        """Total std of a rotation per axis [rad]; a placeholder where orientation was not measured."""
+        return float(np.sqrt(np.mean((self.white + self.fast + self.slow)[:3]))) if len(self.white) == 6 else 0.05
+
+    @property
+    def position_white(self) -> float:
+        """Std of the white part [m]."""
+        return float(np.sqrt(np.mean(self.white[-3:])))
+
+    @property
+    def rotation_white(self) -> float:
+        """Std of the white part [rad]."""
+        return float(np.sqrt(np.mean(self.white[:3])))
 
     @property
     def rotation_length(self) -> float:
         """What weighs rotation against position [m/rad]."""
         return self.position_std / self.rotation_std
 
+    def whitened(self, errors: Floats, order: int) -> Floats:
+        """Errors (..., n, d) less their prediction from `order` rows before, scaled to unit independent channels."""
+        left = errors.copy()
+        for lag in range(1, order + 1):
+            left[..., lag:, :] -= self.coefficients[order, lag - 1] * errors[..., :-lag, :]
+        left /= np.sqrt(self.left[order])
+        return np.asarray(left @ self.decorrelation.T)
 
-def measure_noise(track: PartTrack, settings: LearnSettings) -> tuple[NoiseScales, Bools]:
-    """Noise scales of a track and (n,) which of its rows are no outliers."""
-    outlying = _outliers(track, settings)
-    clean = track.take(np.flatnonzero(~outlying))
-    position_white = settings.position_std or max(_white_std(_position_misses(clean)), _FINEST_POSITION)
-    rotation_white = settings.rotation_std or max(_white_std(_rotation_misses(clean)), _FINEST_ROTATION)
-    # The posterior mode of γ under p(γ) ∝ exp(-w γ), to first order in γ.
-    ratio = max(float(outlying.sum()) / (len(track) + settings.outlier_weight), 1.0 / (len(track) + 100.0))
-    scales = NoiseScales(
-        position_white=position_white,
-        rotation_white=rotation_white,
-        position_wander=settings.position_wander,
-        rotation_wander=settings.rotation_wander,
-        wander_time=settings.wander_time or settings.wander_durations * track.duration,
-        outlier_ratio=min(ratio, 0.4),
-    )
-    return scales, ~outlying
+    @cached_property
+    def decorrelation(self) -> Floats:
+        """(d, d) what makes scaled innovations independent."""
+        return np.linalg.inv(np.linalg.cholesky(self.correlation))
 
 
-def _white_std(misses: Floats) -> float:
-    """Std per axis from (n, 3) misses of the neighbours' line."""
-    if not len(misses):
-        return 0.0
-    stds = _STD_PER_MAD * np.median(np.abs(misses), axis=0) / np.sqrt(_MISS_VARIANCE)
-    return float(np.sqrt(np.mean(stds**2)))
+def predictors(
+    white: Floats, fast: Floats, slow: Floats, fast_kept: Floats, slow_kept: float, most: int
+) -> tuple[Floats, Floats]:
+    """Best linear predictions (Levinson, Durbin) of m models: (p + 1, p, m), and variances left (p + 1, m)."""
+    lags = np.arange(most + 1)[:, None]
+    covariance = fast * fast_kept**lags + slow * slow_kept**lags
+    covariance[0] += white
+    coefficients = np.zeros((most + 1, most, covariance.shape[1]))
+    left = np.zeros((most + 1, covariance.shape[1]))
+    left[0] = covariance[0]
+    for order in range(1, most + 1):
+        last = coefficients[order - 1, : order - 1]
+        reflection = (covariance[order] - (last * covariance[order - 1 : 0 : -1]).sum(axis=0)) / left[order - 1]
+        coefficients[order, : order - 1] = last - reflection * last[::-1]
+        coefficients[order, order - 1] = reflection
+        left[order] = left[order - 1] * (1 - reflection**2)
+    return coefficients, left
 
 
-def _position_misses(track: PartTrack) -> Floats:
-    p = track.position
-    return np.asarray(p[1:-1] - 0.5 * (p[:-2] + p[2:]))
-
-
-def _rotation_misses(track: PartTrack) -> Floats:
-    if track.rotation is None or len(track) < 3:
-        return np.zeros((0, 3))
-    steps = (track.rotation[:-1].inv() * track.rotation[1:]).as_rotvec()
-    return np.asarray(0.5 * (steps[:-1] - steps[1:]))
-
-
-def _outliers(track: PartTrack, settings: LearnSettings) -> Bools:
-    """Rows far from the running median of their neighbours, measured in the spread of such distances (Hampel).
-
-    A row within the wander that every pose may have is no outlier, however smooth its neighbours are: the row where a
-    motion stops dead would be one.
-    """
-    distances = [np.linalg.norm(track.position - _running_median(track.position), axis=1)]
-    floors = [settings.position_wander]
-    if track.quaternion is not None:
-        middle = _running_median(track.quaternion)
-        lengths = np.linalg.norm(middle, axis=1)
-        middle = np.where(lengths[:, None] > 0.1, middle, track.quaternion)
-        apart = Rotation.from_quat(track.quaternion) * Rotation.from_quat(middle).inv()
-        distances.append(np.asarray(apart.magnitude()))
-        floors.append(settings.rotation_wander)
-    outlying = np.zeros(len(track), dtype=bool)
-    for distance, floor in zip(distances, floors, strict=True):
-        outlying |= distance > max(_OUTLIER_STDS * float(np.median(distance)), floor)
-    return outlying if outlying.mean() < 0.4 else np.zeros(len(track), dtype=bool)
-
-
-def _running_median(values: Floats) -> Floats:
-    return np.asarray(median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
+def log_peak(size: int, dof: float) -> float:
+    """ln of the peak of Student's density in `size` dimensions, as curved there as the normal of scale 1."""
+    return lgamma((dof + size) / 2) - lgamma(dof / 2) - 0.5 * size * log((dof + size) * pi)

@@ -1,26 +1,32 @@
-"""Segmenting one track: alternate between the pool of joints and the most probable changepoints until they agree."""
+"""Segmenting one track: the pool of joints, the most probable changepoints and the noise, until they agree."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.changepoints import Segmentation, most_probable
-from micah_plan.learn.evidence import EvidenceStream
-from micah_plan.learn.hypothesis import Hypothesis, JointView, view
+from micah_plan.automaton.joint import JointKind
+from micah_plan.learn.changepoints import Piece, Segmentation, most_probable
+from micah_plan.learn.evidence import EvidenceTable, ExactEvidence, tabulated
 from micah_plan.learn.length_prior import LengthPrior
-from micah_plan.learn.merging import merged
-from micah_plan.learn.noise import NoiseScales
-from micah_plan.learn.pool import moves, robust_fit, window_hypotheses
+from micah_plan.learn.noise import NoiseModel
+from micah_plan.learn.noise_fit import first_noise, refitted_noise
+from micah_plan.learn.pool import Hypotheses, Pool, refitted, window_hypotheses
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
+Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 3
 _FEWEST_ROWS = 4
+_MOST_STRETCHES = 6
+_ANOTHER_JOINT = 10.0  # nats: most parts have one moving joint; another one needs decisive evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,75 +34,177 @@ class Segmented:
     """The most probable segments of a track and what they refer to.
 
     Attributes:
-        track: the rows that were segmented (every k-th of a long run).
-        segmentation: pieces, in rows of that track.
-        stream: the evidence that decided, with its pool and step models.
+        track: the rows that were segmented.
+        noise: estimated together with the segments.
+        segmentation: pieces, in rows of that track; those of one hypothesis share its parameters.
+        table: the evidence that decided, with its pool and step models.
+        log_probability: of the rows and segments, parameters of a joint counted once.
     """
 
     track: PartTrack
-    inlier: Bools
-    noise: NoiseScales
+    noise: NoiseModel
     segmentation: Segmentation
-    stream: EvidenceStream
+    table: EvidenceTable
+    log_probability: float
 
 
-def segment_track(
+def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> Segmented:
+    """The most probable segments of a track without outliers.
+
+    Two explanations start: fine noise (which may find many segments) and the noise that a single joint would leave
+    (which may find one). Each settles on its own, and the more probable one is taken.
+    """
+    fine = first_noise(track, settings)
+    windows = window_hypotheses(track, settings.kinds, fine)
+    starts = [fine]
+    single = _single(track, fine, settings, use_actions)
+    if single is not None:
+        starts.insert(0, single)
+    settled = [_settled(windows, track, noise, settings, use_actions, rng) for noise in starts]
+    return max(settled, key=lambda one: one.log_probability)
+
+
+def _single(track: PartTrack, noise: NoiseModel, settings: LearnSettings, use_actions: bool) -> NoiseModel | None:
+    """The noise that the single joint leaves which is the most probable one with the noise that it leaves."""
+    # Where something moves, what a rigid model leaves is motion, not noise.
+    kinds = [kind for kind in settings.kinds if kind != "rigid"] or list(settings.kinds)
+    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
+    best: tuple[float, NoiseModel] | None = None
+    for i in range(len(whole)):
+        one = whole.take([i])
+        table = tabulated(one, track, noise, use_actions, settings.rest)
+        left = refitted_noise(*_misses(table.pool, np.zeros(len(track), dtype=np.int64)), settings)
+        table = tabulated(one, track, left, use_actions, settings.rest)
+        total, _ = _shared(table, [0], track, settings, np.random.default_rng(0))
+        if best is None or total > best[0]:
+            best = total, left
+    return None if best is None else best[1]
+
+
+def _settled(
+    windows: Hypotheses,
     track: PartTrack,
-    inlier: Bools,
-    noise: NoiseScales,
+    noise: NoiseModel,
     settings: LearnSettings,
     use_actions: bool,
     rng: np.random.Generator,
 ) -> Segmented:
-    """The most probable segments of a track.
-
-    The pool starts with joints of windows; then the joints of the segments found, and of what their neighbours would be
-    if they were one, are fitted by MLESAC and join it, until the changepoints stay. At last, neighbours on one joint
-    are joined (see `merging`).
-    """
-    views = [view(one, track, noise, inlier) for one in window_hypotheses(track, inlier, noise, settings.kinds)]
-    prior = _prior(track, settings)
-    known: set[tuple[int, int]] = set()
-    for remaining in reversed(range(_MOST_ROUNDS)):
-        stream = EvidenceStream(track, inlier, noise, views, settings.kinds, use_actions, settings.rest)
-        segmentation = most_probable(stream, len(track), prior, rng, settings.particles)
-        added = _refitted(segmentation, known, track, inlier, noise, settings, rng) if remaining else []
-        if not added:
+    """Alternate between segments, their joints and the noise until the probability does not grow."""
+    best: Segmented | None = None
+    pool = windows
+    for _ in range(_MOST_ROUNDS):
+        table = tabulated(pool, track, noise, use_actions, settings.rest)
+        evidence = ExactEvidence(table, settings.kinds)
+        apart = most_probable(evidence, len(track), _prior(track, settings), rng, settings.particles)
+        total, segmentation = _selected(table, apart, track, settings, rng)
+        found = Segmented(track, noise, segmentation, table, total)
+        if best is not None and found.log_probability <= best.log_probability + 1e-3:
             break
-        views = views + added
+        best = found
+        used = sorted({piece.hypothesis for piece in segmentation.pieces})
+        noise = _left(segmentation.pieces, table, settings)
+        kinds, rows = _stretches(segmentation, apart, len(track), settings.kinds)
+        pool = table.pool.hypotheses.take(used).joined(refitted(kinds, rows, track, noise))
+    if best is None:
+        raise RuntimeError("no round was made")
+    return best
 
-    def evidence(along: bool) -> EvidenceStream:
-        return EvidenceStream(track, inlier, noise, views, settings.kinds, use_actions, settings.rest, along)
 
-    return Segmented(track, inlier, noise, merged(segmentation, settings.kinds, evidence), stream)
+def _stretches(
+    segmentation: Segmentation, apart: Segmentation, n: int, kinds: Sequence[JointKind]
+) -> tuple[list[JointKind], Bools]:
+    """Rows to fit next, with every kind: all rows of each joint found, its pieces, and unions of neighbours."""
+    rows: dict[tuple[int, ...], None] = {}
+    by_joint: dict[int, list[int]] = {}
+    for piece in segmentation.pieces:
+        by_joint.setdefault(piece.hypothesis, []).extend(range(piece.start, piece.end + 1))
+    for members in by_joint.values():
+        rows[tuple(members)] = None
+    for pieces in (segmentation.pieces, apart.pieces):
+        for reach in (0, 1, 2):
+            for a, b in zip(pieces, pieces[reach:], strict=False):
+                rows[tuple(range(a.start, b.end + 1))] = None
+    stretches = [stretch for stretch in rows if len(stretch) >= _FEWEST_ROWS][:_MOST_STRETCHES]
+    used = np.zeros((len(stretches), n), dtype=bool)
+    for i, stretch in enumerate(stretches):
+        used[i, list(stretch)] = True
+    return [kind for _ in stretches for kind in kinds], np.repeat(used, len(kinds), axis=0)
 
 
-def _refitted(
-    segmentation: Segmentation,
-    known: set[tuple[int, int]],
-    track: PartTrack,
-    inlier: Bools,
-    noise: NoiseScales,
-    settings: LearnSettings,
-    rng: np.random.Generator,
-) -> list[JointView]:
-    """MLESAC fits of the segments and of unions of neighbours, those not fitted yet."""
-    pieces = segmentation.pieces
-    stretches = {(p.start, p.end) for p in pieces}
-    for apart in (1, 2):
-        stretches |= {(a.start, b.end) for a, b in zip(pieces, pieces[apart:], strict=False)}
-    added: list[JointView] = []
-    for start, end in sorted(stretches - known):
-        known.add((start, end))
-        if end - start + 1 < _FEWEST_ROWS or not moves(track, start, end, inlier, noise):
-            continue
-        for kind in settings.kinds:
-            if kind == "rigid":
-                continue
-            fit = robust_fit(kind, track, np.arange(start, end + 1), inlier, noise, settings, rng)
-            if fit is not None:
-                added.append(view(Hypothesis(fit.joint, start, end), track, noise, inlier))
-    return added
+def _selected(
+    table: EvidenceTable, apart: Segmentation, track: PartTrack, settings: LearnSettings, rng: np.random.Generator
+) -> tuple[float, Segmentation]:
+    """Segments whose joints are counted once however often they return: joints are dropped while that pays."""
+    members = sorted({piece.hypothesis for piece in apart.pieces})
+    best = _shared(table, members, track, settings, rng)
+    while len(members) > 1:
+        fewer = [[m for m in members if m != dropped] for dropped in members]
+        tried = [_shared(table, some, track, settings, rng) for some in fewer]
+        i = max(range(len(tried)), key=lambda k: tried[k][0])
+        if tried[i][0] <= best[0]:
+            break
+        members, best = fewer[i], tried[i]
+    for single in _promising(table):
+        tried_single = _shared(table, [single], track, settings, rng)
+        if tried_single[0] > best[0]:
+            best = tried_single
+    return best
+
+
+def _promising(table: EvidenceTable) -> list[int]:
+    """Hypotheses that explain all rows best, three of them."""
+    order = len(table.log_density) - 1
+    totals = table.log_density[order, order:].sum(axis=0) - table.occam
+    return [int(i) for i in np.argsort(-totals)[:3]]
+
+
+def _shared(
+    table: EvidenceTable, members: list[int], track: PartTrack, settings: LearnSettings, rng: np.random.Generator
+) -> tuple[float, Segmentation]:
+    """The most probable segments under few joints, whose parameters are paid once."""
+    evidence = ExactEvidence(table, settings.kinds, members, charged=False)
+    found = most_probable(evidence, len(track), _prior(track, settings), rng, settings.particles)
+    used: dict[int, int] = {}
+    for piece in found.pieces:
+        used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
+    moving = sum(bool(table.pool.moving[i]) for i in used)
+    cost = table.cost(np.array(list(used)), np.array(list(used.values()), dtype=float), moving > 0).sum()
+    # A part does not get from one rest to another without a motion.
+    rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
+    jumps = sum(a and b for a, b in pairwise(rigid))
+    cost += (max(moving - 1, 0) + jumps) * _ANOTHER_JOINT
+    return found.log_probability - float(cost), _merged(found)
+
+
+def _merged(found: Segmentation) -> Segmentation:
+    """The same with neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
+    pieces: list[Piece] = []
+    for piece in found.pieces:
+        if pieces and pieces[-1].hypothesis == piece.hypothesis:
+            before = pieces.pop()
+            evidence = before.log_evidence + piece.log_evidence
+            piece = replace(piece, start=before.start, log_evidence=evidence)
+        pieces.append(piece)
+    return Segmentation(tuple(pieces), found.log_probability)
+
+
+def _left(pieces: Sequence[Piece], table: EvidenceTable, settings: LearnSettings) -> NoiseModel:
+    """The noise that the joints of pieces leave."""
+    which = np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in pieces])
+    return refitted_noise(*_misses(table.pool, which), settings)
+
+
+def _misses(pool: Pool, which: Ints) -> tuple[Floats, Floats, Floats]:
+    """Errors of every row under the hypothesis (n,) that explains it, the noise along the joint, and its direction.
+
+    All (n, d). Along a joint, noise is what a row misses of the middle of its neighbours.
+    """
+    rows = np.arange(len(which))
+    c, direction = pool.seen.configuration[which, rows], pool.seen.direction[which, rows]
+    missed = np.zeros(len(c))
+    same = (which[2:] == which[1:-1]) & (which[:-2] == which[1:-1])
+    missed[1:-1] = np.where(same, (c[1:-1] - 0.5 * (c[2:] + c[:-2])) * np.sqrt(2 / 3), 0.0)
+    return pool.seen.error[which, rows], missed[:, None] * direction, direction
 
 
 def _prior(track: PartTrack, settings: LearnSettings) -> LengthPrior:

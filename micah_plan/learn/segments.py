@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.graph import Segment
-from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
-from micah_plan.errors import InputError
 from micah_plan.learn.changepoints import Piece
-from micah_plan.learn.closed_form import fit_closed_form
-from micah_plan.learn.noise import NoiseScales
+from micah_plan.learn.noise import NoiseModel
 from micah_plan.learn.pool import robust_fit
 from micah_plan.learn.refine import compare, with_covariance
 from micah_plan.learn.settings import LearnSettings
@@ -49,32 +47,26 @@ class FittedPiece:
 
 def fit_piece(
     piece: Piece,
-    kind: JointKind,
-    leader: Joint | None,
+    rows: NDArray[np.int64],
+    leader: Joint,
     gain: Floats,
     track: PartTrack,
     inlier: Bools,
-    noise: NoiseScales,
+    noise: NoiseModel,
     settings: LearnSettings,
     rng: np.random.Generator,
 ) -> FittedPiece:
-    """MLESAC on all rows of a piece; the joint that won the evidence where they cannot tell a joint."""
-    index = np.arange(piece.start, piece.end + 1)
-    fit = robust_fit(kind, track, index, inlier, noise, settings, rng)
+    """MLESAC on all rows (k,) of a piece's joint, from the joint that won the evidence and from random sets."""
+    fit = robust_fit(leader, track, rows, inlier, noise, settings, rng)
+    rotation = None if track.rotation is None else track.rotation[rows]
+    weight = inlier[rows].astype(float) if fit is None else fit.inlier * inlier[rows]
     joint = leader if fit is None else fit.joint
-    if joint is None:
-        # Only outliers: a rigid pose is all that can be said of them.
-        rotation = None if track.rotation is None else track.rotation[index]
-        joint = fit_closed_form("rigid", track.position[index], rotation, np.ones(len(index)))
-    if joint is None:
-        raise InputError(f"rows {piece.start} to {piece.end} do not determine a {kind} joint")
-    weight = inlier[index].astype(float) if fit is None else fit.inlier * inlier[index]
-    rotation = None if track.rotation is None else track.rotation[index]
     stds = (noise.rotation_std, noise.position_std)
-    return FittedPiece(piece, with_covariance(joint, track.position[index], rotation, weight, stds), gain, leader)
+    joint = with_covariance(joint, track.position[rows], rotation, weight, stds)
+    return FittedPiece(piece, joint, gain, None if leader.kind == "rigid" else leader)
 
 
-def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseScales) -> list[FittedPiece]:
+def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseModel) -> list[FittedPiece]:
     """The same pieces with their joints on one coordinate: equal where they meet, 0 at the first row.
 
     Each joint counts up in the direction in which it went furthest, unless it is of the kind of the last one and moves
@@ -109,7 +101,7 @@ def shifted_with_origin(joint: Joint, offset: float) -> Joint:
 
 
 def to_segment(
-    one: FittedPiece, chain: Sequence[FittedPiece], run: int, track: PartTrack, inlier: Bools, noise: NoiseScales
+    one: FittedPiece, chain: Sequence[FittedPiece], run: int, track: PartTrack, inlier: Bools, noise: NoiseModel
 ) -> Segment:
     """The segment of a chained piece, with its configurations and noise."""
     piece, joint = one.piece, one.joint
@@ -143,7 +135,7 @@ def to_segment(
     )
 
 
-def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseScales) -> Floats:
+def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseModel) -> Floats:
     """(k,) configurations of rows, continuous from the first, which is the whole turn closest to 0."""
     rotation = None if track.rotation is None else track.rotation[rows]
     c = inverse(joint, track.position[rows], rotation, noise.rotation_length)
@@ -151,7 +143,7 @@ def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, nois
 
 
 def _meeting(
-    before: Joint, before_near: float, after: Joint, after_near: float, noise: NoiseScales
+    before: Joint, before_near: float, after: Joint, after_near: float, noise: NoiseModel
 ) -> tuple[float, float]:
     """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
     length = noise.rotation_length
@@ -163,14 +155,14 @@ def _meeting(
     return before_near, after_near
 
 
-def _configuration_of(rigid: Joint, moving: Joint, noise: NoiseScales) -> float:
+def _configuration_of(rigid: Joint, moving: Joint, noise: NoiseModel) -> float:
     """Where on a moving joint a rigid one holds the part."""
     pose = forward(rigid, 0.0)
     return float(inverse(moving, pose.translation, pose.rotation, noise.rotation_length)[0])
 
 
 def _directed(
-    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseScales
+    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseModel
 ) -> Joint:
     """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
     index = np.arange(one.piece.start, one.piece.end + 1)
@@ -188,7 +180,7 @@ def _directed(
     return one.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(one.joint)
 
 
-def _near(joint: Joint, row: int, piece: Piece, track: PartTrack, inlier: Bools, noise: NoiseScales) -> float:
+def _near(joint: Joint, row: int, piece: Piece, track: PartTrack, inlier: Bools, noise: NoiseModel) -> float:
     """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
     index = np.arange(piece.start, piece.end + 1)
     index = index[inlier[index]] if inlier[index].any() else index
@@ -215,7 +207,7 @@ def _smoothed(c: Floats) -> Floats:
 
 
 def _observation_std(
-    joint: Joint, measured_by: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseScales
+    joint: Joint, measured_by: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseModel
 ) -> float:
     """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
     rotation = None if track.rotation is None else track.rotation[rows]

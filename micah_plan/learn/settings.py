@@ -19,9 +19,8 @@ class LearnSettings:
         kinds: candidate joints.
         position_std, rotation_std: white noise of one pose measurement [m, rad]; None: estimated from the rows.
         position_wander, rotation_wander: std of the tracker's slowly wandering error [m, rad].
-        wander_time: time over which that error forgets [s]; None: `wander_durations` times the run's duration, which
-            makes the result independent of the sampling rate and of the unit of time.
-        wander_durations: see wander_time.
+        wander_durations: time over which that error forgets, in durations of the run, which makes the result
+            independent of the sampling rate and of the unit of time.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
             rarer.
@@ -29,8 +28,8 @@ class LearnSettings:
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
         draws: minimal sets that MLESAC tries per fit.
         particles: most changepoint candidates kept; recordings with fewer rows are solved exactly.
-        most_rows: longer runs are segmented on every k-th row (with the actions between summed), so that their
-            changepoints are good to k rows; joints are fitted to all rows.
+        resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
+            then found again to the row, and joints are fitted to all rows.
     """
 
     kinds: tuple[JointKind, ...] = JOINT_KINDS
@@ -38,15 +37,14 @@ class LearnSettings:
     rotation_std: float | None = None
     position_wander: float = 0.004
     rotation_wander: float = 0.08
-    wander_time: float | None = None
-    wander_durations: float = 1.0
+    wander_durations: float = 1.5
     mean_length: float | None = None
     length_shape: float = 2.0
     rest: float = 0.2
     outlier_weight: float = 10.0
     draws: int = 24
     particles: int = 400
-    most_rows: int = 320
+    resolution: int = 64
 
     def __post_init__(self) -> None:
         if not self.kinds or any(kind not in JOINT_KINDS for kind in self.kinds):

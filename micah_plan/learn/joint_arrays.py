@@ -1,0 +1,162 @@
+"""Many joints as arrays: h joints of any kinds, one row each, so that a pool is compared, moved and fitted at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid, screw
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class JointArrays:
+    """h joints.
+
+    Attributes:
+        kinds: (h,) kinds.
+        axis, center, position: (h, 3) unit vector, a point of the axis [m] and origin at configuration 0 [m].
+        quaternion: (h, 4) orientation at configuration 0, scalar last.
+        pitch: (h,) [m/rad]; 0 unless screw.
+    """
+
+    kinds: tuple[JointKind, ...]
+    axis: Floats
+    center: Floats
+    position: Floats
+    quaternion: Floats
+    pitch: Floats
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    @property
+    def moving(self) -> Bools:
+        """(h,) which are not rigid."""
+        return np.array([kind != "rigid" for kind in self.kinds], dtype=bool)
+
+    @property
+    def turning(self) -> Bools:
+        """(h,) which rotate."""
+        return np.array([kind in ("revolute", "screw") for kind in self.kinds], dtype=bool)
+
+    @property
+    def twisting(self) -> Bools:
+        """(h,) which have a pitch."""
+        return np.array([kind == "screw" for kind in self.kinds], dtype=bool)
+
+    def take(self, index: Sequence[int] | NDArray[np.int64]) -> JointArrays:
+        """Some of the joints."""
+        i = np.asarray(index, dtype=np.int64)
+        kinds = tuple(self.kinds[j] for j in i)
+        return JointArrays(
+            kinds, self.axis[i], self.center[i], self.position[i], self.quaternion[i], self.pitch[i]
+        )
+
+    def joint(self, i: int) -> Joint:
+        """One of them as a joint."""
+        kind, position, quaternion = self.kinds[i], self.position[i], self.quaternion[i]
+        if kind == "rigid":
+            return rigid(position, quaternion)
+        if kind == "prismatic":
+            return prismatic(self.axis[i], position, quaternion)
+        if kind == "revolute":
+            return revolute(self.axis[i], self.center[i], position, quaternion)
+        return screw(self.axis[i], self.center[i], float(self.pitch[i]), position, quaternion)
+
+    def moved(self, step: Floats) -> JointArrays:
+        """The joints moved by (h, 13): a base-side and a part-side displacement (6 each) and a change of pitch.
+
+        A displacement is a rotation vector about the base's origin and a translation; those of the base side carry
+        the axis along, those of the part side act first and move only the part's origin.
+        """
+        base, part = rotation_quaternion(step[:, :3]), rotation_quaternion(step[:, 6:9])
+        moving, turning = self.moving[:, None], self.turning[:, None]
+        position = rotated(base, rotated(part, self.position) + step[:, 9:12]) + step[:, 3:6]
+        axis = np.where(moving, rotated(base, self.axis), 0.0)
+        axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+        center = np.where(turning, rotated(base, self.center) + step[:, 3:6], 0.0)
+        quaternion = product(base, product(part, self.quaternion))
+        quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        pitch = np.where(self.twisting, self.pitch + step[:, 12], 0.0)
+        return JointArrays(self.kinds, axis, center, position, quaternion, pitch)
+
+    def where(self, condition: Bools, other: JointArrays) -> JointArrays:
+        """These joints where a condition (h,) holds, the other ones (of the same kinds) elsewhere."""
+        wide = condition[:, None]
+        return JointArrays(
+            self.kinds,
+            np.where(wide, self.axis, other.axis),
+            np.where(wide, self.center, other.center),
+            np.where(wide, self.position, other.position),
+            np.where(wide, self.quaternion, other.quaternion),
+            np.where(condition, self.pitch, other.pitch),
+        )
+
+
+def arrays_of(joints: Sequence[Joint]) -> JointArrays:
+    """Joints as arrays."""
+    return JointArrays(
+        tuple(joint.kind for joint in joints),
+        np.array([joint.axis for joint in joints]).reshape(-1, 3),
+        np.array([joint.center for joint in joints]).reshape(-1, 3),
+        np.array([joint.position for joint in joints]).reshape(-1, 3),
+        np.array([joint.quaternion for joint in joints]).reshape(-1, 4),
+        np.array([joint.pitch if joint.kind == "screw" else 0.0 for joint in joints]).reshape(-1),
+    )
+
+
+def concatenated(first: JointArrays, second: JointArrays) -> JointArrays:
+    """The joints of both."""
+    pairs = ((getattr(first, name), getattr(second, name)) for name in ("axis", "center", "position", "quaternion"))
+    vectors = (np.concatenate(pair) for pair in pairs)
+    return JointArrays(first.kinds + second.kinds, *vectors, np.concatenate([first.pitch, second.pitch]))
+
+
+def product(a: Floats, b: Floats) -> Floats:
+    """Products of quaternions (..., 4), scalar last."""
+    vector = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + cross(a[..., :3], b[..., :3])
+    scalar = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
+    return np.concatenate([vector, scalar], axis=-1)
+
+
+def conjugate(quaternion: Floats) -> Floats:
+    """Inverse rotations (..., 4)."""
+    return np.asarray(quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def rotated(quaternion: Floats, vector: Floats) -> Floats:
+    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    double = 2 * cross(quaternion[..., :3], vector)
+    return np.asarray(vector + quaternion[..., 3:] * double + cross(quaternion[..., :3], double))
+
+
+def rotation_quaternion(vector: Floats) -> Floats:
+    """Unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate([0.5 * np.sinc(angle / (2 * np.pi)) * vector, np.cos(0.5 * angle)], axis=-1)
+
+
+def rotation_vector(quaternion: Floats) -> Floats:
+    """Rotation vectors (..., 3) [rad], shortest, of unit quaternions (..., 4)."""
+    q = np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+    length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(length, q[..., 3:])
+    return np.asarray(q[..., :3] * np.where(length > 1e-12, angle / np.maximum(length, 1e-12), 2.0))
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross products (..., 3): like np.cross without its overhead."""
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,134 @@
+"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.comparison import Compared, compare_arrays
+from micah_plan.learn.joint_arrays import JointArrays
+from micah_plan.learn.noise import NoiseModel
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+_GAUGE = 1e-9  # directions of less relative information are redundant
+_ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
+
+
+def fit_likelihood(
+    joints: JointArrays, used: Bools, track: PartTrack, noise: NoiseModel, iterations: int
+) -> JointArrays:
+    """The joints that make the innovations of their rows most likely, from a start; kinds are kept.
+
+    Args:
+        joints: h starts.
+        used: (h, n) the rows that each is fitted to.
+        iterations: Gauss-Newton steps, each taken only by the joints that it improves.
+    """
+    order = _known_before(used, min(_ORDER, len(noise.left) - 1))
+    scale = np.where(used[:, :, None], 1 / np.sqrt(noise.left[order]), 0.0)
+    coefficients = noise.coefficients[order, : order.max(initial=0)] if used.any() else np.zeros((*used.shape, 0, 1))
+    seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
+    innovation, cost = _innovations(seen.error, coefficients, scale, noise)
+    damping = np.full(len(joints), 1e-6)
+    for _ in range(iterations):
+        design = parameter_design(joints, seen, track.position)
+        size = design.shape[2]
+        columns = _whitened(design, coefficients[..., None], scale[..., None])
+        columns = np.einsum("ij,htjk->htik", noise.decorrelation, columns)
+        weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=2))
+        rows = columns.reshape(len(joints), -1, design.shape[3])
+        weighted = (columns * weight[..., None, None]).reshape(rows.shape)
+        information = weighted.transpose(0, 2, 1) @ rows
+        pull = weighted.transpose(0, 2, 1) @ innovation.reshape(len(joints), -1, 1)
+        diagonal = np.einsum("hii->hi", information)
+        damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(design.shape[3])
+        step = (np.linalg.pinv(damped, rcond=_GAUGE, hermitian=True) @ pull)[..., 0]
+        step = np.clip(np.nan_to_num(step), -1.0, 1.0)
+        trial = joints.moved(step)
+        after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
+        trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
+        better = trial_cost < cost
+        joints, seen = trial.where(better, joints), _chosen(better, after, seen)
+        innovation = np.where(better[:, None, None], trial_innovation, innovation)
+        cost = np.where(better, trial_cost, cost)
+        damping = np.where(better, damping / 10, np.maximum(damping, 1e-6) * 100)
+    return joints
+
+
+def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
+    """(h, n, d, 13) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
+
+    Args:
+        position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
+    """
+    h, n, d = seen.error.shape
+    c = seen.configuration
+    points = position - seen.error[:, :, -3:]
+    axis, turning = joints.axis, joints.turning
+    angle = np.where(turning[:, None], c, 0.0)
+    slide = np.where(turning[:, None], joints.pitch[:, None] * c, c)
+    cross = _skew(axis)
+    sine, versine = np.sin(angle)[..., None, None], (1 - np.cos(angle))[..., None, None]
+    turn = np.eye(3) + sine * cross[:, None] + versine * (cross @ cross)[:, None]
+    design = np.zeros((h, n, 6, 13))
+    design[:, :, :3, :3] = design[:, :, 3:, 3:6] = np.eye(3)
+    design[:, :, 3:, :3] = -_skew(points)
+    design[:, :, 3:, 9:12] = turn
+    if d == 6:
+        # A part-side turn moves the point by (motion's rotation of ω) × (point - motion's translation).
+        center = joints.center[:, None]
+        shift = center - np.einsum("htij,hj->hti", turn, joints.center) + slide[..., None] * axis[:, None]
+        design[:, :, :3, 6:9] = turn
+        design[:, :, 3:, 6:9] = -_skew(points - shift) @ turn
+    # For a rigid part both sides say the same.
+    design[~joints.moving, :, :, 6:] = 0.0
+    design[:, :, 3:, 12] = np.where(joints.twisting[:, None], c, 0.0)[..., None] * axis[:, None]
+    design = design[:, :, 6 - d :]
+    along = seen.direction / np.maximum(np.linalg.norm(seen.direction, axis=2, keepdims=True), 1e-12)
+    return np.asarray(design - along[..., None] * np.einsum("htk,htki->hti", along, design)[:, :, None])
+
+
+def _known_before(used: Bools, most: int) -> Ints:
+    """(h, n) how many rows directly before a row are used, up to `most`."""
+    order = np.zeros(used.shape, dtype=np.int64)
+    for t in range(1, used.shape[1]):
+        order[:, t] = np.where(used[:, t - 1], np.minimum(order[:, t - 1] + 1, most), 0)
+    return order
+
+
+def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
+    """Values (h, n, d, ...) less their prediction from the rows before, in stds."""
+    left = values.copy()
+    for lag in range(1, coefficients.shape[2] + 1):
+        left[:, lag:] -= coefficients[:, lag:, lag - 1] * values[:, :-lag]
+    left *= scale
+    return left
+
+
+def _innovations(error: Floats, coefficients: Floats, scale: Floats, noise: NoiseModel) -> tuple[Floats, Floats]:
+    """(h, n, d) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
+    innovation = _whitened(error, coefficients, scale) @ noise.decorrelation.T
+    size = innovation.shape[2]
+    cost = 0.5 * (noise.dof + size) * np.log1p((innovation**2).sum(axis=2) / (noise.dof + size)).sum(axis=1)
+    return innovation, cost
+
+
+def _chosen(condition: Bools, first: Compared, second: Compared) -> Compared:
+    wide = condition[:, None]
+    return Compared(
+        np.where(wide, first.configuration, second.configuration),
+        np.where(wide[..., None], first.error, second.error),
+        np.where(wide[..., None], first.direction, second.direction),
+    )
+
+
+def _skew(vectors: Floats) -> Floats:
+    """(..., 3, 3) matrices of the cross products with vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)]
+    return np.stack(rows, axis=-2)

@@ -1,0 +1,83 @@
+"""What a joint costs: how much narrower than their prior the rows make its parameters (Laplace's approximation).
+
+ln p(y | M) ≈ ln p(y | θ_fit) - 1/2 ln det(I + Σ₀ F), with the parameters' prior covariance Σ₀ and Fisher information F.
+The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out by how much one row tells: with wide priors
+and a tracker good to millimetres that is most of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.joint import JointKind
+from micah_plan.learn.comparison import Compared
+from micah_plan.learn.likelihood import parameter_design
+from micah_plan.learn.noise import NoiseModel
+from micah_plan.learn.pool import Pool
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+
+_SAMPLES = 10  # rows at which the information is looked at
+_HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
+_RARE = 4.6  # nats: one in a hundred joints is a screw
+# Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
+_WIDTHS = np.array([1.0] * 12 + [0.1])
+
+
+def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> Floats:
+    """(h,) cost of the hypotheses' parameters on the rows that they were fitted to [nats].
+
+    Args:
+        trust: power of the likelihood.
+    """
+    joints, used = pool.hypotheses.joints, pool.hypotheses.used
+    count = np.maximum(used.sum(axis=1), 1)
+    # Evenly spaced ones among the used rows.
+    ranks = (np.linspace(0, 1, _SAMPLES)[None] * (count - 1)[:, None]).round().astype(np.int64)
+    order = np.argsort(~used, axis=1, kind="stable")
+    index = np.take_along_axis(order, ranks, axis=1)
+    every = np.arange(len(joints))[:, None]
+    seen = Compared(pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index])
+    design = parameter_design(joints, seen, track.position[index])
+    scaled = design * np.sqrt(noise.information_share)[:, None] * _WIDTHS
+    flat = (noise.decorrelation / np.sqrt(noise.left[-1])) @ scaled
+    flat = flat.reshape(len(joints), -1, flat.shape[3])
+    information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
+    reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
+    far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
+    return np.asarray(far + _RARE * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
+
+
+def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
+    """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
+
+    Given the joint, the pose has only its configuration free, and the slow wander across it.
+    """
+    used = pool.hypotheses.used
+    n = used.shape[1]
+    joints = np.flatnonzero(pool.moving & (used.sum(axis=1) >= n / _HELD_SHARE))
+    result = cost.copy()
+    if not len(joints):
+        return result
+    reach = np.ptp(pool.seen.configuration[joints], axis=1)
+    information = trust * noise.information_share[:, None] * np.linalg.inv(noise.innovation)
+    error, direction = pool.seen.error[joints], pool.seen.direction[joints]
+    for i in np.flatnonzero(~pool.moving):
+        rows = np.flatnonzero(used[i])
+        middle = rows[len(rows) // 2]
+        missed_by = np.median(error[:, rows], axis=1)
+        along = direction[:, middle] * reach[:, None]
+        prior = np.diag(noise.slow + noise.white) + along[:, :, None] * along[:, None, :]
+        size = np.linalg.slogdet(np.eye(prior.shape[1]) + prior @ information * len(rows))[1]
+        missed = np.einsum("jd,jd->j", missed_by, np.linalg.solve(prior, missed_by[..., None])[..., 0])
+        result[i] = min(result[i], float(np.min(0.5 * (size + missed))))
+    return result
+
+
+def parameter_count(kind: JointKind, has_orientation: bool) -> int:
+    """k of the BIC term: the numbers that fix a joint and where on it the segment starts."""
+    if has_orientation:
+        return {"rigid": 6, "prismatic": 8, "revolute": 10, "screw": 11}[kind]
+    return {"rigid": 3, "prismatic": 5, "revolute": 7, "screw": 8}[kind]

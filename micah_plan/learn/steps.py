@@ -1,0 +1,103 @@
+"""Steps of a track: its rows averaged to a resolution that depends on the motion, not on the sampling rate.
+
+What learning assumes of neighbouring rows (how fast a tracker wanders, how often a part rests, how long a segment is)
+it assumes of neighbouring steps. So the same motion sampled 16 times as often gives the same segments, at the same
+cost, and white noise is averaged before it is looked at. Changepoints are then found again to the row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+_BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
+_MOST_SWEEPS = 10.0
+_STD_PER_MAD = 1.4826
+_FINE_STRIDE = 0.02  # of the extent
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A track at the resolution at which it is segmented.
+
+    Attributes:
+        track: (m,) steps: means of the poses of a few rows; actions command the way from a step to the next one.
+        first: (m + 1,) first row of every step in the track of all rows, and the number of rows.
+        size: mean number of rows of a step.
+    """
+
+    track: PartTrack
+    first: Ints
+    size: float
+
+
+def steps_of(track: PartTrack, inlier: Bools, resolution: int) -> Steps:
+    """Average rows to about `resolution` steps per sweep of the part.
+
+    Args:
+        inlier: (n,) rows that count; a step without any is part of the one before.
+        resolution: steps while the part moves once as far as it gets from anywhere to anywhere.
+    """
+    used = np.flatnonzero(inlier)
+    rows = track.take(used)
+    wanted = round(resolution * _sweeps(rows))
+    begins = np.unique(np.linspace(0, len(used), min(max(wanted, 1), len(used)), endpoint=False).astype(np.int64))
+    counts = np.diff(np.append(begins, len(used)))[:, None]
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.add.reduceat(values, begins, axis=0) / counts)
+
+    quaternion = None if track.quaternion is None else mean(track.quaternion[used])
+    if quaternion is not None:
+        quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    action = None
+    if track.action is not None:
+        # Where all actions so far would have brought the part; the means of a step differ by what was commanded between.
+        reached = np.concatenate([np.zeros((1, 3)), np.cumsum(track.action, axis=0)[:-1]])
+        ends = mean(reached[used])
+        action = np.concatenate([np.diff(ends, axis=0), np.zeros((1, 3))])
+    middle = begins + (counts[:, 0].astype(np.int64) - 1) // 2
+    averaged = PartTrack(
+        track.rows[used[middle]], mean(track.time[used][:, None])[:, 0], mean(track.position[used]), quaternion, action
+    )
+    first = np.append(used[begins], len(track))
+    first[0] = 0
+    return Steps(averaged, first.astype(np.int64), len(track) / len(begins))
+
+
+def _sweeps(track: PartTrack) -> float:
+    """Length of the path over the extent of the motion, at least 1, in whichever of position and rotation is clearer."""
+    channels = [track.position]
+    if track.quaternion is not None:
+        channels.append(2 * track.quaternion)
+    found = [_clarity_and_sweeps(values) for values in channels]
+    return float(np.clip(max(found)[1], 1.0, _MOST_SWEEPS))
+
+
+def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
+    """Extent over noise, and path over extent, of rows (n, k)."""
+    bends = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    if len(bends) < 2:
+        return 0.0, 1.0
+    level = float(np.linalg.norm(_STD_PER_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(1.5)))
+    extent = float(np.linalg.norm(np.ptp(values, axis=0)))
+    # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
+    fine = _FINE_STRIDE * max(extent, 1e-12)
+    window = int(np.clip((level / fine) ** 2, len(values) / _BLOCKS, max(len(values) / _FEWEST_BLOCKS, 1)))
+    begins = np.arange(0, len(values), max(window, 1))
+    means = np.add.reduceat(values, begins, axis=0) / np.diff(np.append(begins, len(values)))[:, None]
+    anchor, path = means[0], 0.0
+    for point in means[1:]:
+        length = float(np.linalg.norm(point - anchor))
+        if length > 3 * fine:
+            path, anchor = path + length, point
+    reached = float(np.linalg.norm(np.ptp(means, axis=0)))
+    return extent / max(level, 1e-12), path / max(reached, 1e-12)
