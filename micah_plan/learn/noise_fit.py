@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.learn.noise import MEMORY, NoiseModel, log_peak, predictors
+from micah_plan.learn.pool import Pool
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _STD_PER_MAD = 1.4826
 _MISS_VARIANCE = 1.5  # of a row from the middle of its neighbours, for white noise of variance 1
@@ -66,6 +68,19 @@ def refitted_noise(errors: Floats, along: Floats, free: Floats, settings: LearnS
     model = _model(white, fast, kept, np.eye(d), 8.0, n, settings)
     correlation, dof = _correlated(model.whitened(across, order), free / np.sqrt(model.left[-1]))
     return replace(model, correlation=correlation, dof=dof)
+
+
+def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats, Floats]:
+    """Errors of every row under the hypothesis (n,) that explains it, the noise along the joint, and its direction.
+
+    All (n, d). Along a joint, noise is what a row misses of the middle of its neighbours.
+    """
+    rows = np.arange(len(which))
+    c, direction = pool.seen.configuration[which, rows], pool.seen.direction[which, rows]
+    missed = np.zeros(len(c))
+    same = (which[2:] == which[1:-1]) & (which[:-2] == which[1:-1])
+    missed[1:-1] = np.where(same, (c[1:-1] - 0.5 * (c[2:] + c[:-2])) * np.sqrt(2 / 3), 0.0)
+    return pool.seen.error[which, rows], missed[:, None] * direction, direction
 
 
 def _correlated(innovation: Floats, free: Floats) -> tuple[Floats, float]:

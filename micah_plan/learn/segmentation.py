@@ -14,8 +14,8 @@ from micah_plan.learn.changepoints import Piece, Segmentation, most_probable
 from micah_plan.learn.evidence import EvidenceTable, ExactEvidence, tabulated
 from micah_plan.learn.length_prior import LengthPrior
 from micah_plan.learn.noise import NoiseModel
-from micah_plan.learn.noise_fit import first_noise, refitted_noise
-from micah_plan.learn.pool import Hypotheses, Pool, refitted, window_hypotheses
+from micah_plan.learn.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.pool import Hypotheses, refitted, window_hypotheses
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -73,7 +73,7 @@ def _single(track: PartTrack, noise: NoiseModel, settings: LearnSettings, use_ac
     for i in range(len(whole)):
         one = whole.take([i])
         table = tabulated(one, track, noise, use_actions, settings.rest)
-        left = refitted_noise(*_misses(table.pool, np.zeros(len(track), dtype=np.int64)), settings)
+        left = refitted_noise(*misses(table.pool, np.zeros(len(track), dtype=np.int64)), settings)
         table = tabulated(one, track, left, use_actions, settings.rest)
         total, _ = _shared(table, [0], track, settings, np.random.default_rng(0))
         if best is None or total > best[0]:
@@ -191,20 +191,7 @@ def _merged(found: Segmentation) -> Segmentation:
 def _left(pieces: Sequence[Piece], table: EvidenceTable, settings: LearnSettings) -> NoiseModel:
     """The noise that the joints of pieces leave."""
     which = np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in pieces])
-    return refitted_noise(*_misses(table.pool, which), settings)
-
-
-def _misses(pool: Pool, which: Ints) -> tuple[Floats, Floats, Floats]:
-    """Errors of every row under the hypothesis (n,) that explains it, the noise along the joint, and its direction.
-
-    All (n, d). Along a joint, noise is what a row misses of the middle of its neighbours.
-    """
-    rows = np.arange(len(which))
-    c, direction = pool.seen.configuration[which, rows], pool.seen.direction[which, rows]
-    missed = np.zeros(len(c))
-    same = (which[2:] == which[1:-1]) & (which[:-2] == which[1:-1])
-    missed[1:-1] = np.where(same, (c[1:-1] - 0.5 * (c[2:] + c[:-2])) * np.sqrt(2 / 3), 0.0)
-    return pool.seen.error[which, rows], missed[:, None] * direction, direction
+    return refitted_noise(*misses(table.pool, which), settings)
 
 
 def _prior(track: PartTrack, settings: LearnSettings) -> LengthPrior:

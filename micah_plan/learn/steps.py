@@ -40,16 +40,27 @@ class Steps:
 
 
 def steps_of(track: PartTrack, inlier: Bools, resolution: int) -> Steps:
-    """Average rows to about `resolution` steps per sweep of the part.
+    """Average rows to about `resolution` steps per there and back of the part.
 
     Args:
         inlier: (n,) rows that count; a step without any is part of the one before.
-        resolution: steps while the part moves once as far as it gets from anywhere to anywhere.
+        resolution: steps while the part moves once through its range and back, or less far.
     """
     used = np.flatnonzero(inlier)
-    rows = track.take(used)
-    wanted = round(resolution * _sweeps(rows))
-    begins = np.unique(np.linspace(0, len(used), min(max(wanted, 1), len(used)), endpoint=False).astype(np.int64))
+    wanted = min(round(resolution * _sweeps(track.take(used))), len(used))
+    begins = np.unique(np.linspace(0, len(used), wanted, endpoint=False).astype(np.int64))
+    first = np.append(used[begins], len(track))
+    first[0] = 0
+    return Steps(averaged(track, inlier, first), first, len(track) / len(begins))
+
+
+def averaged(track: PartTrack, inlier: Bools, first: Ints) -> PartTrack:
+    """Means of the rows that count from `first[i]` to before `first[i + 1]`; there is one in each of them.
+
+    Actions are summed: each step's commands the way from its mean to the next one's.
+    """
+    used = np.flatnonzero(inlier[first[0] : first[-1]]) + first[0]
+    begins = np.searchsorted(used, first[:-1])
     counts = np.diff(np.append(begins, len(used)))[:, None]
 
     def mean(values: Floats) -> Floats:
@@ -60,21 +71,16 @@ def steps_of(track: PartTrack, inlier: Bools, resolution: int) -> Steps:
         quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     action = None
     if track.action is not None:
-        # Where all actions so far would have brought the part; the means of a step differ by what was commanded between.
+        # Where all actions so far would have brought the part.
         reached = np.concatenate([np.zeros((1, 3)), np.cumsum(track.action, axis=0)[:-1]])
-        ends = mean(reached[used])
-        action = np.concatenate([np.diff(ends, axis=0), np.zeros((1, 3))])
-    middle = begins + (counts[:, 0].astype(np.int64) - 1) // 2
-    averaged = PartTrack(
-        track.rows[used[middle]], mean(track.time[used][:, None])[:, 0], mean(track.position[used]), quaternion, action
-    )
-    first = np.append(used[begins], len(track))
-    first[0] = 0
-    return Steps(averaged, first.astype(np.int64), len(track) / len(begins))
+        action = np.concatenate([np.diff(mean(reached[used]), axis=0), np.zeros((1, 3))])
+    middle = used[begins + (counts[:, 0] - 1) // 2]
+    time = mean(track.time[used][:, None])[:, 0]
+    return PartTrack(track.rows[middle], time, mean(track.position[used]), quaternion, action)
 
 
 def _sweeps(track: PartTrack) -> float:
-    """Length of the path over the extent of the motion, at least 1, in whichever of position and rotation is clearer."""
+    """Length of the path over that of once there and back, at least 1, in position or rotation, whichever is clearer."""
     channels = [track.position]
     if track.quaternion is not None:
         channels.append(2 * track.quaternion)
@@ -83,7 +89,7 @@ def _sweeps(track: PartTrack) -> float:
 
 
 def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
-    """Extent over noise, and path over extent, of rows (n, k)."""
+    """Extent over noise, and path over there and back, of rows (n, k)."""
     bends = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     if len(bends) < 2:
         return 0.0, 1.0
@@ -100,4 +106,4 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
         if length > 3 * fine:
             path, anchor = path + length, point
     reached = float(np.linalg.norm(np.ptp(means, axis=0)))
-    return extent / max(level, 1e-12), path / max(reached, 1e-12)
+    return extent / max(level, 1e-12), 0.5 * path / max(reached, 1e-12)

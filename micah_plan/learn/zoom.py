@@ -1,0 +1,106 @@
+"""Finding a changepoint again to the row: the two joints are known, only where one takes over from the other is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.evidence import tabulated
+from micah_plan.learn.joint_arrays import JointArrays
+from micah_plan.learn.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.pool import Hypotheses, pool_of
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.steps import averaged
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+_REACH = 12  # steps looked at on either side
+_CONTEXT = 2  # times as many, for what they tell of noise and motion
+_FINER = 4  # times finer each time
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Where a changepoint is.
+
+    Attributes:
+        row: first row of the later segment, in the track.
+        rows: (k,) rows at which it may be.
+        log_probability: (k,) of each, unnormalised.
+    """
+
+    row: int
+    rows: Ints
+    log_probability: Floats
+
+
+def locate(
+    joints: JointArrays,
+    row: int,
+    size: float,
+    limits: tuple[int, int],
+    track: PartTrack,
+    inlier: Bools,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> Located:
+    """The row at which a part goes over from one joint to another.
+
+    Args:
+        joints: the joint before and the joint after.
+        row, size: where the changepoint is known to be, and how many rows a step had that told so.
+        limits: first row of the earlier segment, and first row after the later one.
+        track, inlier: all rows, and which count.
+    """
+    rows, score = np.array([row]), np.zeros(1)
+    while True:
+        size = max(size / _FINER, 1.0)
+        reach = int(np.ceil(_REACH * size))
+        near = max(row - reach, limits[0] + 1), min(row + reach, limits[1] - 1)
+        wide = max(row - _CONTEXT * reach, limits[0]), min(row + _CONTEXT * reach, limits[1])
+        if near[1] <= near[0]:
+            return Located(row, rows, score)
+        starts = np.unique(np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64))
+        starts = starts[[inlier[a:b].any() for a, b in zip(starts, np.append(starts[1:], wide[1]), strict=True)]]
+        scores = _scores(joints, row, starts, wide[1], track, inlier, settings, use_actions)
+        inside = (starts >= near[0]) & (starts <= near[1])
+        if not inside.any():
+            return Located(row, rows, score)
+        rows, score = starts[inside], scores[inside]
+        row = int(rows[np.argmax(score)])
+        if size <= 1.0:
+            return Located(row, rows, score)
+
+
+def _scores(
+    joints: JointArrays,
+    row: int,
+    starts: Ints,
+    end: int,
+    track: PartTrack,
+    inlier: Bools,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> Floats:
+    """(k,) ln probability of the steps that begin at `starts`, with the changepoint at each of them."""
+    steps = averaged(track, inlier, np.append(starts, end))
+    n = len(starts)
+    share = n * len(track) / max(end - int(starts[0]), 1) / n
+    own = replace(settings, wander_durations=settings.wander_durations * share)
+    later = starts >= row
+    known = Hypotheses(joints, np.stack([~later, later]))
+    noise = first_noise(steps, own)
+    noise = refitted_noise(*misses(pool_of(known, steps, noise), later.astype(np.int64)), own)
+    density = tabulated(known, steps, noise, use_actions, settings.rest).log_density
+    order = len(density) - 1
+    before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
+    after = np.zeros(n)
+    for s in range(n):
+        k = np.minimum(np.arange(n - s), order)
+        after[s] = density[k, np.arange(s, n), 1].sum()
+    return np.asarray(before + after)
