@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.recording.value import Recording
 from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
 from micah_plan.view.drawing import camera, draw_frame, draw_ground, draw_joint
-from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED, category
+from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
+from micah_plan.view.segments import NO_JOINT, UNITS, ColoredSegment, colored_segments, parent_pose, rows_of
 from micah_plan.view.solids import beads
 from micah_plan.view.text import length, short_quantity
 
@@ -22,39 +20,6 @@ Floats = NDArray[np.float64]
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400
 _SHORTEST_S, _LONGEST_S = 4.0, 15.0
-UNITS = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad"}
-
-
-@dataclass(frozen=True)
-class ColoredSegment:
-    """A segment with the colour that pages and figures give it, and its name in legends."""
-
-    segment: Segment
-    edge: KinematicEdge
-    color: str
-    label: str
-
-
-def colored_segments(graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
-    """All segments of a graph in order, each with its colour."""
-    edges = () if graph is None else graph.edges
-    several = len(edges) > 1
-    found: list[ColoredSegment] = []
-    for edge in edges:
-        for segment in edge.segments:
-            label = f"{segment.joint.kind}, rows {segment.start} to {segment.end}"
-            label = f"{edge.child}: {label}" if several else label
-            found.append(ColoredSegment(segment, edge, category(len(found)), label))
-    return tuple(found)
-
-
-def rows_of(recording: Recording, colored: ColoredSegment) -> NDArray[np.int64]:
-    """Rows of the recording that belong to a segment: of its part and run, from its start to its end."""
-    segment = colored.segment
-    rows = np.arange(segment.start, min(segment.end, len(recording) - 1) + 1)
-    child = colored.edge.child
-    of_part = [child not in recording.parts or recording.part[i] == child for i in rows]
-    return np.asarray(rows[np.array(of_part, dtype=bool) & (recording.run[rows] == segment.run)])
 
 
 def recording_page(recording: Recording, graph: KinematicGraph | None = None, *, title: str = "Recording") -> str:
@@ -110,16 +75,6 @@ def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: 
     scene.place(path, parent_pose(recording, colored))
 
 
-def parent_pose(recording: Recording, colored: ColoredSegment) -> RigidTransform:
-    """Measured pose (single) of a joint's parent at the segment's first row; identity for the base."""
-    parent, start = colored.edge.parent, colored.segment.start
-    if parent == BASE or parent not in recording.parts:
-        return RigidTransform.identity()
-    rows = np.flatnonzero([name == parent for name in recording.part] & (recording.run == colored.segment.run))
-    nearest = rows[np.argmin(np.abs(recording.time[rows] - recording.time[start]))]
-    return recording.poses()[int(nearest)]
-
-
 def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment, ...], size: float) -> Timeline:
     """Runs one after the other, each part's frame along its own rows; the clock shows the recording's time."""
     starts: dict[int, float] = {}
@@ -144,15 +99,16 @@ def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment,
         rows = rows_of(recording, colored)
         end = shown[min(rows[-1] + 1, len(recording) - 1)]
         end = end if end > shown[rows[0]] else shown[rows[-1]]
-        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.segment.joint.kind))
+        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.name))
     several = len(recording.runs) > 1
     order = np.argsort(shown, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _MOST_KEYFRAMES)).astype(int))]
+    governed = [(set(rows_of(recording, c).tolist()), c.name) for c in segments]
     readouts = []
     for row in order:
         lines = [f"row {row}, t = {recording.time[row]:.2f} s"]
         lines += [f"run {recording.run[row]}"] if several else []
-        lines += [f"{c.segment.joint.kind} segment" for c in segments if row in rows_of(recording, c)][:1]
+        lines += [f"{name} segment" if name != NO_JOINT else NO_JOINT for rows, name in governed if row in rows][:1]
         readouts.append((float(shown[row]), tuple(lines)))
     return Timeline(clock * scale, tuple(bands), tuple(readouts))
 
