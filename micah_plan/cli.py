@@ -323,6 +323,7 @@ def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
             "axis",
             "radius",
             "sure",
+            "start 95 %",
             box=SIMPLE,
             title_justify="left",
             title=f"{edge.child} relative to {edge.parent}",
