@@ -167,18 +167,23 @@ def test_scores_count_what_they_say(scripts):
     simulated, _, scoring = scripts
     truth = simulated.demonstration("microwave", "with grasp", 0)
     exact = scoring.score(learned(truth), truth)
-    assert exact.correct
-    assert exact.rows == exact.configuration == 0.0
+    assert exact.strict
+    assert exact.rows == exact.configuration == 0
     assert max(exact.errors.axis, exact.errors.center, exact.errors.radius) < 1e-12
 
     late = scoring.score(learned(truth, row=truth.changepoints[0] + 3), truth)
-    assert late.rows == 3.0
+    assert late.rows == 3
     halfway = scoring.score(learned(truth, shut=truth.scene.travel - 0.06), truth)
     assert halfway.structure
     assert not halfway.correct
+    tilted = np.add(truth.scene.joint.axis, 0.2 * scoring.axis_basis(truth.scene.joint.axis)[0])
+    tilted = replace(truth.scene.joint, axis=tuple(tilted / np.linalg.norm(tilted)))
+    found = scoring.score(learned(truth, joint=tilted), truth)
+    assert (found.correct, found.strict) == (True, False)  # 1 - |cos| forgives 0.2 rad
+    assert found.errors.axis == pytest.approx(np.arctan(0.2))
     away = replace(truth.scene.joint, axis=tuple(-v for v in truth.scene.joint.axis))
     assert scoring.score(learned(truth, joint=away), truth).errors.axis == pytest.approx(np.pi)
     one = KinematicEdge("base", "part", learned(truth).segments[:1])
     assert not scoring.score(one, truth).structure
     turned = shifted(truth.scene.joint, 0.5)  # another origin of the same hinge: the same parameters
-    assert scoring.parameter_errors(turned, truth.scene.joint).within(1e-9)
+    assert scoring.parameter_errors(turned, truth.scene.joint).strict(1e-9)
