@@ -44,7 +44,7 @@ def joint_words(segment: Segment) -> str:
     words += [f"pitch {1000 * joint.pitch:.3g} mm/rad"] if joint.kind == "screw" else []
     axis, center = _spread(joint, "axis"), _spread(joint, "center")
     words += [f"axis ± {math.degrees(axis):.2g}°"] if axis is not None else []
-    words += [f"centre ± {1000 * center:.2g} mm"] if center is not None else []
+    words += [f"centre ± {length(float(f'{center:.2g}'))}"] if center is not None else []
     return ", ".join(words)
 
 

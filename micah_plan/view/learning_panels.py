@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from micah_plan.automaton.graph import Segment
-from micah_plan.view.certainty_words import NO_FIT
+from micah_plan.view.labels import kind_probabilities, line_labels, percents, segment_labels, shown_counts
 from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun, Stretch
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.segments import is_misfit
@@ -18,9 +16,9 @@ PANEL_INK = "#3E4C59"
 
 _LETTER = 0.078
 """Width of a letter at the size of a segment's label [in]."""
-_LEVELS = 2
-_LEAST_COUNTS = 3
+_LINE_HEIGHT = 0.17
 _MOST_KINDS = 5
+_FEW_ROWS = 300
 
 
 def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
@@ -29,10 +27,11 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
     Args:
         width: of the panel [in].
     """
+    size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
     for stretch in learned.stretches:
         wrong = is_misfit(stretch.segment)
         axes.plot(
-            stretch.rows, stretch.measured, "o", ms=4.2, mew=0.6, color=stretch.colored.color,
+            stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=stretch.colored.color,
             mec=INK if wrong else stretch.colored.color, zorder=3,
         )  # fmt: skip
         if stretch.segment.joint.kind == "rigid" and learned.quantity == "configuration" and len(stretch.rows):
@@ -102,14 +101,12 @@ def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
 
 def plot_counts(axes: Axes, learned: LearnedRun) -> None:
     """The posterior over the number of changepoints; the number that the segments have is dark."""
-    counts = list(learned.counts) + [0.0] * (_LEAST_COUNTS - len(learned.counts))
-    matter = [number for number, probability in enumerate(counts) if probability >= 0.005]
-    counts = counts[: max(_LEAST_COUNTS, max(matter, default=0) + 1)]
+    counts = shown_counts(learned)
     chosen = len(learned.stretches) - 1
     colors = [INK if number == chosen else GRID for number in range(len(counts))]
     axes.bar(range(len(counts)), counts, width=0.78, color=colors)
     for number, probability in enumerate(counts):
-        axes.text(number, probability + 0.03, _percent(probability), ha="center", va="bottom", fontsize=8, color=INK)
+        axes.text(number, probability + 0.03, percents(probability), ha="center", va="bottom", fontsize=8, color=INK)
     axes.set(ylim=(0.0, 1.15), yticks=[], xticks=range(len(counts)))
     axes.spines["left"].set_visible(False)
     axes.tick_params(length=0, labelsize=8.5)
@@ -132,23 +129,9 @@ def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
     axes.set_xlabel("kind of joint, by rows", fontsize=8.5, color=PANEL_INK, labelpad=2)
 
 
-def kind_probabilities(stretch: Stretch) -> list[tuple[str, float]]:
-    """Kinds of joint and free motion with their probabilities, the most probable first."""
-    certainty = stretch.segment.certainty
-    kinds: list[tuple[str, float]] = [] if certainty is None else [(str(kind), p) for kind, p in certainty.kinds]
-    free = max(0.0, 1.0 - sum(p for _, p in kinds))
-    return sorted([*kinds, ("free motion", free)], key=lambda pair: -pair[1])
-
-
-def kind_probability(segment: Segment) -> float:
-    """Probability of a segment's own kind of joint."""
-    kinds = () if segment.certainty is None else segment.certainty.kinds
-    return dict(kinds).get(segment.joint.kind, segment.probability)
-
-
 def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
     left = 0.0
-    ranked = kind_probabilities(stretch)
+    ranked = kind_probabilities(stretch.segment)
     for number, (_, probability) in enumerate(ranked):
         color = stretch.colored.color if number == 0 else GRID
         axes.barh(place, probability, left=left, height=0.66, color=color, edgecolor="white", lw=0.8)
@@ -156,69 +139,27 @@ def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
     box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
     name, probability = ranked[0]
     axes.text(
-        0.03, place, f"{name} {_percent(probability)}", va="center", fontsize=8.5, weight="bold", color=INK, bbox=box
+        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8.5, weight="bold", color=INK, bbox=box
     )
-    rest = [f"{name} {_percent(probability)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
+    rest = [f"{name} {percents(probability)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
     axes.text(1.04, place, "".join(rest), va="center", fontsize=8.5, color=PANEL_INK)
 
 
 def _name_segments(axes: Axes, learned: LearnedRun, inches_per_row: float) -> None:
-    """Names above the panel, each over its segment; what would overlap goes a level up, or away."""
-    ends = [-np.inf] * _LEVELS
-    for stretch in learned.stretches:
-        segment = stretch.segment
-        wrong = is_misfit(segment)
-        text = NO_FIT if wrong else f"{segment.joint.kind} {_percent(kind_probability(segment))}"
-        middle, half = (segment.start + segment.end) / 2, _LETTER * len(text) / 2 / inches_per_row
-        middle = min(max(middle, learned.rows[0] + half), max(learned.rows[-1] - half, learned.rows[0]))
-        level = next((i for i, end in enumerate(ends) if middle - half > end), None)
-        if level is None:
-            continue
-        ends[level] = middle + half
-        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if wrong else None
+    for label in segment_labels(learned, _LETTER / inches_per_row):
+        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
         axes.annotate(
-            text, (middle, 1.0), xytext=(0, 5 + 14 * level), xycoords=("data", "axes fraction"),
+            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
             textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
         )  # fmt: skip
 
 
 def _name_lines(axes: Axes, lines: tuple[EvidenceLine, ...], height: float) -> None:
-    """Each model's name at the end of its line, moved apart; what ends at the floor shares one name."""
+    """Each model's name at the end of its line."""
     low, high = axes.get_ylim()
-    ruled_out = [line for line in lines if line.values[-1] <= FLOOR + 0.5]
-    named: list[tuple[float, str, bool]] = [
-        (float(line.values[-1]), model_name(line.model), line.color is not None)
-        for line in lines if line.values[-1] > FLOOR + 0.5
-    ]  # fmt: skip
-    step = 0.17 / height * (high - low)
-    names = [model_name(line.model) for line in ruled_out]
-    named += [(FLOOR - step * i, name, False) for i, name in enumerate(_wrapped(names))]
-    below = -np.inf
-    for value, name, used in sorted(named):
-        place = max(value, below + step)
-        below = place
+    for place, name, used in line_labels(lines, _LINE_HEIGHT / height * (high - low)):
         weight: Any = "bold" if used else "normal"
         axes.annotate(
             name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
             va="center", fontsize=8.5, weight=weight, color=INK if used else PANEL_INK,
         )  # fmt: skip
-
-
-def _wrapped(names: list[str]) -> list[str]:
-    """Ruled out: the names, two on a line."""
-    pairs = [", ".join(names[i : i + 2]) for i in range(0, len(names), 2)]
-    return ["ruled out: " + pairs[0], *pairs[1:]] if len(names) == 1 else ["ruled out:", *pairs] if pairs else []
-
-
-def model_name(model: str) -> str:
-    """A model's name as people read it: ``"rigid_2"`` is the second pose at rest."""
-    kind, _, number = model.partition("_")
-    kind = "free motion" if kind == "free" else kind
-    return f"{kind} ({number})" if number else kind
-
-
-def _percent(probability: float) -> str:
-    """Whole percents, but never a false 0 or 100."""
-    if 0.0 < probability < 0.005:
-        return "<1 %"
-    return ">99 %" if 0.995 < probability < 1.0 else f"{100 * probability:.0f} %"
