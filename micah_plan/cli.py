@@ -129,7 +129,7 @@ def learn(
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Learn a hybrid automaton from a recording and save it as YAML."""
+    """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
     from micah_plan.files import replace_file
     from micah_plan.learn.settings import FEWEST_ROWS
@@ -145,17 +145,24 @@ def learn(
             learned = workflow.learn(measured, method=method.value, seed=seed, parts=shapes, progress=progress)
         except InputError as error:
             raise error.located(recording) from None
-    dump_model(learned.automaton, output)
+    for warning in learned.warnings:
+        err.print(f"warning: {warning}", markup=False, style="yellow")
+    if learned.automaton is not None:
+        dump_model(learned.automaton, output)
     if figure is not None:
-        from micah_plan.view.figures import save_figure, segments_figure
+        from micah_plan.view.figures import save_figure
+        from micah_plan.view.learning_figure import learning_figure
 
-        save_figure(segments_figure(learned.recording, learned.graph), figure)
+        save_figure(learning_figure(learned.recording, learned.graph), figure)
     if html is not None:
         from micah_plan.view.page import recording_page
 
         replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
     summary = summaries.learned(learned, seed)
-    _report(as_json, summary, lambda: _print_learned(learned, (output, figure, html)))
+    files = (output if learned.automaton is not None else None, figure, html)
+    _report(as_json, summary, lambda: _print_learned(learned, files))
+    if learned.automaton is None:
+        raise typer.Exit(HONEST_NEGATIVE)
 
 
 @app.command()
@@ -315,6 +322,8 @@ def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
             "to",
             "axis",
             "radius",
+            "sure",
+            "start 95 %",
             box=SIMPLE,
             title_justify="left",
             title=f"{edge.child} relative to {edge.parent}",
@@ -323,7 +332,12 @@ def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
             row = summaries.segment_row(segment)
             table.add_row(*row)
         out.print(table)
-    out.print(f"learned {len(learned.automaton.modes)} mode(s) in {learned.seconds:.2f} s")
+        if edge.certainty is not None and edge.certainty.channel is not None:
+            out.print(f"  {summaries.channel_line(edge.certainty.channel)}", markup=False)
+    if learned.automaton is None:
+        out.print(f"no model: {learned.reason}", markup=False, style="yellow")
+    else:
+        out.print(f"learned {len(learned.automaton.modes)} mode(s) in {learned.seconds:.2f} s")
     _print_files(files)
 
 

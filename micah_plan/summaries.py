@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from micah_plan.automaton.graph import Segment
+import numpy as np
+
+from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Misfit
+from micah_plan.automaton.graph import KinematicEdge, Segment
 from micah_plan.automaton.joint import Joint, radius
+from micah_plan.automaton.misfit import misfit_of
 from micah_plan.planning.plan import Plan
 
 if TYPE_CHECKING:
@@ -28,40 +33,121 @@ def joint_parameters(joint: Joint) -> dict[str, Any]:
 
 
 def learned(result: Learned, seed: int) -> dict[str, Any]:
-    """Keys of `learn`: segments and changepoints (per edge if there are several parts), seconds, seed."""
-    edges = [
-        {
-            "parent": edge.parent,
-            "child": edge.child,
-            "segments": [_segment(segment) for segment in edge.segments],
-            "changepoints": list(edge.changepoints),
-        }
-        for edge in result.graph.edges
-    ]
-    found = {"edges": edges} if len(edges) > 1 else {key: edges[0][key] for key in ("segments", "changepoints")}
-    return {**found, "modes": [mode.name for mode in result.automaton.modes], "seconds": result.seconds, "seed": seed}
+    """Keys of `learn`: what is said of the edge (of each, in `edges`, if there are several parts), seconds, seed.
+
+    Attributes of certainty that nobody worked out are null.
+    """
+    edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
+    found = {"edges": edges} if len(edges) > 1 else _edge(result.graph.edges[0])
+    modes = [] if result.automaton is None else [mode.name for mode in result.automaton.modes]
+    told = {"reason": result.reason, "warnings": list(result.warnings)}
+    return {**found, "modes": modes, **told, "seconds": result.seconds, "seed": seed}
+
+
+def _edge(edge: KinematicEdge) -> dict[str, Any]:
+    sure = edge.certainty
+    return {
+        "segments": [_segment(segment) for segment in edge.segments],
+        "changepoints": list(edge.changepoints),
+        "changepoint_counts": None if sure is None else [list(run) for run in sure.changepoint_counts],
+        "action_channel": None if sure is None or sure.channel is None else _channel(sure.channel),
+    }
 
 
 def _segment(segment: Segment) -> dict[str, Any]:
-    return {
+    sure, misfit = segment.certainty, misfit_of(segment)
+    start = None if sure is None else sure.start
+    data: dict[str, Any] = {
         "model": segment.joint.kind,
         "start": segment.start,
         "end": segment.end,
         "run": segment.run,
+        "start_interval": None if start is None else list(start.interval()),
+    }
+    fitted = {
         "parameters": joint_parameters(segment.joint),
+        **_spread(segment.joint),
         "configuration": [segment.configuration_start, segment.configuration_end],
         "probability": segment.probability,
+        "probabilities": None if sure is None else dict(sure.kinds),
+    }
+    if misfit is None:
+        return data | fitted
+    best = {"model": segment.joint.kind, **fitted}
+    return data | {"model": "none", "parameters": {}, "best": best, "misfit": _misfit(misfit)}
+
+
+def _spread(joint: Joint) -> dict[str, Any]:
+    """Covariance of a joint's parameters and their standard deviations, by name [rad, m, m/rad]."""
+    if joint.covariance is None:
+        return {"stds": None, "covariance": None}
+    names, matrix = joint.covariance.names, joint.covariance.matrix
+    stds = dict(zip(names, _stds(matrix), strict=True))
+    return {"stds": stds, "covariance": {"names": list(names), "matrix": [list(row) for row in matrix]}}
+
+
+def _misfit(misfit: Misfit) -> dict[str, float | None]:
+    return {
+        "position_m": misfit.position,
+        "rotation_rad": misfit.rotation,
+        "position_noise_m": misfit.position_noise,
+        "rotation_noise_rad": misfit.rotation_noise,
+        "log_odds": misfit.log_odds,
     }
 
 
+def _channel(channel: ActionChannel) -> dict[str, Any]:
+    *turned, gain, delay = _stds(channel.covariance)
+    return {
+        "frame_rotation": list(channel.frame_rotation),
+        "gain": channel.gain,
+        "delay": channel.delay,
+        "stds": {"frame_rotation": turned, "gain": gain, "delay": delay},
+        "covariance": {"names": list(CHANNEL_NAMES), "matrix": [list(row) for row in channel.covariance]},
+        "explained": channel.explained,
+    }
+
+
+def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
+    return [math.sqrt(max(row[i], 0.0)) for i, row in enumerate(matrix)]
+
+
 def segment_row(segment: Segment) -> tuple[str, ...]:
-    """One line of the table that `learn` prints."""
-    joint = segment.joint
+    """One line of the table that `learn` prints: mode, rows, from, to, axis, radius, how sure, first row at 95 %."""
+    joint, rows, misfit = segment.joint, f"{segment.start}-{segment.end}", misfit_of(segment)
+    if misfit is not None:
+        return ("none", rows, "", "", "", "", f"misses by {1e3 * misfit.position:.3g} mm", _start(segment))
     unit = {"rigid": "", "prismatic": " m"}.get(joint.kind, " rad")
     axis = "" if joint.kind == "rigid" else " ".join(f"{value:+.2f}" for value in joint.axis)
     arm = f"{radius(joint):.3f} m" if joint.kind in ("revolute", "screw") else ""
     ends = (f"{segment.configuration_start:+.3f}{unit}", f"{segment.configuration_end:+.3f}{unit}")
-    return (joint.kind, f"{segment.start}-{segment.end}", *ends, axis, arm)
+    sure = segment.certainty
+    probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
+    percent = "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
+    return (joint.kind, rows, *ends, axis, arm, percent, _start(segment))
+
+
+def _start(segment: Segment) -> str:
+    """The rows at one of which a segment starts, with 95 % probability; empty where nothing tells."""
+    if segment.certainty is None or segment.certainty.start is None:
+        return ""
+    first, last = segment.certainty.start.interval()
+    return f"{first}" if first == last else f"{first}-{last}"
+
+
+def channel_line(channel: ActionChannel) -> str:
+    """The line on the action channel that `learn` prints, with one standard deviation each."""
+    *_, gain, delay = _stds(channel.covariance)
+    vector, spread = np.array(channel.frame_rotation), np.array(channel.covariance)[:3, :3]
+    angle = float(np.linalg.norm(vector))
+    # Along the rotation's own axis its spread is that of the angle; without a rotation the widest direction counts.
+    variance = float(vector @ spread @ vector) / angle**2 if angle else float(np.linalg.eigvalsh(spread)[-1])
+    turned = f"turned {math.degrees(angle):.0f}° ± {math.degrees(math.sqrt(max(variance, 0.0))):.0f}°"
+    late = f"{abs(channel.delay):.2f} s ± {delay:.2f} s {'late' if channel.delay >= 0 else 'early'}"
+    return (
+        f"actions: gain {channel.gain:.2f} ± {gain:.2f}, {turned}, {late}, explain {100 * channel.explained:.0f} % of "
+        "the motion"
+    )
 
 
 def solved(plan: Plan) -> dict[str, Any]:

@@ -34,12 +34,21 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What `learn` returns: the segments as measured, the automaton made of them, and how long it took."""
+    """What `learn` returns: the segments as measured, the automaton made of them, and how long it took.
+
+    Attributes:
+        automaton: None if some rows follow no single joint; `graph` says which.
+        seconds: wall-clock time.
+        reason: why there is no automaton and what to do; empty if there is one.
+        warnings: what looks like a mistake in the recording (units, order of columns), one line each.
+    """
 
     recording: Recording
     graph: KinematicGraph
-    automaton: HybridAutomaton
+    automaton: HybridAutomaton | None
     seconds: float
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def read(path: str | Path, *, minimum_rows: int = 1) -> Recording:
@@ -67,7 +76,7 @@ def learn(
     parts: Sequence[Part] = (),
     progress: Progress | None = None,
 ) -> Learned:
-    """Segment a recording, fit its joints and build the hybrid automaton.
+    """Segment a recording, fit its joints and build the hybrid automaton, or say why there is none.
 
     Args:
         recording: at least `learn.settings.FEWEST_ROWS` rows per run of one or several parts.
@@ -80,7 +89,9 @@ def learn(
         InputError: if the recording cannot be learned from.
     """
     from micah_plan.automaton.build import build_automaton
+    from micah_plan.automaton.misfit import misfit_error
     from micah_plan.learn.learn import learn_graph
+    from micah_plan.recording.suspicion import suspicions
 
     begin = time.perf_counter()
     graph = learn_graph(recording, method=method, seed=seed, progress=progress)
@@ -90,8 +101,10 @@ def learn(
         "seed": str(seed),
         "micah_plan": __version__,
     }
-    automaton = build_automaton(graph, parts=_matched_parts(graph, parts), provenance=provenance)
-    return Learned(recording, graph, automaton, time.perf_counter() - begin)
+    bodies, warnings, refusal = _matched_parts(graph, parts), suspicions(recording), misfit_error(graph)
+    automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
+    reason = "" if refusal is None else str(refusal)
+    return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings)
 
 
 def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, ...]:

@@ -15,6 +15,8 @@ transitions, resets are the identity. Where it differs, and why:
 - **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
   exactly (`transition`), so a state can be on the boundary in either model. A rigid model's invariant is what a
   measurement cannot tell from it: ``local_models.RESOLUTION`` std around its configuration.
+- **Thresholds have a std** (`Edge.threshold_std`) where learning gave a posterior of the changepoint's row. A rigid
+  model that is entered at such a threshold is pinned no better than that.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
 An edge that never moved keeps its coordinate, as in the paper; the pin of its only model holds it. Neighbours are
@@ -31,7 +33,9 @@ import numpy as np
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
+from micah_plan.automaton.learned import learned_edges
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
+from micah_plan.automaton.misfit import misfit_error
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
 from micah_plan.errors import InputError
 
@@ -59,10 +63,14 @@ def build_automaton(
     Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``).
 
     Raises:
-        InputError: no edges, segments that do not follow one another along one coordinate, or bad arguments.
+        InputError: no edges, rows that no single joint explains, segments that do not follow one another along one
+            coordinate, or bad arguments.
     """
     if not graph.edges:
         raise InputError("kinematic graph must have at least one edge. Got none")
+    refusal = misfit_error(graph)
+    if refusal is not None:
+        raise refusal
     if not release >= 0:
         raise InputError(f"release must be >= 0. Got {release}")
     chains = [local_models(edge) for edge in graph.edges]
@@ -82,6 +90,7 @@ def build_automaton(
         edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
         noise=noise or Noise(*(tuple(stds) for stds in zip(*map(_noise, graph.edges), strict=True))),
         provenance=dict(provenance or {}),
+        learned=learned_edges(graph),
     )
     check_automaton(automaton)
     return automaton
@@ -120,7 +129,9 @@ def _edges(
             if 0 <= neighbour < len(chain):
                 target = _mode_name(chains, (*choice[:i], neighbour, *choice[i + 1 :]))
                 guard = _leaving(chain[k], forward, i, len(chains), names[i], release)
-                changes.append(Edge(source, target, Region((guard,))))
+                spread = chain[k].upper_std if forward else chain[k].lower_std
+                spread = 0.0 if chain[k].is_rigid else spread  # it is left by an input, whose threshold is chosen
+                changes.append(Edge(source, target, Region((guard,)), threshold_std=spread))
             elif not chain[k].is_rigid:
                 clamps.append(_clamp(source, chain[k], forward, i, len(chains), names[i]))
     return changes + clamps
@@ -152,7 +163,7 @@ def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]
 
 def _pin_std(model: LocalModel) -> float:
     """That of one measurement: errors of a tracker wander, so averaging over the rows would promise too much."""
-    return max(model.observation_std, SMALLEST_STD)
+    return max(model.observation_std, model.lower_std, model.upper_std, SMALLEST_STD)
 
 
 def _unit(chain: Sequence[LocalModel]) -> str:

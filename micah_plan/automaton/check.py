@@ -127,6 +127,8 @@ def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
     if edge.guard.is_everything:
         raise InputError(f"{where}: a guard must have at least one half-space, else its mode is never stayed in")
     _check_region(automaton, edge.guard, f"{where}: guard")
+    if not (math.isfinite(edge.threshold_std) and edge.threshold_std >= 0):
+        raise InputError(f"{where}: threshold_std must be a finite number >= 0. Got {edge.threshold_std}")
     if edge.is_self_transition and edge.reset.is_identity:
         raise InputError(f"{where}: a self transition must have a reset, else it has no effect")
     if edge.reset.A is not None:

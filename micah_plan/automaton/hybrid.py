@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
+from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError, shown
 
@@ -146,12 +147,17 @@ class Edge:
     """A transition: taken when the guard holds; of several that hold at the same moment the first listed is taken.
 
     A self transition (source == target) is a clamp: its reset keeps x at the end of the range.
+
+    Attributes:
+        threshold_std: how well the thresholds of the guard's half-spaces on x are known, in their unit. The object
+            has one threshold, the same at every passage, but the model knows it only so well.
     """
 
     source: str
     target: str
     guard: Region
     reset: Reset = field(default_factory=Reset)
+    threshold_std: float = 0.0
 
     @property
     def is_self_transition(self) -> bool:
@@ -189,6 +195,7 @@ class HybridAutomaton:
         noise: process and observation noise.
         init: Init, regions of x per mode name; empty: wherever an invariant holds.
         provenance: where the model came from (recording digest, method, seed, versions), as text.
+        learned: what learning was sure of; empty for a model that was not learned.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -200,6 +207,7 @@ class HybridAutomaton:
     noise: Noise
     init: tuple[tuple[str, Region], ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
+    learned: tuple[LearnedEdge, ...] = ()
 
     @property
     def n(self) -> int:

@@ -11,6 +11,8 @@ way, return, or pass through a region several times, and all these segments tell
    never seen to move between them cannot tell them apart.
 4. Neighbours meet at the configurational changepoint: at the configuration that a rigid model holds, else where the
    recording changed from one to the other, else half way between their ranges.
+5. How well that configuration is known follows from the posterior of the changepoint's row, where there is one: rows
+   are turned into configurations with the segments' mean speeds, and a measurement's std is added.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from micah_plan.automaton.certainty import RowPosterior
 from micah_plan.automaton.graph import KinematicEdge, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError
@@ -37,6 +40,7 @@ class LocalModel:
         joint: its joint.
         lower, upper: the configurations between which it governs [rad or m]; equal for rigid.
         observation_std: of one pose measurement expressed as configuration [rad or m].
+        lower_std, upper_std: how well these are known where another model begins [rad or m]; 0 if nothing tells.
     """
 
     name: str
@@ -44,6 +48,8 @@ class LocalModel:
     lower: float
     upper: float
     observation_std: float
+    lower_std: float = 0.0
+    upper_std: float = 0.0
 
     @property
     def is_rigid(self) -> bool:
@@ -86,10 +92,13 @@ def local_models(edge: KinematicEdge) -> tuple[LocalModel, ...]:
     groups = [group for group in groups if not any(_rests_within(group, mover) for mover in moving)]
     groups = _without_rigid_neighbours(sorted(groups, key=lambda group: group.center))
     bounds = _bounds(edge, groups)
+    stds = [0.0, *(_changepoint_std(edge, a, b) for a, b in pairwise(groups)), 0.0]
     names = _names([group.leading.joint.kind for group in groups])
     return tuple(
-        LocalModel(name, group.leading.joint, lower, upper, group.leading.observation_std)
-        for name, group, lower, upper in zip(names, groups, bounds[:-1], bounds[1:], strict=True)
+        LocalModel(name, group.leading.joint, lower, upper, group.leading.observation_std, lower_std, upper_std)
+        for name, group, (lower, upper), (lower_std, upper_std) in zip(
+            names, groups, pairwise(bounds), pairwise(stds), strict=True
+        )
     )
 
 
@@ -163,12 +172,49 @@ def _changepoint(edge: KinematicEdge, below: _Group, above: _Group) -> float:
     for group in (above, below):
         if group.is_rigid:
             return group.center
-    switches = [
-        (edge.segments[i].configuration_end + edge.segments[i + 1].configuration_start) / 2
+    switches = [(a.configuration_end + b.configuration_start) / 2 for a, b in _switches(edge, below, above)]
+    return float(np.mean(switches)) if switches else (below.upper + above.lower) / 2
+
+
+def _changepoint_std(edge: KinematicEdge, below: _Group, above: _Group) -> float:
+    """How well the configuration is known at which two neighbours meet; 0 if no switch has a posterior of its row."""
+    variances = [
+        _row_std(before, after, after.certainty.start) ** 2
+        for before, after in _switches(edge, below, above)
+        if after.certainty is not None and after.certainty.start is not None
+    ]
+    if not variances:
+        return 0.0
+    # Rows are chosen anew at every switch, but the tracker's error wanders: more switches do not average it away.
+    measured = max(below.leading.observation_std, above.leading.observation_std)
+    return float(np.hypot(np.sqrt(np.sum(variances)) / len(variances), measured))
+
+
+def _switches(edge: KinematicEdge, below: _Group, above: _Group) -> list[tuple[Segment, Segment]]:
+    """Segments that followed one another where the recording changed between two models, either way."""
+    return [
+        (edge.segments[i], edge.segments[i + 1])
         for i in range(len(edge.segments) - 1)
         if (i in below.members and i + 1 in above.members) or (i in above.members and i + 1 in below.members)
     ]
-    return float(np.mean(switches)) if switches else (below.upper + above.lower) / 2
+
+
+def _row_std(before: Segment, after: Segment, start: RowPosterior) -> float:
+    """Std of the configuration at which `after` starts, over the posterior of its first row [rad or m]."""
+    late = np.array(start.rows, dtype=float) - after.start
+    moved = late * np.where(late < 0, _mean_speed(before), _mean_speed(after))
+    weights = np.array(start.probabilities)
+    mean = np.average(moved, weights=weights)
+    return float(np.sqrt(np.average((moved - mean) ** 2, weights=weights)))
+
+
+def _mean_speed(segment: Segment) -> float:
+    """Configuration covered per row, by the way to the far end of the range and from there to the end."""
+    if segment.joint.kind == "rigid":
+        return 0.0
+    start, end = segment.configuration_start, segment.configuration_end
+    way = max(abs(far - start) + abs(end - far) for far in segment.configuration_range)
+    return way / max(1, segment.end - segment.start)
 
 
 def _names(kinds: list[str]) -> list[str]:

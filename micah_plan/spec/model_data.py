@@ -12,6 +12,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
 from micah_plan.spec.expressions import Variables, affine_text, canonical_name, half_space_text, parse_affine
+from micah_plan.spec.learned_values import learned_comments, learned_data
 from micah_plan.spec.located import KeyPath, Located
 from micah_plan.spec.model_document import MODEL_FORMAT, ModelDocument
 from micah_plan.spec.model_values import automaton_of
@@ -46,6 +47,7 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         "modes": _unique((mode.name, _mode(mode, automaton, names)) for mode in automaton.modes),
         "transitions": [_transition(edge, names) for edge in automaton.edges],
         "init": [{"mode": mode, "region": _region(region, names)} for mode, region in automaton.init],
+        "learned": learned_data(automaton.learned),
     }
     data = {key: value for key, value in data.items() if value or key in ("links", "transitions")}
     located = Located(data, "automaton")
@@ -57,8 +59,8 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
 
 
 def std_comments(automaton: HybridAutomaton) -> dict[KeyPath, str]:
-    """Remarks with the standard deviations of estimated joint parameters, by the key path of their names."""
-    remarks: dict[KeyPath, str] = {}
+    """Remarks with the standard deviations of what was estimated, by key path."""
+    remarks: dict[KeyPath, str] = learned_comments(automaton.learned)
     for mode in automaton.modes:
         for link, joint in zip(automaton.links, mode.joints, strict=True):
             if joint.covariance is not None:
@@ -173,7 +175,8 @@ def _region(region: Region, names: Variables) -> list[Any]:
 
 def _transition(edge: Edge, names: Variables) -> dict[str, Any]:
     data: dict[str, Any] = {"source": edge.source, "target": edge.target, "guard": _region(edge.guard, names)}
-    return {**data, **_reset(edge.reset, names)}
+    spread = {"threshold_std": float(edge.threshold_std)} if edge.threshold_std else {}
+    return {**data, **_reset(edge.reset, names), **spread}
 
 
 def _reset(reset: Reset, names: Variables) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from micah_plan.spec.fields import (
     Unit,
     Vector3,
 )
+from micah_plan.spec.learned_document import LearnedEdgeDocument
 from micah_plan.spec.part_document import IDENTITY, ZERO, PartDocument
 
 MODEL_FORMAT = "micah-plan/model/1"
@@ -105,6 +106,10 @@ class TransitionDocument(Document):
     reset_matrices: MatricesDocument | None = Field(
         default=None, description="The reset as x+ = A x + B u + c, instead of `reset`."
     )
+    threshold_std: NonNegative = Field(
+        default=0.0,
+        description="How well the guard's thresholds on coordinates are known: their standard deviation [rad or m].",
+    )
 
 
 class NoiseDocument(Document):
@@ -143,4 +148,7 @@ class ModelDocument(Document):
     )
     init: list[InitialDocument] = Field(
         default_factory=list, description="Initial states; empty: wherever an invariant holds."
+    )
+    learned: list[LearnedEdgeDocument] = Field(
+        default_factory=list, description="What learning was sure of, by edge of the kinematic graph."
     )

@@ -19,9 +19,11 @@ from micah_plan.automaton.hybrid import (
     Reset,
 )
 from micah_plan.automaton.joint import Joint, ParameterCovariance
+from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, shown
 from micah_plan.spec.expressions import Affine, Variables, parse_affine, parse_half_space
+from micah_plan.spec.learned_values import learned_of
 from micah_plan.spec.located import KeyPath, Located
 from micah_plan.spec.model_document import (
     CovarianceDocument,
@@ -110,6 +112,7 @@ class _Builder:
                 for i, item in enumerate(document.init)
             ),
             provenance=dict(document.provenance),
+            learned=self._learned(),
         )
 
     def _index(self, name: str, path: KeyPath) -> int:
@@ -142,6 +145,15 @@ class _Builder:
             if name not in known:
                 raise self._located.unknown(("parts", name), "part", name, known)
         return parts_of(self._document.parts, self._located)
+
+    def _learned(self) -> tuple[LearnedEdge, ...]:
+        edges = [(link.parent, link.child) for link in self._document.links]
+        for i, edge in enumerate(self._document.learned):
+            if (edge.parent, edge.child) not in edges:
+                names = ", ".join(f"{parent} to {child}" for parent, child in edges) or "none"
+                problem = f"no link leads from {shown(edge.parent)} to {shown(edge.child)}"
+                raise self._located.error(("learned", i), problem, f"links: {names}")
+        return learned_of(self._document.learned, self._located)
 
     def _noise(self) -> Noise:
         noise, names = self._document.noise, self._names.coordinates
@@ -229,8 +241,10 @@ class _Builder:
             raise self._located.error((*path, "reset_matrices"), problem, "keep one of them")
         guard = region_of(edge.guard, self._names, self._located, (*path, "guard"))
         if edge.reset_matrices is not None:
-            return Edge(source, target, guard, self._matrices(edge.reset_matrices, (*path, "reset_matrices")))
-        return Edge(source, target, guard, self._reset(edge.reset, (*path, "reset")))
+            reset = self._matrices(edge.reset_matrices, (*path, "reset_matrices"))
+        else:
+            reset = self._reset(edge.reset, (*path, "reset"))
+        return Edge(source, target, guard, reset, edge.threshold_std)
 
     def _reset(self, reset: Mapping[str, str], path: KeyPath) -> Reset:
         """The affine map of the expressions: A, B and c are there only if the expressions say something of them."""

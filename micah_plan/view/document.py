@@ -56,8 +56,21 @@ class Timeline:
 
 
 @dataclass(frozen=True)
+class ChartBlock:
+    """Charts with their words.
+
+    Attributes:
+        html: ready for the page, its texts escaped.
+        keyframes: (time on the player [s], x in the drawing [px]) of the line that follows the player.
+    """
+
+    html: str
+    keyframes: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class Document:
-    """Everything on a page except the scene. All texts are plain text; they are escaped here and only here.
+    """Everything on a page except the scene. All texts but those of charts are plain text; they are escaped here.
 
     Attributes:
         title, kind: name of the thing, and what sort of thing it is.
@@ -68,6 +81,7 @@ class Document:
         details: (heading, lines) folded away at first.
         legend, timeline, camera: see their types.
         hidden: layers that are switched off at first.
+        charts: shown in a column of their own, below the panel where the window is narrow.
     """
 
     title: str
@@ -81,6 +95,7 @@ class Document:
     legend: Sequence[LegendEntry] = ()
     timeline: Timeline = field(default_factory=Timeline)
     hidden: Sequence[str] = ()
+    charts: Sequence[ChartBlock] = ()
 
 
 def render(document: Document, scene: Scene) -> str:
@@ -93,6 +108,7 @@ def render(document: Document, scene: Scene) -> str:
         "readouts": [[time, list(lines)] for time, lines in document.timeline.readouts],
         "layers": {e.layer: layer_path(e.layer) for e in document.legend if e.layer},
         "hidden": list(document.hidden),
+        "charts": [[[round(time, 4), round(x, 1)] for time, x in chart.keyframes] for chart in document.charts],
     }
     return "\n".join(
         [
@@ -101,12 +117,13 @@ def render(document: Document, scene: Scene) -> str:
             "<head>",
             '<meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="color-scheme" content="light dark">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(document.title)} ({escape(document.kind)})</title>",
             '<link rel="icon" href="data:,">',
             f"<style>\n{(assets / 'page.css').read_text(encoding='utf-8')}</style>",
             "</head>",
-            '<body class="still">' if document.timeline.duration <= 0 else "<body>",
+            f'<body class="{" ".join(_layout(document))}">',
             '<main id="view"><div id="meshcat-pane"></div></main>',
             _panel(document),
             _player(document.timeline),
@@ -120,6 +137,11 @@ def render(document: Document, scene: Scene) -> str:
             "",
         ]
     )
+
+
+def _layout(document: Document) -> list[str]:
+    still = ["still"] if document.timeline.duration <= 0 else []
+    return still + (["charted"] if document.charts else [])
 
 
 def _panel(document: Document) -> str:
@@ -140,6 +162,9 @@ def _panel(document: Document) -> str:
     for heading, lines in document.details:
         items = "".join(f"<li>{escape(line)}</li>" for line in lines)
         parts.append(f"<details><summary>{escape(heading)}</summary><ul>{items}</ul></details>")
+    if document.charts:
+        blocks = "".join(f'<section class="block">{chart.html}</section>' for chart in document.charts)
+        parts.append(f'<div id="charts">{blocks}</div>')
     parts.append("</aside>")
     return "\n".join(parts)
 

@@ -18,6 +18,9 @@ SLATE = "#5A5A8A"
 CATEGORIES = (SKY, VERMILLION, PINK, OLIVE, SLATE)
 """Segments and modes, in their order of appearance; none is a colour that means something else below."""
 
+MISFIT = "#F0C808"
+"""What fits no joint: yellow, hatched where an area can be, so that nobody takes it for one more joint."""
+
 BELIEF = BLUE
 EXECUTED = ORANGE
 GOAL = GREEN

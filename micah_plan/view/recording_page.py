@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.recording.value import Recording
-from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
+from micah_plan.view.certainty_words import NO_FIT, misfit_words
+from micah_plan.view.document import Band, ChartBlock, Document, LegendEntry, Timeline, render
 from micah_plan.view.drawing import camera, draw_frame, draw_ground, draw_joint
-from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED, category
+from micah_plan.view.learned import learned_runs
+from micah_plan.view.learning_charts import MOST_BLOCKS, chart_block
+from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
+from micah_plan.view.segments import NO_JOINT, UNITS, ColoredSegment, colored_segments, is_misfit, parent_pose, rows_of
 from micah_plan.view.solids import beads
 from micah_plan.view.text import length, short_quantity
 
@@ -22,39 +23,6 @@ Floats = NDArray[np.float64]
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400
 _SHORTEST_S, _LONGEST_S = 4.0, 15.0
-UNITS = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad"}
-
-
-@dataclass(frozen=True)
-class ColoredSegment:
-    """A segment with the colour that pages and figures give it, and its name in legends."""
-
-    segment: Segment
-    edge: KinematicEdge
-    color: str
-    label: str
-
-
-def colored_segments(graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
-    """All segments of a graph in order, each with its colour."""
-    edges = () if graph is None else graph.edges
-    several = len(edges) > 1
-    found: list[ColoredSegment] = []
-    for edge in edges:
-        for segment in edge.segments:
-            label = f"{segment.joint.kind}, rows {segment.start} to {segment.end}"
-            label = f"{edge.child}: {label}" if several else label
-            found.append(ColoredSegment(segment, edge, category(len(found)), label))
-    return tuple(found)
-
-
-def rows_of(recording: Recording, colored: ColoredSegment) -> NDArray[np.int64]:
-    """Rows of the recording that belong to a segment: of its part and run, from its start to its end."""
-    segment = colored.segment
-    rows = np.arange(segment.start, min(segment.end, len(recording) - 1) + 1)
-    child = colored.edge.child
-    of_part = [child not in recording.parts or recording.part[i] == child for i in rows]
-    return np.asarray(rows[np.array(of_part, dtype=bool) & (recording.run[rows] == segment.run)])
 
 
 def recording_page(recording: Recording, graph: KinematicGraph | None = None, *, title: str = "Recording") -> str:
@@ -73,28 +41,42 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
         rows = rows_of(recording, colored)
         shown_rows[rows] = True
         _draw_track(scene, f"track/{number}", recording.position[rows], colored.color, size)
-        _draw_segment_joint(scene, f"joints/{number}", recording, colored, size)
+        if not is_misfit(colored.segment):
+            _draw_segment_joint(scene, f"joints/{number}", recording, colored, size)
     _draw_track(scene, "track/rest", recording.position[~shown_rows], MUTED, size)
-    timeline = _animate(scene, recording, segments, size)
+    shown, duration = _shown_times(recording)
+    timeline = _animate(scene, recording, segments, size, shown, duration)
     spacing = draw_ground(scene)
     legend = [LegendEntry(c.color, c.label, shape="dot") for c in segments]
     if segments and not shown_rows.all():
         legend.append(LegendEntry(MUTED, "rows of no segment", shape="dot"))
     legend.append(LegendEntry(MUTED, "all measured positions" if segments else "measured positions", "track", "dot"))
-    if segments:
-        legend.append(LegendEntry(INK, "fitted joints: axis, arc, line, ring (rigid)", "joints", "line"))
+    misfits = [c for c in segments if is_misfit(c.segment)]
+    if len(misfits) < len(segments):
+        legend.append(LegendEntry(INK, "fitted joints: axis and centre, arc, line, ring (rigid)", "joints", "line"))
     legend.append(LegendEntry(FRAME_AXES[0], "measured frame of the part (x red, y green, z blue)", "frames", "line"))
     legend.append(LegendEntry(GRID, f"grid of {length(spacing)}, base frame, z up", "ground", "line"))
     document = Document(
         title=title,
         kind="recording",
         camera=camera(scene, recording.position),
+        badge=(NO_FIT if len(misfits) == len(segments) else f"{NO_FIT} some rows", "bad") if misfits else None,
         facts=_facts(recording, segments),
         details=[("Fitted joints", [_described(c) for c in segments])] if segments else [],
         legend=legend,
         timeline=timeline,
+        charts=() if graph is None else _charts(recording, graph, shown),
     )
     return render(document, scene)
+
+
+def _charts(recording: Recording, graph: KinematicGraph, shown: Floats) -> list[ChartBlock]:
+    runs = [run for run in learned_runs(recording, graph) if len(run.rows) and run.stretches]
+    several = len(recording.runs) > 1
+    blocks = [chart_block(recording, run, shown, several_runs=several) for run in runs[:MOST_BLOCKS]]
+    if len(runs) > MOST_BLOCKS:
+        blocks.append(ChartBlock(f"<p>{len(runs) - MOST_BLOCKS} more runs have no charts.</p>"))
+    return blocks
 
 
 def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float) -> None:
@@ -107,21 +89,13 @@ def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: 
     """The joint in the frame of its parent, which stands where it was measured at the segment's first row."""
     segment = colored.segment
     draw_joint(scene, path, segment.joint, segment.configuration_range, INK, size, thickness=0.5)
+    if segment.joint.kind in ("revolute", "screw"):
+        scene.mesh(f"{path}/center", beads(np.array([segment.joint.center]), 0.03 * size), INK)
     scene.place(path, parent_pose(recording, colored))
 
 
-def parent_pose(recording: Recording, colored: ColoredSegment) -> RigidTransform:
-    """Measured pose (single) of a joint's parent at the segment's first row; identity for the base."""
-    parent, start = colored.edge.parent, colored.segment.start
-    if parent == BASE or parent not in recording.parts:
-        return RigidTransform.identity()
-    rows = np.flatnonzero([name == parent for name in recording.part] & (recording.run == colored.segment.run))
-    nearest = rows[np.argmin(np.abs(recording.time[rows] - recording.time[start]))]
-    return recording.poses()[int(nearest)]
-
-
-def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment, ...], size: float) -> Timeline:
-    """Runs one after the other, each part's frame along its own rows; the clock shows the recording's time."""
+def _shown_times(recording: Recording) -> tuple[Floats, float]:
+    """(n,) time of every row on the player, where runs follow each other, and the duration [s]; 0 if it is still."""
     starts: dict[int, float] = {}
     clock = 0.0
     for run in recording.runs:
@@ -129,9 +103,22 @@ def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment,
         starts[run] = clock - float(time.min())
         clock += float(np.ptp(time)) + (0.1 * float(np.ptp(time)) if run != recording.runs[-1] else 0.0)
     if clock <= 0.0:
-        return Timeline()
+        return np.zeros(len(recording)), 0.0
     scale = min(max(clock, _SHORTEST_S), _LONGEST_S) / clock
-    shown = scale * (recording.time + np.array([starts[int(run)] for run in recording.run]))
+    return scale * (recording.time + np.array([starts[int(run)] for run in recording.run])), clock * scale
+
+
+def _animate(
+    scene: Scene,
+    recording: Recording,
+    segments: tuple[ColoredSegment, ...],
+    size: float,
+    shown: Floats,
+    duration: float,
+) -> Timeline:
+    """Each part's frame along its own rows, at the times (n,) of the rows; the clock shows the recording's time."""
+    if duration <= 0.0:
+        return Timeline()
     poses = recording.poses()
     for number, part in enumerate(recording.parts):
         rows = np.flatnonzero([name == part for name in recording.part])
@@ -144,17 +131,18 @@ def _animate(scene: Scene, recording: Recording, segments: tuple[ColoredSegment,
         rows = rows_of(recording, colored)
         end = shown[min(rows[-1] + 1, len(recording) - 1)]
         end = end if end > shown[rows[0]] else shown[rows[-1]]
-        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.segment.joint.kind))
+        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.name))
     several = len(recording.runs) > 1
     order = np.argsort(shown, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _MOST_KEYFRAMES)).astype(int))]
+    governed = [(set(rows_of(recording, c).tolist()), c.name) for c in segments]
     readouts = []
     for row in order:
         lines = [f"row {row}, t = {recording.time[row]:.2f} s"]
         lines += [f"run {recording.run[row]}"] if several else []
-        lines += [f"{c.segment.joint.kind} segment" for c in segments if row in rows_of(recording, c)][:1]
+        lines += [f"{name} segment" if name != NO_JOINT else NO_JOINT for rows, name in governed if row in rows][:1]
         readouts.append((float(shown[row]), tuple(lines)))
-    return Timeline(clock * scale, tuple(bands), tuple(readouts))
+    return Timeline(duration, tuple(bands), tuple(readouts))
 
 
 def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[tuple[str, str]]:
@@ -174,6 +162,8 @@ def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[t
 def _described(colored: ColoredSegment) -> str:
     joint, segment = colored.segment.joint, colored.segment
     text = colored.label
+    if is_misfit(segment):
+        return misfit_words(segment)
     if joint.kind in ("revolute", "screw"):
         radius = float(np.linalg.norm(np.array(joint.position) - joint.center))
         text += f": radius {length(radius)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
 from micah_plan.automaton.hybrid import (
     Coordinate,
     Edge,
@@ -17,7 +18,8 @@ from micah_plan.automaton.hybrid import (
     Primitive,
     Reset,
 )
-from micah_plan.automaton.joint import Joint, ParameterCovariance, prismatic, revolute, rigid, screw
+from micah_plan.automaton.joint import JOINT_KINDS, Joint, ParameterCovariance, prismatic, revolute, rigid, screw
+from micah_plan.automaton.learned import LearnedEdge, LearnedSegment
 from micah_plan.automaton.region import HalfSpace, Region
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -96,6 +98,47 @@ def modes(draw: st.DrawFn, name: str, links: int, n: int, m: int) -> Mode:
 
 
 @st.composite
+def shares(draw: st.DrawFn, size: int) -> tuple[float, ...]:
+    """Numbers that sum to 1."""
+    weights = np.array([draw(st.floats(0, 1)) for _ in range(size)]) + 1e-3
+    return tuple((weights / weights.sum()).tolist())
+
+
+@st.composite
+def segments(draw: st.DrawFn) -> LearnedSegment:
+    start, length = draw(st.integers(0, 10**6)), draw(st.integers(0, 100))
+    certainty = None
+    if draw(st.booleans()):
+        rows = sorted(draw(st.sets(st.integers(0, 10**6), min_size=1, max_size=4)))
+        kinds = draw(st.lists(st.sampled_from(JOINT_KINDS), unique=True))
+        probabilities = [p * draw(st.floats(0, 1)) for p in draw(shares(len(kinds)))]
+        certainty = SegmentCertainty(
+            draw(st.none() | st.just(RowPosterior(tuple(rows), draw(shares(len(rows)))))),
+            tuple(zip(kinds, probabilities, strict=True)),
+        )
+    return LearnedSegment(
+        draw(st.sampled_from(JOINT_KINDS)), draw(st.integers(-5, 5)), start, start + length, certainty
+    )
+
+
+@st.composite
+def channels(draw: st.DrawFn) -> ActionChannel:
+    root = np.array(draw(rows(5, 5, st.floats(-1, 1))))
+    covariance = tuple(map(tuple, (root @ root.T).tolist()))
+    return ActionChannel(draw(VECTORS), draw(MODERATE), draw(MODERATE), covariance, draw(st.floats(0, 1)))
+
+
+@st.composite
+def learned(draw: st.DrawFn, links: list[Link]) -> LearnedEdge:
+    link = draw(st.sampled_from(links))
+    certainty = None
+    if draw(st.booleans()):
+        counts = tuple(draw(shares(size)) for size in draw(st.lists(st.integers(1, 4), max_size=2)))
+        certainty = EdgeCertainty(draw(MODERATE), counts, draw(st.none() | channels()))
+    return LearnedEdge(link.parent, link.child, tuple(draw(st.lists(segments(), max_size=3))), certainty)
+
+
+@st.composite
 def automata(draw: st.DrawFn) -> HybridAutomaton:
     units = st.sampled_from(["rad", "m"])
     coordinates = draw(
@@ -107,7 +150,8 @@ def automata(draw: st.DrawFn) -> HybridAutomaton:
     bodies = ["base", *parts]
     links = [Link(draw(st.sampled_from(bodies[: i + 1])), p, draw(st.integers(0, n - 1))) for i, p in enumerate(parts)]
     names = draw(st.lists(NAMES, min_size=1, max_size=3, unique=True))
-    edge = st.builds(Edge, st.sampled_from(names), st.sampled_from(names), regions(n, m), resets(n, m))
+    spreads = st.just(0.0) | st.floats(0, 10)
+    edge = st.builds(Edge, st.sampled_from(names), st.sampled_from(names), regions(n, m), resets(n, m), spreads)
     described = draw(st.lists(st.sampled_from(bodies), unique=True))
     return HybridAutomaton(
         tuple(coordinates),
@@ -119,4 +163,5 @@ def automata(draw: st.DrawFn) -> HybridAutomaton:
         Noise(draw(st.tuples(*[st.floats(0, 10)] * n)), draw(st.tuples(*[STDS] * n))),
         tuple(draw(st.lists(st.tuples(st.sampled_from(names), regions(n, m)), max_size=2))),
         draw(st.dictionaries(NAMES, TEXTS, max_size=3)),
+        tuple(draw(st.lists(learned(links), max_size=2))),
     )

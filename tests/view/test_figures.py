@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex, to_rgba
+from matplotlib.colors import to_hex
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -17,8 +17,9 @@ from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 from micah_plan.errors import InputError
 from micah_plan.planning.plan import Plan
 from micah_plan.recording.value import Recording
-from micah_plan.view.figures import belief_figure, executed_configurations, save_figure, segments_figure
-from micah_plan.view.palette import EXECUTED, category
+from micah_plan.view.figures import belief_figure, executed_configurations, save_figure
+from micah_plan.view.learning_figure import learning_figure
+from micah_plan.view.palette import EXECUTED
 
 
 def executed(runs: int = 3, *, true_column: bool = False) -> Recording:
@@ -78,43 +79,13 @@ def test_a_plan_without_trajectory_cannot_be_drawn() -> None:
         belief_figure(problem(door()), Plan("no_plan", "none"))
 
 
-def test_segments_have_their_rows_and_colours() -> None:
-    recording, graph = measured()
-    figure = segments_figure(recording, graph)
-    space, rows = figure.axes
-    clouds = {to_rgba(category(i)): i for i in range(2)}
-    sizes = {clouds[tuple(c.get_facecolor()[0])]: len(c.get_offsets()) for c in space.collections}
-    assert sizes == {0: 40, 1: 20}
-    points = [line for line in rows.lines if line.get_marker() == "."]
-    np.testing.assert_allclose(points[0].get_ydata(), np.linspace(0, OPEN_AT, 40), atol=0.03)
-    np.testing.assert_array_equal(points[1].get_xdata(), np.arange(40, 60))
-    assert [text.get_text() for text in rows.texts] == ["changepoint 40"]
-    assert rows.get_ylabel() == "configuration [rad]"
-
-
-def test_the_fitted_arc_and_the_circle_of_rigid_are_drawn() -> None:
-    recording, graph = measured()
-    space = segments_figure(recording, graph).axes[0]
-    arc, axis, ring = (np.array(line.get_data_3d()).T for line in space.lines)
-    np.testing.assert_allclose(np.hypot(arc[:, 0], arc[:, 1]), 0.3)
-    np.testing.assert_allclose(axis[:, :2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(ring[0], ring[-1], atol=1e-12)
-
-
-def test_a_recording_without_segments_shows_its_coordinates() -> None:
-    recording, _ = measured()
-    space, rows = segments_figure(recording).axes
-    assert len(space.collections[0].get_offsets()) == len(recording)
-    assert [line.get_label() for line in rows.lines] == ["x", "y", "z"]
-
-
 def test_files_are_not_blank_and_the_same_every_time(tmp_path: Path) -> None:
     recording, graph = measured()
     for name in ("a.png", "b.png"):
-        save_figure(segments_figure(recording, graph), tmp_path / name)
+        save_figure(learning_figure(recording, graph), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     picture = imread(tmp_path / "a.png")
-    assert picture.shape[:2] == (750, 1650)
+    assert picture.shape[1] == 1650
     ink = (picture[..., :3] < 0.9).any(axis=-1)
     assert 0.01 < ink.mean() < 0.5
     assert b"tIME" not in (tmp_path / "a.png").read_bytes()

@@ -8,11 +8,42 @@
   // MeshCat fills the window; here the panel and the player take their share of it.
   const pane = document.getElementById("meshcat-pane");
   const resize = viewer.set_3d_pane_size.bind(viewer);
-  viewer.set_3d_pane_size = () => resize(pane.clientWidth, pane.clientHeight);
+  let touched = false;
+  viewer.set_3d_pane_size = () => {
+    if (!touched) placeCamera();
+    resize(pane.clientWidth, pane.clientHeight);
+  };
+
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+
+  // What is drawn in the colour of ink or of faint lines on a light page is drawn light on a dark one.
+  function adaptColors() {
+    const swap = { 0x1f2933: 0xe8edf2, 0xc3ccd5: 0x46535f, 0x52606d: 0xaab4be };
+    viewer.scene.traverse((object) => {
+      const color = object.material && object.material.color;
+      if (color && swap[color.getHex()] !== undefined) color.setHex(swap[color.getHex()]);
+    });
+  }
+
+  // A line in every chart, at the row that is shown.
+  const cursors = [...document.querySelectorAll("#charts .block")].map((block) => block.querySelector(".cursor"));
+  function moveCursors(time) {
+    data.charts.forEach((frames, i) => {
+      if (!cursors[i] || !frames.length) return;
+      const next = frames.findIndex((frame) => frame[0] >= time - 1e-6);
+      const inside = next >= 0 && time >= frames[0][0] - 1e-6;
+      cursors[i].setAttribute("visibility", inside ? "visible" : "hidden");
+      if (!inside) return;
+      const [a, b] = [frames[Math.max(next - 1, 0)], frames[next]];
+      const x = a[1] + (b[0] > a[0] ? (time - a[0]) / (b[0] - a[0]) : 1) * (b[1] - a[1]);
+      cursors[i].setAttribute("x1", x);
+      cursors[i].setAttribute("x2", x);
+    });
+  }
 
   function setUpScene() {
-    viewer.set_property(["Background"], "top_color", [0.86, 0.9, 0.94]);
-    viewer.set_property(["Background"], "bottom_color", [0.985, 0.988, 0.992]);
+    viewer.set_property(["Background"], "top_color", dark ? [0.07, 0.09, 0.11] : [0.86, 0.9, 0.94]);
+    viewer.set_property(["Background"], "bottom_color", dark ? [0.13, 0.16, 0.19] : [0.985, 0.988, 0.992]);
     for (const path of [["Grid"], ["Axes"]]) viewer.set_property(path, "visible", false);
     for (const name of ["PointLightNegativeX", "PointLightPositiveX"]) {
       viewer.set_property(["Lights", name, "<object>"], "intensity", 0.22);
@@ -20,6 +51,12 @@
     for (const text of data.commands) {
       viewer.handle_command_bytearray(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
     }
+    if (dark) adaptColors();
+    placeCamera();
+    for (const event of ["pointerdown", "wheel"]) pane.addEventListener(event, () => { touched = true; }, true);
+  }
+
+  function placeCamera() {
     // z points up in the data, y in the viewer's own frame.
     const raised = (p) => [p[0], p[2], -p[1]];
     const camera = viewer.camera;
@@ -63,6 +100,7 @@
       time = Math.max(0, Math.min(data.duration, seconds));
       slider.value = time;
       viewer.animator.seek(time);
+      moveCursors(time);
       let lines = [];
       for (const [start, text] of data.readouts) {
         if (start > time + 1e-9) break;

@@ -1,0 +1,104 @@
+"""What looks like a mistake in a recording that can be read: units of length and time, order of quaternions.
+
+Nothing is refused and nothing corrected: each suspicion is one line that says what was seen and what to check.
+
+Rules, each of them with what it cannot see:
+
+- **Length.** A part of an articulated object stays within a room and within the reach of a tracker. The largest room
+  that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
+  its rows, so that outliers do not count), or is farther than `FARTHEST_M` from the origin in most rows, was probably
+  given in millimetres. A part that moves by less than 20 mm close to the origin does not show it.
+- **Time.** One pose in more than `LONGEST_STEP_S` (median) does not show how a part moves; a clock in milliseconds,
+  microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it.
+- **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
+  map of quaternions, so all angles between rows remain. But a part that turns about a fixed axis moves with it: its
+  origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, it probably is. A
+  part that does not turn, or only about what remains its axis, does not show it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+
+LARGEST_EXTENT_M = 20.0
+FARTHEST_M = 50.0
+LONGEST_STEP_S = 5.0
+
+_FEWEST_ROWS = 10
+_CLOCKS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
+# The clock that is meant is the coarsest with which a pose comes at least this often [s].
+_SLOWEST_S = 1.0
+# Below this range of turning, noise and the motion of the origin cannot be told apart [rad].
+_LEAST_TURN = 0.3
+# The given order must leave much of the motion of the origin unexplained, and the other one at most half of that.
+_UNEXPLAINED = 0.2
+_FAR_BETTER = 0.5
+
+
+def suspicions(recording: Recording) -> tuple[str, ...]:
+    """What looks wrong in a recording, one line each; empty if nothing does."""
+    found: list[str] = []
+    for part in recording.parts:
+        rows = recording.select(part=part)
+        found += [line for line in (_length(rows, part), _quaternion(rows, part)) if line]
+    return (*found, *([line] if (line := _time(recording)) else []))
+
+
+def _length(rows: Recording, part: str) -> str:
+    extent = float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
+    distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
+    if extent > LARGEST_EXTENT_M:
+        seen = f"part '{part}' moves over {extent:.4g} m"
+    elif distance > FARTHEST_M:
+        seen = f"part '{part}' is {distance:.4g} m from the origin of the base frame"
+    else:
+        return ""
+    return f"{seen}; positions and actions are in m: are these millimetres? then divide x,y,z (and ax,ay,az) by 1000"
+
+
+def _time(recording: Recording) -> str:
+    steps = [
+        np.diff(recording.time[(recording.run == run) & (np.array(recording.part) == part)])
+        for run in recording.runs
+        for part in recording.parts
+    ]
+    joined = np.concatenate(steps)
+    step = float(np.median(joined)) if len(joined) + 1 >= _FEWEST_ROWS else 0.0
+    if step <= LONGEST_STEP_S:
+        return ""
+    clock = next((name for name, ticks in _CLOCKS if step / ticks <= _SLOWEST_S), "nanoseconds")
+    return f"rows are {step:.4g} s apart; times are in s: are these {clock}? then convert the column t"
+
+
+def _quaternion(rows: Recording, part: str) -> str:
+    if rows.quaternion is None or len(rows) < _FEWEST_ROWS:
+        return ""
+    given = Rotation.from_quat(rows.quaternion)
+    turned = float(np.quantile((given * given[len(rows) // 2].inv()).magnitude(), 0.95))
+    if turned < _LEAST_TURN:
+        return ""
+    # (w, x, y, z) was read as (x, y, z, w), so the scalar stands first.
+    reordered = Rotation.from_quat(rows.quaternion[:, [1, 2, 3, 0]])
+    as_given, as_reordered = (_unexplained(rows.position, rotation) for rotation in (given, reordered))
+    if as_given < _UNEXPLAINED or as_reordered > _FAR_BETTER * as_given:
+        return ""
+    return (
+        f"part '{part}' turns about a fixed axis only if its quaternions have the scalar first (they then leave "
+        f"{as_reordered:.0%} of the motion unexplained, as they are {as_given:.0%}); they are read scalar last: are "
+        "the columns qx,qy,qz,qw in this order?"
+    )
+
+
+def _unexplained(position: Floats, rotation: Rotation) -> float:
+    """Share of the spread of the origin that p = c + R r leaves, with the best constant c and r (least squares)."""
+    matrices = rotation.as_matrix()
+    design = np.concatenate([np.tile(np.eye(3), (len(position), 1, 1)), matrices], axis=2).reshape(-1, 6)
+    fitted = design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]
+    left = np.linalg.norm(position.ravel() - fitted)
+    return float(left / max(float(np.linalg.norm(position - position.mean(axis=0))), np.finfo(float).tiny))

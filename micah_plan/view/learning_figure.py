@@ -1,0 +1,177 @@
+"""The figure of what learning found: per part and run the track with its joints, and beside it, over the rows, the
+configuration, the evidence for each model and the posterior of the changepoints.
+
+Sizes are in inches: panels are placed by hand, so that every block looks alike whatever it holds.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from micah_plan.automaton.graph import KinematicGraph
+from micah_plan.recording.value import Recording
+from micah_plan.view.certainty_words import changepoint_words, channel_words, headline, joint_words, misfit_words
+from micah_plan.view.learned import LearnedRun, learned_runs
+from micah_plan.view.learning_panels import (
+    PANEL_INK,
+    plot_changepoint,
+    plot_configuration,
+    plot_counts,
+    plot_evidence,
+    plot_kinds,
+    shade_segments,
+)
+from micah_plan.view.palette import INK, MISFIT, MUTED
+from micah_plan.view.segments import is_misfit
+from micah_plan.view.track_panel import plot_plain_track, plot_track
+
+WIDTH = 11.0
+MOST_BLOCKS = 12
+"""Parts and runs drawn; a figure of more is too long to look at, so the rest is only counted."""
+
+_LEFT, _SPLIT, _RIGHT, _NO_NAMES = 0.35, 5.35, 1.35, 0.3
+_HEADER, _GAP, _AXIS = 1.2, 0.2, 0.55
+_CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 2.2, 1.45, 0.8
+_BARS, _LEAST_SPACE = 0.95, 3.3
+_LINE, _CHARACTERS = 0.19, 150
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One part and run, its words below the panels, and the heights of its panels [in]."""
+
+    learned: LearnedRun
+    words: tuple[str, ...]
+    panels: tuple[float, ...]
+    bars: bool
+
+    @property
+    def height(self) -> float:
+        panels = sum(self.panels) + _GAP * (len(self.panels) - 1)
+        return _HEADER + panels + _AXIS + _LINE * len(self.words) + 0.15
+
+
+def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -> Figure:
+    """Per part and run: the track by segment with its joints, configuration, evidence, posteriors, and words.
+
+    What learning did not say (evidence over time, posteriors, the action channel) has no panel. Without a graph:
+    the track and its coordinates.
+
+    Args:
+        recording: at least one row.
+        graph: what was learned from it.
+    """
+    runs = () if graph is None else learned_runs(recording, graph)
+    if not runs:
+        return _plain(recording)
+    blocks = [_block(learned, recording) for learned in runs[:MOST_BLOCKS]]
+    note = 0.3 if len(runs) > MOST_BLOCKS else 0.0
+    height = sum(block.height for block in blocks) + note
+    figure = _figure(height)
+    top = height
+    several_runs = len(recording.runs) > 1
+    for block in blocks:
+        _draw_block(figure, block, top, several_runs)
+        top -= block.height
+    if note:
+        figure.text(_LEFT / WIDTH, 0.1 / height, f"{len(runs) - MOST_BLOCKS} more runs are not shown", color=MUTED)
+    return figure
+
+
+def _block(learned: LearnedRun, recording: Recording) -> _Block:
+    words = [channel_words(learned, recorded=recording.has_actions)]
+    words += [misfit_words(stretch.segment) for stretch in learned.stretches]
+    lines = tuple(line for text in words if text for line in textwrap.wrap(text[0].upper() + text[1:], _CHARACTERS))
+    traced = (_EVIDENCE, _CHANGEPOINT) if learned.evidence else ()
+    bars = bool(learned.counts) or any(s.segment.certainty is not None for s in learned.stretches)
+    needed = _LEAST_SPACE + (_BARS + 0.5 if bars else 0.0) - sum(traced) - _GAP * len(traced)
+    return _Block(learned, lines, (max(_CONFIGURATION, needed), *traced), bars)
+
+
+def _figure(height: float) -> Figure:
+    figure = Figure(figsize=(WIDTH, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _plain(recording: Recording) -> Figure:
+    height = 4.6
+    figure = _figure(height)
+    plot_plain_track(_space(figure, height, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
+    axes = _panel(figure, height, _SPLIT, 0.6, WIDTH - _SPLIT - 0.5, height - 1.1)
+    for name, values, style in zip("xyz", recording.position.T, ("-", "--", ":"), strict=True):
+        axes.plot(values, style, color=INK, lw=1.4)
+        axes.annotate(name, (len(values) - 1, values[-1]), xytext=(5, 0), textcoords="offset points", va="center")
+    axes.set(xlabel="row", ylabel="position [m]")
+    return figure
+
+
+def _draw_block(figure: Figure, block: _Block, top: float, several_runs: bool) -> None:
+    learned, total = block.learned, figure.get_figheight()
+    _write_header(figure, learned, top, several_runs)
+    panels_top, width = top - _HEADER, WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
+    bottom = panels_top
+    axes: list[Axes] = []
+    for height in block.panels:
+        bottom -= height
+        axes.append(_panel(figure, total, _SPLIT, bottom, width, height, shared=axes[0] if axes else None))
+        bottom -= _GAP
+    bottom += _GAP
+    plot_configuration(axes[0], learned, width)
+    if len(axes) > 1:
+        plot_evidence(axes[1], learned, block.panels[1])
+        plot_changepoint(axes[2], learned)
+    for panel in axes:
+        shade_segments(panel, learned)
+        panel.tick_params(labelbottom=panel is axes[-1])
+        panel.yaxis.set_label_coords(-0.62 / width, 0.5)
+    axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
+    space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
+    plot_track(_space(figure, total, 0.05, space_bottom, _SPLIT - 1.0, panels_top + 0.35 - space_bottom), learned)
+    if block.bars:
+        bars_bottom = bottom - 0.05
+        if learned.counts:
+            plot_counts(_panel(figure, total, 0.45, bars_bottom, 1.15, _BARS - 0.1), learned)
+        plot_kinds(_panel(figure, total, 2.3 if learned.counts else 0.95, bars_bottom, 1.25, _BARS - 0.1), learned)
+    for number, line in enumerate(block.words):
+        place = bottom - _AXIS - _LINE * (number + 0.5)
+        figure.text(_LEFT / WIDTH, place / total, line, fontsize=9, color=PANEL_INK, va="center")
+
+
+def _write_header(figure: Figure, learned: LearnedRun, top: float, several_runs: bool) -> None:
+    """The finding in large letters, on yellow if no joint fits; below it changepoints and the joints' parameters."""
+    height = figure.get_figheight()
+    name = learned.edge.child + (f", run {learned.run}" if several_runs else "")
+    wrong = any(is_misfit(stretch.segment) for stretch in learned.stretches)
+    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if wrong else None
+    figure.text(
+        _LEFT / WIDTH, (top - 0.38) / height, f"{name}:  {headline(learned)}", fontsize=15, weight="bold", color=INK,
+        va="center", bbox=box,
+    )  # fmt: skip
+    joints = {s.colored.color: s.segment for s in learned.stretches if not is_misfit(s.segment)}
+    words = [changepoint_words(learned)]
+    words += [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.kind != "rigid"]
+    figure.text(_LEFT / WIDTH, (top - 0.7) / height, "   ·   ".join(words), fontsize=10, color=PANEL_INK, va="center")
+
+
+def _panel(
+    figure: Figure, total: float, left: float, bottom: float, width: float, height: float, shared: Axes | None = None
+) -> Axes:
+    axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), sharex=shared)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(MUTED)
+    axes.tick_params(labelsize=9, color=MUTED, labelcolor=PANEL_INK)
+    return axes
+
+
+def _space(figure: Figure, total: float, left: float, bottom: float, width: float, height: float) -> Axes:
+    axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), projection="3d")
+    axes.patch.set_alpha(0.0)
+    return axes

@@ -1,0 +1,165 @@
+"""The panels of the learning figure: configuration, evidence, changepoint, number of changepoints, kinds of joint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from micah_plan.view.labels import kind_probabilities, line_labels, percents, segment_labels, shown_counts
+from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun, Stretch
+from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
+from micah_plan.view.segments import is_misfit
+
+PANEL_INK = "#3E4C59"
+
+_LETTER = 0.078
+"""Width of a letter at the size of a segment's label [in]."""
+_LINE_HEIGHT = 0.17
+_MOST_KINDS = 5
+_FEW_ROWS = 300
+
+
+def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
+    """The measured configuration of every row in its segment's colour, and above it the segments' names.
+
+    Args:
+        width: of the panel [in].
+    """
+    size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
+    for stretch in learned.stretches:
+        wrong = is_misfit(stretch.segment)
+        axes.plot(
+            stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=stretch.colored.color,
+            mec=INK if wrong else stretch.colored.color, zorder=3,
+        )  # fmt: skip
+        if stretch.segment.joint.kind == "rigid" and learned.quantity == "configuration" and len(stretch.rows):
+            held = stretch.segment.configuration_start
+            axes.plot(stretch.rows[[0, -1]], [held, held], color=INK, lw=1.2, zorder=4)
+    axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)
+    axes.margins(y=0.1)
+    first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)
+    axes.set_xlim(first, last)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=9, integer=True, steps=[1, 2, 5, 10]))
+    _name_segments(axes, learned, width / max(last - first, 1.0))
+
+
+def shade_segments(axes: Axes, learned: LearnedRun) -> None:
+    """The segments' colours behind a panel; a line at every changepoint, in the band of its 95 % interval."""
+    for number, stretch in enumerate(learned.stretches):
+        left, right = stretch.segment.start - 0.5, stretch.segment.end + 0.5
+        if is_misfit(stretch.segment):
+            axes.axvspan(left, right, facecolor=MISFIT, alpha=0.28, lw=0, zorder=0)
+            axes.axvspan(left, right, facecolor="none", edgecolor=MISFIT, hatch="///", alpha=0.5, lw=0, zorder=0)
+        else:
+            axes.axvspan(left, right, color=stretch.colored.color, alpha=0.15, lw=0, zorder=0)
+        if not number:
+            continue
+        if stretch.interval is not None:
+            low, high = stretch.interval
+            axes.axvspan(low - 0.5, high + 0.5, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
+        axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
+
+
+def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
+    """Cumulated evidence of each model against the best single one: a model takes over where its line rises.
+
+    Args:
+        height: of the panel [in].
+    """
+    rows = learned.evidence_rows
+    for line in sorted(learned.evidence, key=lambda line: line.color is not None):
+        color, lw = (MUTED, 1.0) if line.color is None else (line.color, 2.2)
+        outline = color == MISFIT
+        if outline:
+            axes.plot(rows, line.values, color=INK, lw=3.2, zorder=3)
+        axes.plot(rows, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
+    top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
+    axes.set_ylim(FLOOR - 0.08 * (top - FLOOR), top + 0.08 * (top - FLOOR))
+    axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
+    axes.axhline(FLOOR, color=MUTED, lw=0.7, ls=":", zorder=1)
+    _name_lines(axes, learned.evidence, height)
+
+
+def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
+    """The posterior probability of every row to be the first of a segment."""
+    axes.bar(learned.evidence_rows, learned.changepoint, width=1.0, color=INK, lw=0, zorder=3)
+    axes.set_ylim(0.0, 1.08 * max(0.05, float(learned.changepoint.max(initial=0.0))))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
+    axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
+    for stretch in learned.stretches[1:]:
+        if stretch.interval is not None:
+            low, high = stretch.interval
+            words = f"{low} to {high}" if high > low else f"{low}"
+            axes.annotate(
+                f"95 %: {words}", (low - 0.5, 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
+                textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
+            )  # fmt: skip
+
+
+def plot_counts(axes: Axes, learned: LearnedRun) -> None:
+    """The posterior over the number of changepoints; the number that the segments have is dark."""
+    counts = shown_counts(learned)
+    chosen = len(learned.stretches) - 1
+    colors = [INK if number == chosen else GRID for number in range(len(counts))]
+    axes.bar(range(len(counts)), counts, width=0.78, color=colors)
+    for number, probability in enumerate(counts):
+        axes.text(number, probability + 0.03, percents(probability), ha="center", va="bottom", fontsize=8, color=INK)
+    axes.set(ylim=(0.0, 1.15), yticks=[], xticks=range(len(counts)))
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(length=0, labelsize=8.5)
+    axes.set_xlabel("number of changepoints", fontsize=8.5, color=PANEL_INK, labelpad=2)
+
+
+def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
+    """The probability of each kind of joint, one bar per segment; the largest is named in it, the next beside it."""
+    assessed = [stretch for stretch in learned.stretches if stretch.segment.certainty is not None][:_MOST_KINDS]
+    for number, stretch in enumerate(assessed):
+        _plot_kind(axes, -number, stretch)
+    axes.set(xlim=(0.0, 1.0), ylim=(-max(len(assessed), 2) + 0.5, 0.5), xticks=[])
+    axes.set_yticks(
+        [-number for number in range(len(assessed))],
+        [f"{s.segment.start}–{s.segment.end}" for s in assessed], fontsize=8.5,
+    )  # fmt: skip
+    axes.tick_params(length=0)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
+    axes.set_xlabel("kind of joint, by rows", fontsize=8.5, color=PANEL_INK, labelpad=2)
+
+
+def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
+    left = 0.0
+    ranked = kind_probabilities(stretch.segment)
+    for number, (_, probability) in enumerate(ranked):
+        color = stretch.colored.color if number == 0 else GRID
+        axes.barh(place, probability, left=left, height=0.66, color=color, edgecolor="white", lw=0.8)
+        left += probability
+    box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
+    name, probability = ranked[0]
+    axes.text(
+        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8.5, weight="bold", color=INK, bbox=box
+    )
+    rest = [f"{name} {percents(probability)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
+    axes.text(1.04, place, "".join(rest), va="center", fontsize=8.5, color=PANEL_INK)
+
+
+def _name_segments(axes: Axes, learned: LearnedRun, inches_per_row: float) -> None:
+    for label in segment_labels(learned, _LETTER / inches_per_row):
+        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
+        axes.annotate(
+            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
+        )  # fmt: skip
+
+
+def _name_lines(axes: Axes, lines: tuple[EvidenceLine, ...], height: float) -> None:
+    """Each model's name at the end of its line."""
+    low, high = axes.get_ylim()
+    for place, name, used in line_labels(lines, _LINE_HEIGHT / height * (high - low)):
+        weight: Any = "bold" if used else "normal"
+        axes.annotate(
+            name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
+            va="center", fontsize=8.5, weight=weight, color=INK if used else PANEL_INK,
+        )  # fmt: skip

@@ -1,0 +1,153 @@
+"""What looks like a mistake of units or of order, and what does not: both sides of every rule."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from micah_plan.recording.read import read_recording
+from micah_plan.recording.suspicion import suspicions
+from micah_plan.recording.value import Recording
+
+ROWS = 80
+
+
+def door(axis: tuple[float, float, float] = (0.0, 0.0, 1.0), noise: float = 0.002, seed: int = 0) -> Recording:
+    """A door of 0.3 m that opens by 1.2 rad within 8 s, 0.8 m from the base, mounted at an angle."""
+    rng = np.random.default_rng(seed)
+    turns = Rotation.from_rotvec(np.linspace(0.0, 1.2, ROWS)[:, None] * np.array(axis))
+    position = np.array([0.8, 0.1, 0.3]) + turns.apply([0.3, 0.05, 0.1]) + rng.normal(0, noise, (ROWS, 3))
+    mounted = turns * Rotation.from_rotvec([0.3, -0.2, 0.7])
+    shaken = Rotation.from_rotvec(rng.normal(0, 0.01, (ROWS, 3))) * mounted
+    return Recording(np.linspace(0.0, 8.0, ROWS), position, shaken.as_quat())
+
+
+def in_millimetres(recording: Recording) -> Recording:
+    return replace(recording, position=1000.0 * recording.position)
+
+
+def scalar_first(recording: Recording) -> Recording:
+    assert recording.quaternion is not None
+    return replace(recording, quaternion=recording.quaternion[:, [3, 0, 1, 2]])
+
+
+def walk(size: float, seed: int, rows: int = 400) -> Recording:
+    """A robot that drives and turns freely in a room of that size [m], seen from its corner."""
+    rng = np.random.default_rng(seed)
+    position = np.cumsum(rng.normal(0, 1, (rows, 3)), axis=0)
+    position = (position - position.min(axis=0)) / np.ptp(position, axis=0) * size
+    turns = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.05, (rows, 3)), axis=0))
+    return Recording(0.1 * np.arange(rows), position, turns.as_quat())
+
+
+def test_an_ordinary_door_is_not_suspicious() -> None:
+    assert suspicions(door()) == ()
+    assert suspicions(replace(door(), quaternion=None)) == ()
+
+
+def test_millimetres_are_named() -> None:
+    (line,) = suspicions(in_millimetres(door()))
+    assert line.startswith("part 'part' moves over ")
+    assert "are these millimetres? then divide x,y,z (and ax,ay,az) by 1000" in line
+
+
+def test_a_part_that_hardly_moves_shows_millimetres_by_its_distance() -> None:
+    still = replace(door(), position=np.tile([0.8, 0.1, 0.3], (ROWS, 1)))
+    assert suspicions(still) == ()
+    (line,) = suspicions(in_millimetres(still))
+    assert "is 860.2 m from the origin" in line
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_robot_in_a_room_of_ten_metres_is_not_suspicious(seed: int) -> None:
+    assert suspicions(walk(10.0, seed)) == ()
+
+
+def test_one_in_a_hall_of_a_hundred_is() -> None:
+    assert "millimetres" in suspicions(walk(100.0, 0))[0]
+
+
+def test_outliers_alone_are_no_unit() -> None:
+    position = door().position.copy()
+    position[::10] += 500.0
+    assert suspicions(replace(door(), position=position, quaternion=None)) == ()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_quaternions_with_the_scalar_first_are_named(seed: int) -> None:
+    axis = np.random.default_rng(seed).normal(size=3)
+    recording = door(tuple((axis / np.linalg.norm(axis)).tolist()), seed=seed)
+    assert suspicions(recording) == ()
+    (line,) = suspicions(scalar_first(recording))
+    assert "scalar first" in line
+    assert "qx,qy,qz,qw" in line
+
+
+def test_the_order_does_not_change_how_fast_a_part_turns() -> None:
+    """Why jumps of the rotation could not tell: all angles between rows are the same in both orders."""
+    given, other = (Rotation.from_quat(r.quaternion) for r in (door(), scalar_first(door())))
+    assert (given[1:] * given[:-1].inv()).magnitude() == pytest.approx((other[1:] * other[:-1].inv()).magnitude())
+
+
+def test_a_part_that_slides_or_moves_freely_does_not_show_the_order() -> None:
+    slide = replace(door(), position=np.linspace([0.5, 0, 0], [0.9, 0, 0], ROWS))
+    steady = replace(slide, quaternion=np.tile([0.1, 0.7, 0.1, 0.7], (ROWS, 1)) / np.linalg.norm([0.1, 0.7, 0.1, 0.7]))
+    for recording in (steady, walk(2.0, 1)):
+        assert suspicions(recording) == suspicions(scalar_first(recording)) == ()
+
+
+@pytest.mark.parametrize(("factor", "clock"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+def test_times_in_other_units_are_named(factor: float, clock: str) -> None:
+    (line,) = suspicions(replace(door(), time=factor * door().time))
+    assert f"are these {clock}?" in line
+
+
+def test_a_clock_since_the_epoch_and_a_slow_recorder_are_not_suspicious() -> None:
+    assert suspicions(replace(door(), time=1.7e9 + door().time)) == ()
+    assert suspicions(replace(door(), time=np.arange(ROWS) * 2.0)) == ()
+
+
+def test_every_part_is_looked_at_and_named() -> None:
+    both = [door(), in_millimetres(door(seed=1))]
+    recording = Recording(
+        np.concatenate([r.time for r in both]),
+        np.concatenate([r.position for r in both]),
+        np.concatenate([r.quaternion for r in both if r.quaternion is not None]),
+        part=("door",) * ROWS + ("drawer",) * ROWS,
+    )
+    (line,) = suspicions(recording)
+    assert "'drawer'" in line
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_hardly_any_rows_are_not_suspicious(rows: int) -> None:
+    assert suspicions(door().rows(slice(rows))) == ()
+
+
+def recordings_in(folder: Path) -> list[Recording]:
+    return [read_recording(file) for file in sorted(folder.rglob("*.csv"))]
+
+
+def test_measured_recordings_are_as_they_should_be(shared_data: Path, repository: Path) -> None:
+    """No false alarm on any real recording, and each of them would be noticed in millimetres."""
+    found = recordings_in(shared_data) + recordings_in(repository / "examples" / "demonstrations")
+    assert len(found) > 30
+    assert {line for recording in found for line in suspicions(recording)} == set()
+    assert all(any("millimetres" in line for line in suspicions(in_millimetres(recording))) for recording in found)
+
+
+def test_measured_doors_show_a_wrong_order(shared_data: Path) -> None:
+    """Those of the shared tracks that turn by more than 0.6 rad; noise hides the order of at most one in ten."""
+    doors = [r for r in recordings_in(shared_data / "tracks") if r.quaternion is not None]
+    turning = []
+    for recording in doors:
+        rotation = Rotation.from_quat(recording.quaternion)
+        if np.quantile((rotation * rotation[len(recording) // 2].inv()).magnitude(), 0.95) > 0.6:
+            turning.append(recording)
+    noticed = [any("scalar first" in line for line in suspicions(scalar_first(recording))) for recording in turning]
+    assert len(turning) > 10
+    assert np.mean(noticed) >= 0.9

@@ -1,0 +1,182 @@
+"""What `learn` reports of how sure it is: JSON, table, warnings, and the honest negative where no joint fits."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from micah_plan import cli, summaries, workflow
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import ParameterCovariance, revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.learn import learn as learning
+from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.spec.model_file import load_model
+
+DEMONSTRATION = "examples/demonstrations/microwave.csv"
+STDS = (0.1, 0.1, 0.05, 0.02, 0.03)
+CHANNEL = ActionChannel((0.0, 0.0, 0.2), 0.94, 0.11, tuple(map(tuple, np.diag(np.square(STDS)).tolist())), 0.87)
+MISFIT = Misfit(0.023, 0.3, 0.002, 0.012, 120.0)
+
+
+def sure_graph() -> KinematicGraph:
+    """What a learner may say of the shipped demonstration's 131 rows."""
+    covariance = ParameterCovariance(("axis_1", "center_2"), ((4e-4, 0.0), (0.0, 9e-6)))
+    hinge = replace(revolute([0, 0, -1], [-0.24, 0, 0], [0.07, 0, 0]), covariance=covariance)
+    shut = forward(hinge, 1.2)
+    latch = rigid(shut.translation[0], shut.rotation[0].as_quat(), held=1.2)
+    kinds = (("rigid", 0.001), ("prismatic", 0.0), ("revolute", 0.98), ("screw", 0.019))
+    start = RowPosterior((98, 99, 100, 102), (0.02, 0.1, 0.8, 0.08))
+    segments = (
+        Segment(hinge, 0, 0, 99, 0.0, 1.2, (0.0, 1.2), 0.002, 0.01, 0.0, 0.98, SegmentCertainty(None, kinds)),
+        Segment(
+            latch, 0, 100, 130, 1.2, 1.2, (1.2, 1.2), 0.0, 0.01, 0.0, 1.0, SegmentCertainty(start, (("rigid", 1.0),))
+        ),
+    )
+    certainty = EdgeCertainty(500.0, ((0.0, 0.9, 0.1),), CHANNEL)
+    return KinematicGraph((KinematicEdge("base", "door", segments, certainty),))
+
+
+def unfit_graph() -> KinematicGraph:
+    """The same, but for its first segment, which no single joint explains."""
+    (edge,) = sure_graph().edges
+    first = replace(edge.segments[0], certainty=SegmentCertainty(None, (("revolute", 0.001),), MISFIT))
+    return KinematicGraph((replace(edge, segments=(first, *edge.segments[1:])),))
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, repository, tmp_path):
+    """Runs `learn` in this process with a learner that finds a given graph; returns exit code and what was printed."""
+
+    def run(graph, *arguments, recording=repository / DEMONSTRATION):
+        monkeypatch.setattr(learning, "learn_graph", lambda *_, **__: graph)
+        command = ["micah-plan", "learn", str(recording), "-o", str(tmp_path / "model.yaml"), *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", command)
+        monkeypatch.setenv("COLUMNS", "140")
+        monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return ended.value.code or 0, capsys.readouterr()
+
+    return run
+
+
+def test_json_says_how_sure_everything_is(run, tmp_path):
+    code, printed = run(sure_graph(), "--json")
+    assert (code, printed.err) == (0, "")
+    found = json.loads(printed.out)
+    turning, shut = found["segments"]
+    assert (turning["model"], shut["model"]) == ("revolute", "rigid")
+    assert turning["probabilities"] == {"rigid": 0.001, "prismatic": 0.0, "revolute": 0.98, "screw": 0.019}
+    assert turning["start_interval"] is None
+    assert shut["start_interval"] == [99, 102]
+    assert turning["stds"] == pytest.approx({"axis_1": 0.02, "center_2": 0.003})
+    assert turning["covariance"] == {"names": ["axis_1", "center_2"], "matrix": [[4e-4, 0.0], [0.0, 9e-6]]}
+    assert shut["stds"] is shut["covariance"] is None
+    assert found["changepoint_counts"] == [[0.0, 0.9, 0.1]]
+    channel = found["action_channel"]
+    assert (channel["frame_rotation"], channel["gain"], channel["delay"]) == ([0.0, 0.0, 0.2], 0.94, 0.11)
+    assert channel["stds"]["frame_rotation"] == pytest.approx(STDS[:3])
+    assert (channel["stds"]["gain"], channel["stds"]["delay"]) == pytest.approx(STDS[3:])
+    assert channel["explained"] == 0.87
+    assert (found["reason"], found["warnings"]) == ("", [])
+    kept = load_model(tmp_path / "model.yaml")
+    assert kept.learned[0].certainty == sure_graph().edges[0].certainty
+    assert kept.edges[0].threshold_std > 0.01
+
+
+def test_what_nobody_worked_out_is_null(run):
+    (edge,) = sure_graph().edges
+    bare = replace(edge, segments=tuple(replace(s, certainty=None) for s in edge.segments), certainty=None)
+    found = json.loads(run(KinematicGraph((bare,)), "--json")[1].out)
+    assert found["action_channel"] is found["changepoint_counts"] is None
+    assert [s["probabilities"] for s in found["segments"]] == [None, None]
+    assert [s["start_interval"] for s in found["segments"]] == [None, None]
+
+
+def test_several_parts_say_it_per_edge(repository):
+    (edge,) = sure_graph().edges
+    other = replace(edge, child="drawer", certainty=None)
+    recording = read_recording(repository / DEMONSTRATION)
+    result = workflow.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
+    first, second = summaries.learned(result, 0)["edges"]
+    assert first["action_channel"]["gain"] == 0.94
+    assert second["action_channel"] is second["changepoint_counts"] is None
+
+
+def test_the_table_stays_readable(run):
+    code, printed = run(sure_graph())
+    assert code == 0
+    lines = [" ".join(line.split()) for line in printed.out.splitlines()]
+    assert "mode rows from to axis radius sure start 95 %" in lines
+    assert "revolute 0-99 +0.000 rad +1.200 rad -0.00 -0.00 -1.00 0.310 m 98 %" in [
+        line.replace("+0.00 +0.00", "-0.00 -0.00") for line in lines
+    ]
+    assert "rigid 100-130 +1.200 +1.200 > 99 % 99-102" in lines
+    assert "actions: gain 0.94 ± 0.02, turned 11° ± 3°, 0.11 s ± 0.03 s late, explain 87 % of the motion" in lines
+    assert max(map(len, printed.out.splitlines()[:9])) <= 100
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"delay": -0.04}, "0.04 s ± 0.03 s early"),
+        ({"frame_rotation": (0.0, 0.0, 0.0)}, "turned 0° ± 6°"),
+        ({"frame_rotation": (0.3, 0.0, 0.0)}, "turned 17° ± 6°"),
+    ],
+)
+def test_the_line_on_actions(changes, said):
+    assert said in summaries.channel_line(replace(CHANNEL, **changes))
+
+
+def test_rows_that_no_joint_fits_are_an_honest_negative_without_a_model(run, tmp_path):
+    figure, page = tmp_path / "segments.png", tmp_path / "page.html"
+    code, printed = run(unfit_graph(), "--json", "--figure", figure, "--html", page)
+    assert (code, printed.err) == (1, "")
+    found = json.loads(printed.out)
+    first, second = found["segments"]
+    assert (first["model"], first["start"], first["end"], second["model"]) == ("none", 0, 99, "rigid")
+    assert first["parameters"] == {}
+    assert first["best"]["model"] == "revolute"
+    assert first["best"]["parameters"]["radius"] == pytest.approx(0.31)
+    assert first["misfit"] == {
+        "position_m": 0.023,
+        "rotation_rad": 0.3,
+        "position_noise_m": 0.002,
+        "rotation_noise_rad": 0.012,
+        "log_odds": 120.0,
+    }
+    assert found["modes"] == []
+    assert found["reason"].startswith(
+        "no single-joint model fits rows 0 to 99 of part 'door' (run 0): the best, revolute"
+    )
+    assert not (tmp_path / "model.yaml").exists()
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "<html" in page.read_text()
+
+
+def test_an_older_model_is_left_as_it_was_and_the_table_names_the_misfit(run, tmp_path):
+    (tmp_path / "model.yaml").write_text("what was here before")
+    code, printed = run(unfit_graph())
+    assert code == 1
+    assert (tmp_path / "model.yaml").read_text() == "what was here before"
+    lines = [" ".join(line.split()) for line in printed.out.splitlines()]
+    assert "none 0-99 misses by 23 mm" in lines
+    assert any(line.startswith("no model: no single-joint model fits rows 0 to 99") for line in lines)
+    assert not any(line.startswith("wrote") for line in lines)
+
+
+def test_millimetres_are_warned_of_on_stderr_and_in_json(run, repository, tmp_path):
+    recording = read_recording(repository / DEMONSTRATION)
+    wrong = tmp_path / "millimetres.csv"
+    write_recording(replace(recording, position=1000 * recording.position), wrong)
+    code, printed = run(sure_graph(), "--json", recording=wrong)
+    assert code == 0
+    (warning,) = json.loads(printed.out)["warnings"]
+    assert "are these millimetres?" in warning
+    assert printed.err == f"warning: {warning}\n"
