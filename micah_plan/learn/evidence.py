@@ -29,7 +29,7 @@ Ints = NDArray[np.int64]
 _SLIP = 0.01  # probability that a row tells nothing of the next
 # Power of the likelihood (Miller and Dunson, "Robust Bayesian inference via coarsening", JASA 2019): joints are not
 # ideal and trackers err by more than any noise model says, so rows count for less than they claim.
-_TRUST = 0.5
+TRUST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ def tabulated(
     table[1:] = np.logaddexp(np.log1p(-_SLIP) + table[1:], slipped)
     # The first row of a segment may go on where the row before was, or not.
     table[:-1, 1:] = np.logaddexp(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
-    table *= _TRUST
+    table *= TRUST
     rows = np.maximum(hypotheses.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
-    cost = parameter_cost(pool, track, noise, _TRUST)
-    held = held_cost(cost, pool, noise, _TRUST)
+    cost = parameter_cost(pool, track, noise, TRUST)
+    held = held_cost(cost, pool, noise, TRUST)
     counts = [parameter_count(kind, track.quaternion is not None) for kind in hypotheses.joints.kinds]
     parameters = np.array(counts, dtype=float) + motion.parameters
     return EvidenceTable(pool, motion, table, parameters, cost + of_motion, held + of_motion, rows)

@@ -54,9 +54,7 @@ class JointArrays:
         """Some of the joints."""
         i = np.asarray(index, dtype=np.int64)
         kinds = tuple(self.kinds[j] for j in i)
-        return JointArrays(
-            kinds, self.axis[i], self.center[i], self.position[i], self.quaternion[i], self.pitch[i]
-        )
+        return JointArrays(kinds, self.axis[i], self.center[i], self.position[i], self.quaternion[i], self.pitch[i])
 
     def joint(self, i: int) -> Joint:
         """One of them as a joint."""
@@ -114,8 +112,9 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
 def concatenated(first: JointArrays, second: JointArrays) -> JointArrays:
     """The joints of both."""
     pairs = ((getattr(first, name), getattr(second, name)) for name in ("axis", "center", "position", "quaternion"))
-    vectors = (np.concatenate(pair) for pair in pairs)
-    return JointArrays(first.kinds + second.kinds, *vectors, np.concatenate([first.pitch, second.pitch]))
+    axis, center, position, quaternion = (np.concatenate(pair) for pair in pairs)
+    pitch = np.concatenate([first.pitch, second.pitch])
+    return JointArrays(first.kinds + second.kinds, axis, center, position, quaternion, pitch)
 
 
 def product(a: Floats, b: Floats) -> Floats:

@@ -1,38 +1,28 @@
 """Learning the extended kinematic graph of a recording: CHAMP and Act-CHAMP for every part.
 
-Sources: MICAH, section III-B (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
+Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.automaton.certainty import EdgeCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
-from micah_plan.learn.changepoints import Piece
-from micah_plan.learn.noise import NoiseModel, find_inliers
-from micah_plan.learn.segmentation import Segmented, segment_track
-from micah_plan.learn.segments import (
-    FittedPiece,
-    chained,
-    configurations,
-    fit_piece,
-    shifted_with_origin,
-    to_segment,
-)
+from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import PartTrack, part_track
+from micah_plan.learn.track import part_track
 from micah_plan.recording.value import Recording
 
-Floats = NDArray[np.float64]
 Method = Literal["champ", "act-champ"]
 METHODS: tuple[Method, ...] = ("champ", "act-champ")
 Progress = Callable[[str, float], None]
@@ -51,7 +41,7 @@ def learn_graph(
     configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
 
     Args:
-        recording: at least 2 rows per part and run, positions or full poses.
+        recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
         method: Act-CHAMP predicts motion from the actions, CHAMP from the poses alone; without actions they are
             the same.
         settings: None: the defaults, which are meant for every recording.
@@ -68,89 +58,51 @@ def learn_graph(
     chosen = settings or LearnSettings()
     edges = []
     for number, part in enumerate(recording.parts):
-        runs = tuple(
-            dict.fromkeys(int(r) for r, name in zip(recording.run, recording.part, strict=True) if name == part)
-        )
-        segments: list[Segment] = []
-        reference: Joint | None = None
-        for i, run in enumerate(runs):
-            if progress is not None:
-                done = (number + i / len(runs)) / len(recording.parts)
-                progress(f"segmenting run {run} of part '{part}'", done)
-            rng = np.random.default_rng([seed, number, i])
-            found, reference = _learn_run(recording, run, part, chosen, method == "act-champ", rng, reference)
-            segments += found
-        edges.append(KinematicEdge(BASE, part, tuple(segments)))
+        if progress is not None:
+            progress(f"segmenting the motion of '{part}'", number / len(recording.parts))
+        edges.append(learn_edge(recording, part, method, chosen, seed))
     if progress is not None:
         progress("learned", 1.0)
     return KinematicGraph(tuple(edges))
 
 
-def _learn_run(
-    recording: Recording,
-    run: int,
-    part: str,
-    settings: LearnSettings,
-    use_actions: bool,
-    rng: np.random.Generator,
-    reference: Joint | None,
-) -> tuple[list[Segment], Joint | None]:
-    """Segments of one run, and the joint that the coordinate of all runs is counted along."""
-    track = part_track(recording, run, part)
-    inlier = find_inliers(track)
-    used = np.flatnonzero(inlier)
-    used = used[:: -(-len(used) // settings.most_rows)]
-    segmented = segment_track(track.summed(used), settings, use_actions, rng)
-    noise = segmented.noise
-    pieces = _on_all_rows(segmented.segmentation.pieces, used, len(track))
-    fitted = [_fitted(piece, pieces, segmented, track, inlier, settings, rng) for piece in pieces]
-    chain = chained(fitted, track, inlier, noise)
-    longest = max((one for one in chain if one.joint.kind != "rigid"), key=_rows, default=None)
-    if reference is not None:
-        chain = _aligned(chain, longest, reference, track, inlier, noise)
-    elif longest is not None:
-        reference = longest.joint
-    return [to_segment(one, chain, run, track, inlier, noise) for one in chain], reference
-
-
-def _on_all_rows(pieces: Sequence[Piece], used: NDArray[np.int64], rows: int) -> list[Piece]:
-    """Pieces of the rows used as pieces of all rows: each reaches to where the next one starts."""
-    starts = [0, *(int(used[piece.start]) for piece in pieces[1:]), rows]
-    return [replace(p, start=a, end=b - 1) for p, a, b in zip(pieces, starts[:-1], starts[1:], strict=True)]
-
-
-def _fitted(
-    piece: Piece,
-    pieces: Sequence[Piece],
-    segmented: Segmented,
-    track: PartTrack,
-    inlier: NDArray[np.bool_],
-    settings: LearnSettings,
-    rng: np.random.Generator,
-) -> FittedPiece:
-    """The piece with its joint, fitted to all rows of all pieces that share it."""
-    joint = segmented.table.pool.hypotheses[piece.hypothesis].joint
-    same = [p for p in pieces if p.hypothesis == piece.hypothesis]
-    rows = np.concatenate([np.arange(p.start, p.end + 1) for p in same])
-    gain = segmented.table.motion.gain[piece.hypothesis]
-    return fit_piece(piece, rows, joint, gain, track, inlier, segmented.noise, settings, rng)
+def learn_edge(recording: Recording, part: str, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:
+    """How one part moves relative to its base: every run segmented, all runs on one coordinate."""
+    runs = tuple(dict.fromkeys(int(r) for r, name in zip(recording.run, recording.part, strict=True) if name == part))
+    segments: list[Segment] = []
+    reference: Joint | None = None
+    learned = []
+    for i, run in enumerate(runs):
+        rng = np.random.default_rng([seed, i])
+        one = learn_run(part_track(recording, run, part), settings, method == "act-champ", rng)
+        learned.append(one)
+        chain = list(one.pieces)
+        longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)
+        if reference is not None:
+            chain = _aligned(chain, longest, reference, one)
+        elif longest is not None:
+            reference = longest.joint
+        segments += [
+            to_segment(piece, chain, sure, run, one.track, one.inlier, one.noise)
+            for piece, sure in zip(chain, one.certainties, strict=True)
+        ]
+    certainty = EdgeCertainty(
+        log_evidence=sum(one.posterior.log_evidence for one in learned),
+        changepoint_counts=tuple(tuple(float(p) for p in one.posterior.counts) for one in learned),
+        trace=learned[0].trace,
+    )
+    return KinematicEdge(BASE, part, tuple(segments), certainty)
 
 
 def _aligned(
-    chain: list[FittedPiece],
-    longest: FittedPiece | None,
-    reference: Joint,
-    track: PartTrack,
-    inlier: NDArray[np.bool_],
-    noise: NoiseModel,
+    chain: list[FittedPiece], longest: FittedPiece | None, reference: Joint, run: LearnedRun
 ) -> list[FittedPiece]:
     """A later run's pieces, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
+    track, noise = run.track, run.noise
     if longest is None:
-        rows = np.flatnonzero(inlier)
-        held = float(np.median(configurations(reference, rows, track, noise)))
+        held = float(np.median(configurations(reference, np.flatnonzero(run.inlier), track, noise)))
         return [replace(one, joint=replace(one.joint, held=held)) for one in chain]
-    rows = np.arange(longest.piece.start, longest.piece.end + 1)
-    rows = rows[inlier[rows]]
+    rows = longest.index(run.inlier)
     own, common = configurations(longest.joint, rows, track, noise), configurations(reference, rows, track, noise)
     backwards = float((own - own.mean()) @ (common - common.mean())) < 0
     offset = float(np.median(common - (-own if backwards else own)))
@@ -161,4 +113,4 @@ def _aligned(
 
 
 def _rows(one: FittedPiece) -> int:
-    return one.piece.end - one.piece.start
+    return one.end - one.start

@@ -18,6 +18,27 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 MEMORY = 8  # rows that a prediction looks back
+_UNMEASURED = 0.05  # rad
+
+
+@dataclass(frozen=True)
+class MeasurementNoise:
+    """Noise of one pose measurement in few numbers.
+
+    Attributes:
+        position_std, rotation_std: total std per axis [m, rad]; rotation is a placeholder where it was not measured.
+        position_white, rotation_white: std of the part that is independent from row to row [m, rad].
+    """
+
+    position_std: float
+    position_white: float
+    rotation_std: float
+    rotation_white: float
+
+    @property
+    def rotation_length(self) -> float:
+        """What weighs rotation against position [m/rad]."""
+        return self.position_std / self.rotation_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +81,31 @@ class NoiseModel:
         return np.asarray((1 - self.coefficients[-1].sum(axis=0)) ** 2)
 
     @property
-    def position_std(self) -> float:
-        """Total std of a position per axis [m]."""
-        return float(np.sqrt(np.mean((self.white + self.fast + self.slow)[-3:])))
-
-    @property
-    def rotation_std(self) -> float:
-        """Total std of a rotation per axis [rad]; a placeholder where orientation was not measured."""
-        return float(np.sqrt(np.mean((self.white + self.fast + self.slow)[:3]))) if len(self.white) == 6 else 0.05
-
-    @property
     def position_white(self) -> float:
-        """Std of the white part [m]."""
+        """Std of the white part per axis [m]."""
         return float(np.sqrt(np.mean(self.white[-3:])))
 
     @property
     def rotation_white(self) -> float:
-        """Std of the white part [rad]."""
+        """Std of the white part per axis [rad]."""
         return float(np.sqrt(np.mean(self.white[:3])))
 
     @property
     def rotation_length(self) -> float:
         """What weighs rotation against position [m/rad]."""
-        return self.position_std / self.rotation_std
+        return self.of_rows(1.0).rotation_length
+
+    def of_rows(self, rows: float) -> MeasurementNoise:
+        """The noise of single rows, where this one is that of means of `rows` rows."""
+        white = self.white * rows
+        total = white + self.fast + self.slow
+        turns = slice(0, len(white) - 3)
+        return MeasurementNoise(
+            position_std=float(np.sqrt(np.mean(total[-3:]))),
+            position_white=float(np.sqrt(np.mean(white[-3:]))),
+            rotation_std=float(np.sqrt(np.mean(total[turns]))) if len(white) == 6 else _UNMEASURED,
+            rotation_white=float(np.sqrt(np.mean(white[turns]))) if len(white) == 6 else _UNMEASURED,
+        )
 
     def whitened(self, errors: Floats, order: int) -> Floats:
         """Errors (..., n, d) less their prediction from `order` rows before, scaled to unit independent channels."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.comparison import Compared
-from micah_plan.learn.likelihood import parameter_design
+from micah_plan.learn.pool_fits import parameter_design
 from micah_plan.learn.noise import NoiseModel
 from micah_plan.learn.pool import Pool
 from micah_plan.learn.track import PartTrack
@@ -39,7 +39,9 @@ def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float
     order = np.argsort(~used, axis=1, kind="stable")
     index = np.take_along_axis(order, ranks, axis=1)
     every = np.arange(len(joints))[:, None]
-    seen = Compared(pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index])
+    seen = Compared(
+        pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index]
+    )
     design = parameter_design(joints, seen, track.position[index])
     scaled = design * np.sqrt(noise.information_share)[:, None] * _WIDTHS
     flat = (noise.decorrelation / np.sqrt(noise.left[-1])) @ scaled

@@ -16,6 +16,7 @@ from micah_plan.learn.length_prior import LengthPrior
 from micah_plan.learn.noise import NoiseModel
 from micah_plan.learn.noise_fit import first_noise, misses, refitted_noise
 from micah_plan.learn.pool import Hypotheses, refitted, window_hypotheses
+from micah_plan.learn.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -47,6 +48,15 @@ class Segmented:
     table: EvidenceTable
     log_probability: float
 
+    def best_single(self) -> Piece:
+        """The whole track as one segment of the one joint that explains it best."""
+        last = len(self.track) - 1
+        totals = self.table.log_density[-1].sum(axis=0) - self.table.occam
+        best = int(
+            np.argmax(np.where(self.table.pool.moving, totals, -np.inf if self.table.pool.moving.any() else totals))
+        )
+        return Piece(0, last, 0, best, float(totals[best]), 1.0)
+
 
 def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> Segmented:
     """The most probable segments of a track without outliers.
@@ -61,13 +71,14 @@ def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool, 
     if single is not None:
         starts.insert(0, single)
     settled = [_settled(windows, track, noise, settings, use_actions, rng) for noise in starts]
-    return max(settled, key=lambda one: one.log_probability)
+    return _with_rivals(max(settled, key=lambda one: one.log_probability), settings, use_actions)
 
 
 def _single(track: PartTrack, noise: NoiseModel, settings: LearnSettings, use_actions: bool) -> NoiseModel | None:
     """The noise that the single joint leaves which is the most probable one with the noise that it leaves."""
     # Where something moves, what a rigid model leaves is motion, not noise.
-    kinds = [kind for kind in settings.kinds if kind != "rigid"] or list(settings.kinds)
+    kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
+    kinds = kinds or list(settings.kinds)
     whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
     best: tuple[float, NoiseModel] | None = None
     for i in range(len(whole)):
@@ -174,6 +185,62 @@ def _shared(
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * _ANOTHER_JOINT
     return found.log_probability - float(cost), _merged(found)
+
+
+def _with_rivals(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
+    """The same segments, in a pool that holds their joints and, of every kind, the best rivals on the same rows."""
+    used = list(dict.fromkeys(piece.hypothesis for piece in found.segmentation.pieces))
+    rows = np.zeros((len(used) + 1, len(found.track)), dtype=bool)
+    rows[-1] = True
+    for piece in found.segmentation.pieces:
+        rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
+    kinds = [kind for _ in rows for kind in settings.kinds]
+    rivals = refitted(kinds, np.repeat(rows, len(settings.kinds), axis=0), found.track, found.noise)
+    pool = found.table.pool.hypotheses.take(used).joined(rivals)
+    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest)
+    pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
+    return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
+
+
+def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
+    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment."""
+    table, pieces = found.table, found.segmentation.pieces
+    used = sorted({piece.hypothesis for piece in pieces})
+    moving = table.pool.moving
+    index = np.arange(len(moving))
+    cost: Floats = table.cost(index, table.rows, bool(moving[used].any())) + _ANOTHER_JOINT * moving
+    paid = float(cost[used].sum()) - _ANOTHER_JOINT * bool(moving[used].any())
+    cost[used] = 0.0
+    # A part does not get from one rest to another without a motion.
+    apart: Floats = np.where(np.eye(len(moving)) > 0, np.inf, _ANOTHER_JOINT * np.outer(~moving, ~moving))
+    prior = _prior(found.track, settings)
+    result = changepoint_posterior(table, cost, apart, prior, len(settings.kinds), len(pieces) - 1)
+    return replace(result, log_evidence=result.log_evidence - paid)
+
+
+def kind_probabilities(
+    found: Segmented, hypothesis: int, kinds: Sequence[JointKind], free: float
+) -> tuple[tuple[JointKind, float], ...]:
+    """Probability of every kind of joint for all rows of one joint.
+
+    Args:
+        free: log odds of free motion against all segments together [nats].
+    """
+    table = found.table
+    names = table.pool.hypotheses.joints.kinds
+    sums = np.zeros(len(names))
+    rows = 0
+    for piece in found.segmentation.pieces:
+        if piece.hypothesis == hypothesis:
+            known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
+            sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
+            rows += len(known)
+    held = bool(table.pool.moving[[piece.hypothesis for piece in found.segmentation.pieces]].any())
+    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(rows)), held)
+    best = np.array([max((sums[i] for i, name in enumerate(names) if name == kind), default=-np.inf) for kind in kinds])
+    share = np.exp(best - best.max())
+    share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
+    return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
 
 
 def _merged(found: Segmentation) -> Segmentation:

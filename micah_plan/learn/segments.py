@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
-from micah_plan.learn.changepoints import Piece
-from micah_plan.learn.noise import NoiseModel
-from micah_plan.learn.pool import robust_fit
-from micah_plan.learn.refine import compare, with_covariance
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.noise import MeasurementNoise
+from micah_plan.learn.refine import compare
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 _SMOOTHED_ROWS = 5
 _PROJECTIONS = 10
@@ -30,43 +29,32 @@ _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of t
 
 @dataclass(frozen=True, eq=False)
 class FittedPiece:
-    """A piece with the joint fitted to its rows, and what the actions say there.
+    """A stretch of rows with its joint, fitted to all rows that share it, and what the actions say there.
 
     Attributes:
-        piece: rows within the track (all of its rows, not thinned).
+        start, end: first and last row (inclusive) within the track.
         joint: with covariance; its configuration counts from an arbitrary pose.
         gain: (3,) h of the step model, 0 where actions say nothing; it counts along the axis of `leader`.
         leader: the joint that won the evidence; None for rigid.
+        log_evidence: of the model for these rows.
     """
 
-    piece: Piece
+    start: int
+    end: int
     joint: Joint
     gain: Floats
     leader: Joint | None
+    log_evidence: float
+
+    def index(self, inlier: Bools) -> Ints:
+        """Its rows that count, or all of them where none does."""
+        rows = np.arange(self.start, self.end + 1)
+        return rows[inlier[rows]] if inlier[rows].any() else rows
 
 
-def fit_piece(
-    piece: Piece,
-    rows: NDArray[np.int64],
-    leader: Joint,
-    gain: Floats,
-    track: PartTrack,
-    inlier: Bools,
-    noise: NoiseModel,
-    settings: LearnSettings,
-    rng: np.random.Generator,
-) -> FittedPiece:
-    """MLESAC on all rows (k,) of a piece's joint, from the joint that won the evidence and from random sets."""
-    fit = robust_fit(leader, track, rows, inlier, noise, settings, rng)
-    rotation = None if track.rotation is None else track.rotation[rows]
-    weight = inlier[rows].astype(float) if fit is None else fit.inlier * inlier[rows]
-    joint = leader if fit is None else fit.joint
-    stds = (noise.rotation_std, noise.position_std)
-    joint = with_covariance(joint, track.position[rows], rotation, weight, stds)
-    return FittedPiece(piece, joint, gain, None if leader.kind == "rigid" else leader)
-
-
-def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseModel) -> list[FittedPiece]:
+def chained(
+    fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: MeasurementNoise
+) -> list[FittedPiece]:
     """The same pieces with their joints on one coordinate: equal where they meet, 0 at the first row.
 
     Each joint counts up in the direction in which it went furthest, unless it is of the kind of the last one and moves
@@ -83,14 +71,14 @@ def chained(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, nois
             chain.append(replace(one, joint=replace(one.joint, held=reached)))
             continue
         joint = _directed(one, chain, track, inlier, noise)
-        start = _near(joint, one.piece.start, one.piece, track, inlier, noise)
+        start = _near(joint, one.start, one, track, inlier, noise)
         if before is not None and before.kind == "rigid":
             start = _configuration_of(before, joint, noise)
         elif before is not None:
             reached, start = _meeting(before, reached, joint, start, noise)
         joint = shifted_with_origin(joint, start - reached)
         chain.append(replace(one, joint=joint))
-        reached = _near(joint, one.piece.end, one.piece, track, inlier, noise)
+        reached = _near(joint, one.end, one, track, inlier, noise)
     return chain
 
 
@@ -101,12 +89,16 @@ def shifted_with_origin(joint: Joint, offset: float) -> Joint:
 
 
 def to_segment(
-    one: FittedPiece, chain: Sequence[FittedPiece], run: int, track: PartTrack, inlier: Bools, noise: NoiseModel
+    one: FittedPiece,
+    chain: Sequence[FittedPiece],
+    certainty: SegmentCertainty,
+    run: int,
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
 ) -> Segment:
     """The segment of a chained piece, with its configurations and noise."""
-    piece, joint = one.piece, one.joint
-    index = np.arange(piece.start, piece.end + 1)
-    used = index[inlier[index]] if inlier[index].any() else index
+    joint, used = one.joint, one.index(inlier)
     c = configurations(joint, used, track, noise)
     if joint.kind == "rigid":
         start = end = joint.held
@@ -123,19 +115,20 @@ def to_segment(
     return Segment(
         joint=joint,
         run=run,
-        start=int(track.rows[piece.start]),
-        end=int(track.rows[piece.end]),
+        start=int(track.rows[one.start]),
+        end=int(track.rows[one.end]),
         configuration_start=start,
         configuration_end=end,
         configuration_range=limits,
         process_std=process,
         observation_std=_observation_std(joint, measured_by, used, track, noise),
-        log_evidence=piece.log_evidence,
-        probability=piece.probability,
+        log_evidence=one.log_evidence,
+        probability=dict(certainty.kinds)[joint.kind],
+        certainty=certainty,
     )
 
 
-def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseModel) -> Floats:
+def configurations(joint: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> Floats:
     """(k,) configurations of rows, continuous from the first, which is the whole turn closest to 0."""
     rotation = None if track.rotation is None else track.rotation[rows]
     c = inverse(joint, track.position[rows], rotation, noise.rotation_length)
@@ -143,7 +136,7 @@ def configurations(joint: Joint, rows: NDArray[np.int64], track: PartTrack, nois
 
 
 def _meeting(
-    before: Joint, before_near: float, after: Joint, after_near: float, noise: NoiseModel
+    before: Joint, before_near: float, after: Joint, after_near: float, noise: MeasurementNoise
 ) -> tuple[float, float]:
     """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
     length = noise.rotation_length
@@ -155,18 +148,17 @@ def _meeting(
     return before_near, after_near
 
 
-def _configuration_of(rigid: Joint, moving: Joint, noise: NoiseModel) -> float:
+def _configuration_of(rigid: Joint, moving: Joint, noise: MeasurementNoise) -> float:
     """Where on a moving joint a rigid one holds the part."""
     pose = forward(rigid, 0.0)
     return float(inverse(moving, pose.translation, pose.rotation, noise.rotation_length)[0])
 
 
 def _directed(
-    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: NoiseModel
+    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: MeasurementNoise
 ) -> Joint:
     """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
-    index = np.arange(one.piece.start, one.piece.end + 1)
-    index = index[inlier[index]] if inlier[index].any() else index
+    index = one.index(inlier)
     c = _smoothed(configurations(one.joint, index, track, noise))
     moving = _last_moving(chain)
     if moving is not None and moving.kind == one.joint.kind:
@@ -180,10 +172,9 @@ def _directed(
     return one.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(one.joint)
 
 
-def _near(joint: Joint, row: int, piece: Piece, track: PartTrack, inlier: Bools, noise: NoiseModel) -> float:
+def _near(joint: Joint, row: int, one: FittedPiece, track: PartTrack, inlier: Bools, noise: MeasurementNoise) -> float:
     """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
-    index = np.arange(piece.start, piece.end + 1)
-    index = index[inlier[index]] if inlier[index].any() else index
+    index = one.index(inlier)
     c = configurations(joint, index, track, noise)
     return _line_at(index.astype(float), c, float(row))
 
@@ -206,9 +197,7 @@ def _smoothed(c: Floats) -> Floats:
     return np.asarray(smooth)
 
 
-def _observation_std(
-    joint: Joint, measured_by: Joint, rows: NDArray[np.int64], track: PartTrack, noise: NoiseModel
-) -> float:
+def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> float:
     """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
     rotation = None if track.rotation is None else track.rotation[rows]
     error = compare(joint, track.position[rows], rotation, noise.rotation_length).error
@@ -225,9 +214,7 @@ def _observation_std(
     return float(np.sqrt(variance)) / max(moves + turns, 1e-12)
 
 
-def _process_std(
-    one: FittedPiece, c: Floats, rows: NDArray[np.int64], track: PartTrack, observation_std: float
-) -> float:
+def _process_std(one: FittedPiece, c: Floats, rows: Ints, track: PartTrack, observation_std: float) -> float:
     """Std of the steps that the actions, or without them a smooth motion, leave unexplained."""
     steps = np.diff(c)
     if len(steps) < 3:

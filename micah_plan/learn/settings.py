@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from micah_plan.automaton.joint import JOINT_KINDS, JointKind
 from micah_plan.errors import InputError, shown
@@ -53,3 +53,12 @@ class LearnSettings:
             value = getattr(self, item.name)
             if item.name != "kinds" and value is not None and not value > 0:
                 raise InputError(f"LearnSettings.{item.name} must be positive. Got {shown(value)}")
+
+    def of_steps(self, rows: float) -> LearnSettings:
+        """The same assumptions about means of so many rows: a white noise that was set is averaged."""
+        share = rows**-0.5
+        return replace(
+            self,
+            position_std=None if self.position_std is None else self.position_std * share,
+            rotation_std=None if self.rotation_std is None else self.rotation_std * share,
+        )

@@ -80,7 +80,7 @@ def averaged(track: PartTrack, inlier: Bools, first: Ints) -> PartTrack:
 
 
 def _sweeps(track: PartTrack) -> float:
-    """Length of the path over that of once there and back, at least 1, in position or rotation, whichever is clearer."""
+    """Path over that of once there and back, at least 1, of position or rotation, whichever is clearer."""
     channels = [track.position]
     if track.quaternion is not None:
         channels.append(2 * track.quaternion)

@@ -65,7 +65,9 @@ def locate(
         wide = max(row - _CONTEXT * reach, limits[0]), min(row + _CONTEXT * reach, limits[1])
         if near[1] <= near[0]:
             return Located(row, rows, score)
-        starts = np.unique(np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64))
+        starts = np.unique(
+            np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64)
+        )
         starts = starts[[inlier[a:b].any() for a, b in zip(starts, np.append(starts[1:], wide[1]), strict=True)]]
         scores = _scores(joints, row, starts, wide[1], track, inlier, settings, use_actions)
         inside = (starts >= near[0]) & (starts <= near[1])

@@ -12,10 +12,9 @@ from planted import JOINTS, moving_then_held, recorded
 
 from micah_plan.errors import InputError
 from micah_plan.learn.changepoints import most_probable
-from micah_plan.learn.evidence import EvidenceColumn, EvidenceStream
-from micah_plan.learn.hypothesis import view
+from micah_plan.learn.evidence import EvidenceColumn, ExactEvidence, segment_sums, tabulated
 from micah_plan.learn.length_prior import LengthPrior
-from micah_plan.learn.noise import measure_noise
+from micah_plan.learn.noise_fit import first_noise
 from micah_plan.learn.pool import window_hypotheses
 from micah_plan.learn.resampling import resample
 from micah_plan.learn.settings import LearnSettings
@@ -106,7 +105,7 @@ def test_the_recursion_finds_the_best_of_all_segmentations() -> None:
     assert [p.kind for p in found.pieces] == [int(values[p.start, p.end].argmax()) for p in found.pieces]
 
 
-def planted_stream(positions_only: bool = False) -> tuple[EvidenceStream, EvidenceStream, int]:
+def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, ExactEvidence, int]:
     recording = recorded(
         [(JOINTS["revolute"], moving_then_held("revolute", 40, 30))],
         np.random.default_rng(2),
@@ -114,15 +113,13 @@ def planted_stream(positions_only: bool = False) -> tuple[EvidenceStream, Eviden
     )
     track = part_track(recording, 0, recording.parts[0])
     chosen = LearnSettings()
-    noise, inlier = measure_noise(track, chosen)
-    hypotheses = window_hypotheses(track, inlier, noise, chosen.kinds)
-    views = [view(one, track, noise, inlier) for one in hypotheses]
-    streams = [EvidenceStream(track, inlier, noise, views, chosen.kinds, False, chosen.rest) for _ in range(2)]
-    return streams[0], streams[1], len(track)
+    noise = first_noise(track, chosen)
+    table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, False, chosen.rest)
+    return ExactEvidence(table, chosen.kinds), ExactEvidence(table, chosen.kinds), len(track)
 
 
 def test_particles_agree_with_the_exact_recursion() -> None:
-    exact, approximate, rows = planted_stream()
+    exact, approximate, rows = planted_evidence()
     prior = LengthPrior(rows / 2, 2.0)
     first = most_probable(exact, rows, prior, np.random.default_rng(0))
     second = most_probable(approximate, rows, prior, np.random.default_rng(0), particles=25)
@@ -132,7 +129,7 @@ def test_particles_agree_with_the_exact_recursion() -> None:
 
 @pytest.mark.parametrize("positions_only", [False, True])
 def test_evidence_does_not_depend_on_when_other_starts_were_forgotten(positions_only: bool) -> None:
-    full, pruned, rows = planted_stream(positions_only)
+    full, pruned, rows = planted_evidence(positions_only)
     for row in range(rows):
         everything, some = full.advance(), pruned.advance()
         at = np.searchsorted(everything.starts, some.starts)
@@ -143,9 +140,20 @@ def test_evidence_does_not_depend_on_when_other_starts_were_forgotten(positions_
 
 
 def test_evidence_prefers_the_planted_models() -> None:
-    stream, _, rows = planted_stream()
+    stream, _, rows = planted_evidence()
+    kinds = LearnSettings().kinds
     for row in range(rows):
         column = stream.advance()
         if row == 39:
-            assert stream.kinds[int(column.log_evidence[0].argmax())] == "revolute"
-    assert stream.kinds[int(column.log_evidence[40].argmax())] == "rigid"
+            assert kinds[int(column.log_evidence[0].argmax())] == "revolute"
+    assert kinds[int(column.log_evidence[40].argmax())] == "rigid"
+
+
+def test_the_evidence_of_a_segment_is_the_sum_over_its_rows() -> None:
+    rng = np.random.default_rng(3)
+    density = rng.normal(0, 2, (4, 11))
+    sums = segment_sums(density)
+    for start in range(11):
+        for end in range(start, 11):
+            total = sum(density[min(row - start, 3), row] for row in range(start, end + 1))
+            assert sums[start, end] == pytest.approx(total)

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.closed_form import fit_closed_form, fit_minimal, minimal_rows
+from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.mlesac import Mixture, fit_robust
-from micah_plan.learn.noise import measure_noise
+from micah_plan.learn.noise_fit import first_noise
 from micah_plan.learn.refine import compare, moved, refine, with_covariance
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
@@ -115,7 +116,8 @@ def test_noise_scales_come_from_the_rows() -> None:
         Noise(0.003, 0.02, 0.05),
     )
     track = part_track(recording, 0, recording.parts[0])
-    noise, inlier = measure_noise(track, LearnSettings())
+    inlier = find_inliers(track)
+    noise = first_noise(track.take(inlier.nonzero()[0]), LearnSettings())
     assert noise.position_white == pytest.approx(0.003, rel=0.2)
     assert noise.rotation_white == pytest.approx(0.02, rel=0.2)
     truth = np.linalg.norm(

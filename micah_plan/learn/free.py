@@ -1,0 +1,58 @@
+"""Free motion: what explains rows that no single joint does (two degrees of freedom, a path that deforms).
+
+Every channel goes on as it went on average over the last steps, with errors of one scale for positions and one for
+rotations. A joint foretells all but one of six channels to within noise, so it wins wherever there is one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.joint_arrays import conjugate, product, rotation_vector
+from micah_plan.learn.noise import NoiseModel, log_peak
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+
+_LOOKING_BACK = (1, 2, 3, 5)  # steps over which the velocity is averaged
+_DOF = 8.0
+_FINEST_EXTENT = 1e-3
+
+
+def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> float:
+    """ln probability of a track of free motion, to compare with that of its segments.
+
+    Args:
+        noise: of the track's measurement; free motion is not told more exactly than that.
+        trust: power of the likelihood.
+    """
+    path = _path(track)
+    n, d = path.shape
+    finest = np.sqrt(noise.left[-1])
+    best = -np.inf
+    for back in _LOOKING_BACK:
+        missed = path[1:] - _expected(path, back)
+        groups = missed.reshape(n - 1, d // 3, 3)
+        scale = np.maximum(np.repeat(np.sqrt((groups**2).mean(axis=(0, 2))), 3), finest)
+        squares = ((missed / scale) ** 2).sum(axis=1)
+        density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(squares / (_DOF + d)) - np.log(scale).sum()
+        best = max(best, float(density.sum()))
+    return trust * (best - float(np.log(np.maximum(np.ptp(path, axis=0), _FINEST_EXTENT)).sum()))
+
+
+def _path(track: PartTrack) -> Floats:
+    """(n, d) rotation so far, as a sum of small rotation vectors [rad], and position [m]."""
+    if track.quaternion is None:
+        return track.position
+    turns = rotation_vector(product(track.quaternion[1:], conjugate(track.quaternion[:-1])))
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+    return np.concatenate([turned, track.position], axis=1)
+
+
+def _expected(path: Floats, back: int) -> Floats:
+    """(n - 1, d) where rows after the first are expected, from the mean velocity over up to `back` steps before."""
+    ends = np.arange(len(path) - 1)
+    begins = np.maximum(ends - back, 0)
+    taken = np.maximum(ends - begins, 1)[:, None]
+    return np.asarray(path[ends] + (path[ends] - path[begins]) / taken)

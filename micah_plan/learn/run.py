@@ -1,0 +1,201 @@
+"""Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.certainty import EvidenceTrace, Misfit, RowPosterior, SegmentCertainty
+from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.learn.changepoints import Piece
+from micah_plan.learn.comparison import compare_all
+from micah_plan.learn.evidence import TRUST
+from micah_plan.learn.free import free_log_probability
+from micah_plan.learn.inliers import find_inliers
+from micah_plan.learn.mlesac import Mixture, fit_robust
+from micah_plan.learn.noise import MeasurementNoise
+from micah_plan.learn.posterior import ChangepointPosterior
+from micah_plan.learn.refine import with_covariance
+from micah_plan.learn.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.segments import FittedPiece, chained
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.steps import Steps, steps_of
+from micah_plan.learn.track import PartTrack
+from micah_plan.learn.zoom import Located, locate
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+_FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
+_NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedRun:
+    """What one run of one part tells.
+
+    Attributes:
+        track, inlier: its rows, and which are no outliers.
+        noise: of single rows.
+        pieces: (m,) stretches of rows with their joints, on one coordinate.
+        certainties: (m,) how sure they are.
+        posterior: over segmentations, in steps.
+        trace: evidence over time.
+    """
+
+    track: PartTrack
+    inlier: Bools
+    noise: MeasurementNoise
+    pieces: tuple[FittedPiece, ...]
+    certainties: tuple[SegmentCertainty, ...]
+    posterior: ChangepointPosterior
+    trace: EvidenceTrace
+
+
+def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> LearnedRun:
+    """Segment a track and fit the joints of its segments to all of their rows."""
+    inlier = find_inliers(track)
+    steps = steps_of(track, inlier, settings.resolution)
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, rng)
+    noise = segmented.noise.of_rows(steps.size)
+    posterior = posterior_of(segmented, settings)
+    log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
+    pieces = segmented.segmentation.pieces
+    if log_odds > 0:
+        pieces = (segmented.best_single(),)
+    located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
+    starts = [0, *(one.row for one in located)]
+    ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
+    spans = list(zip(starts, ends, strict=True))
+    joints = _joints(pieces, spans, segmented, track, inlier, noise, settings, rng)
+    fitted = [
+        FittedPiece(
+            a, b, joints[p.hypothesis], segmented.table.motion.gain[p.hypothesis], _leader(p, segmented), p.log_evidence
+        )
+        for p, (a, b) in zip(pieces, spans, strict=True)
+    ]
+    chain = chained(fitted, track, inlier, noise)
+    misfit = None
+    if log_odds > 0:
+        misfit = _misfit(chain[0].joint, track, inlier, noise, log_odds)
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, log_odds) for p in pieces]
+    places = [None, *(_row_posterior(one, track) for one in located)]
+    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
+    trace = _trace(segmented, posterior, settings)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace)
+
+
+def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
+    joint = segmented.table.pool.hypotheses.joints.joint(piece.hypothesis)
+    return None if joint.kind == "rigid" else joint
+
+
+def _located(
+    before: Piece,
+    after: Piece,
+    segmented: Segmented,
+    steps: Steps,
+    track: PartTrack,
+    inlier: Bools,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> Located:
+    """The row at which one piece goes over into the next."""
+    joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
+    limits = int(steps.first[before.start]), int(steps.first[after.end + 1])
+    row = int(steps.first[after.start])
+    return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size), use_actions)
+
+
+def _joints(
+    pieces: Sequence[Piece],
+    spans: Sequence[tuple[int, int]],
+    segmented: Segmented,
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+) -> dict[int, Joint]:
+    """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won."""
+    found = {}
+    span = float(np.ptp(track.position, axis=0).max())
+    mixture = Mixture(
+        rotation_std=noise.rotation_std,
+        position_std=noise.position_std,
+        rotation_span=2 * np.pi,
+        position_span=max(2 * span, 20 * noise.position_std),
+        weight=settings.outlier_weight,
+    )
+    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
+        rows = np.concatenate(
+            [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
+        )
+        leader = segmented.table.pool.hypotheses.joints.joint(hypothesis)
+        rotation = None if track.rotation is None else track.rotation[rows]
+        weight = inlier[rows].astype(float)
+        fit = fit_robust(leader.kind, track.position[rows], rotation, mixture, rng, settings.draws, weight)
+        joint = leader if fit is None else fit.joint
+        weight = weight if fit is None else fit.inlier * weight
+        found[hypothesis] = with_covariance(joint, track.position[rows], rotation, weight, mixture.stds)
+    return found
+
+
+def _misfit(joint: Joint, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float) -> Misfit:
+    """How far a joint is from rows that it does not explain."""
+    seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
+    error = seen.error[0, inlier]
+    turned = track.quaternion is not None
+    return Misfit(
+        position=float(np.sqrt((error[:, -3:] ** 2).sum(axis=1).mean())),
+        rotation=float(np.sqrt((error[:, :3] ** 2).sum(axis=1).mean())) if turned else None,
+        position_noise=float(np.sqrt(3)) * noise.position_white,
+        rotation_noise=float(np.sqrt(3)) * noise.rotation_white if turned else None,
+        log_odds=log_odds,
+    )
+
+
+def _row_posterior(located: Located, track: PartTrack) -> RowPosterior:
+    weights = np.exp(located.log_probability - located.log_probability.max())
+    weights = weights / weights.sum()
+    kept = weights > _NEGLIGIBLE
+    share = weights[kept] / weights[kept].sum()
+    return RowPosterior(
+        tuple(int(row) for row in track.rows[located.rows[kept]]), tuple(float(value) for value in share)
+    )
+
+
+def _trace(segmented: Segmented, posterior: ChangepointPosterior, settings: LearnSettings) -> EvidenceTrace:
+    """Evidence over time of the joints in use, and of the best other one of every kind."""
+    table = segmented.table
+    used = list(dict.fromkeys(piece.hypothesis for piece in segmented.segmentation.pieces))
+    names = table.pool.hypotheses.joints.kinds
+    total = table.log_density[-1].sum(axis=0) - table.occam
+    for kind in settings.kinds:
+        of_kind = [i for i, name in enumerate(names) if name == kind]
+        if of_kind and not any(names[i] == kind for i in used):
+            used.append(max(of_kind, key=lambda i: float(total[i])))
+    density = table.log_density[
+        np.minimum(np.arange(len(segmented.track)), len(table.log_density) - 1), np.arange(len(segmented.track))
+    ]
+    return EvidenceTrace(
+        rows=tuple(int(row) for row in segmented.track.rows),
+        models=_numbered([names[i] for i in used]),
+        log_density=tuple(tuple(float(v) for v in row) for row in density[:, used]),
+        changepoint=tuple(float(v) for v in posterior.changepoint),
+    )
+
+
+def _numbered(kinds: Sequence[JointKind]) -> tuple[str, ...]:
+    """Names of models: their kind, numbered from the second of a kind on."""
+    seen: dict[str, int] = {}
+    names = []
+    for kind in kinds:
+        seen[kind] = seen.get(kind, 0) + 1
+        names.append(kind if seen[kind] == 1 else f"{kind}_{seen[kind]}")
+    return tuple(names)
