@@ -27,6 +27,9 @@ _EXPLAINED = 0.5  # ρ with actions
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _EXPECTATION_STEPS = 6
 _FEWEST_ROWS = 12  # to tell an action channel
+_TRACKED = 3  # steps over which a speed is followed
+_SLOWEST = 0.2  # of the typical speed; slower is rest
+_OTHER_SPEED = 0.1
 _TINY = 1e-16
 _TURNING = 0.01  # probability that a step goes the other way than the one before
 _STARTING = 0.05  # probability that a part that has not moved yet starts to
@@ -78,15 +81,27 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
     weight = (used[:, 1:] & used[:, :-1]).T[:, :, None].astype(float)
     enough = np.maximum(weight.sum(axis=(0, 2)), 1.0)
     steps = weight[..., 0].T * np.diff(c, axis=1)
-    mean_square = np.maximum((steps**2).sum(axis=1) / enough, np.maximum(pool.white[members] * 1e-3, _TINY))
+    white = pool.white[members]
+    mean_square = np.maximum((steps**2).sum(axis=1) / enough, np.maximum(white * 1e-3, _TINY))
     grid = mean_square[:, None] * _STEP_SHARES
     signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
     if action is not None:
         commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
         signals += [np.broadcast_to(commanded[:, i], c.shape) for i in range(3)]
     stacked = np.stack(signals, axis=-1)
-    innovations, quiet = _innovations(stacked, pool.white[members], pool.renewed[members], grid, scale[members])
-    models = [_freely(innovations[..., 0], innovations[..., 1], quiet, grid, weight, rest, _directions(c))]
+    innovations, quiet = _innovations(stacked, white, pool.renewed[members], grid, scale[members])
+    models = [
+        _freely(
+            innovations[..., 0],
+            innovations[..., 1],
+            quiet,
+            mean_square,
+            weight,
+            rest,
+            _directions(c),
+            *_speeds(c, weight, white),
+        )
+    ]
     if action is not None:
         lever = pool.lever[members]
         along = _led(innovations, quiet, grid, weight, lever[:, :, None])
@@ -137,7 +152,15 @@ def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, 
 
 
 def _freely(
-    innovation: Floats, ramp: Floats, quiet: Floats, grid: Floats, weight: Floats, rest: float, direction: Floats
+    innovation: Floats,
+    ramp: Floats,
+    quiet: Floats,
+    square: Floats,
+    weight: Floats,
+    rest: float,
+    direction: Floats,
+    before: Floats,
+    trust: Floats,
 ) -> _StepModel:
     """(μ, q) by expectation maximisation for every E[w²] of the grid, the best of them.
 
@@ -145,6 +168,7 @@ def _freely(
     innovations of a ramp, so that under noise a stop shows in the rows that follow. A part may turn back: the sign of
     the steps is a hidden state that rarely changes.
     """
+    grid = square[:, None] * _STEP_SHARES
     resting = (1 - rest) * (ramp - 1)
     going = resting + 1
     folded = innovation * direction.T[:, :, None]
@@ -162,6 +186,17 @@ def _freely(
         variance = np.maximum(missed.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
     forth = log_step_density(innovation - mean * resting, quiet, mean, variance, rest)
     back = log_step_density(innovation + mean * resting, quiet, -mean, variance, rest)
+    # How fast a part is moved belongs to the demonstration and changes: as likely it goes on as it went before.
+    speed = np.maximum(mean + trust[:, None] * (np.abs(before)[:, :, None] - mean), _SLOWEST * mean)
+    missed = weight * ((folded - speed * going) ** 2 - quiet)
+    spread = np.maximum(missed.sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0), 0.01 * grid)
+    as_before = log_step_density(innovation - speed * resting, quiet, speed, spread, rest)
+    back_as_before = log_step_density(innovation + speed * resting, quiet, -speed, spread, rest)
+    # Or it changes at once.
+    other = _quiet_density(innovation, quiet + square[:, None]) + np.log(_OTHER_SPEED)
+    share = np.log(0.5 * (1 - _OTHER_SPEED))
+    forth = np.logaddexp(np.logaddexp(forth, as_before) + share, other)
+    back = np.logaddexp(np.logaddexp(back, back_as_before) + share, other)
     best = np.argmax((np.maximum(forth, back) * weight).sum(axis=0), axis=1)
     at = np.arange(len(best))
     waiting = _quiet_density(innovation[:, at, best], quiet[:, at, best])
@@ -192,6 +227,17 @@ def _either(forth: Floats, back: Floats, waiting: Floats) -> Floats:
 
 def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:
     return np.asarray(-0.5 * (np.log(2 * np.pi * quiet) + innovation**2 / quiet))
+
+
+def _speeds(c: Floats, weight: Floats, white: Floats) -> tuple[Floats, Floats]:
+    """(n - 1, h) mean step of the few before each, and how much of its scatter (h,) is not noise."""
+    last = np.arange(c.shape[1] - 1)
+    first = np.maximum(last - _TRACKED, 0)
+    before = ((c[:, last] - c[:, first]) / np.maximum(last - first, 1)).T
+    count = np.maximum(weight[..., 0].sum(axis=0), 1.0)
+    middle = (weight[..., 0] * before).sum(axis=0) / count
+    scatter = (weight[..., 0] * (before - middle) ** 2).sum(axis=0) / count
+    return before, np.maximum(scatter - 2 * white / _TRACKED**2, 0.0) / np.maximum(scatter, _TINY)
 
 
 def _directions(c: Floats) -> Floats:

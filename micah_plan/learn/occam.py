@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.comparison import Compared
-from micah_plan.learn.pool_fits import parameter_design
 from micah_plan.learn.noise import NoiseModel
 from micah_plan.learn.pool import Pool
+from micah_plan.learn.pool_fits import parameter_design
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

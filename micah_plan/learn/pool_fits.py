@@ -28,9 +28,11 @@ def fit_likelihood(
         used: (h, n) the rows that each is fitted to.
         iterations: Gauss-Newton steps, each taken only by the joints that it improves.
     """
+    if not len(joints):
+        return joints
     order = _known_before(used, min(_ORDER, len(noise.left) - 1))
     scale = np.where(used[:, :, None], 1 / np.sqrt(noise.left[order]), 0.0)
-    coefficients = noise.coefficients[order, : order.max(initial=0)] if used.any() else np.zeros((*used.shape, 0, 1))
+    coefficients = noise.coefficients[order, : order.max()]
     seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
     damping = np.full(len(joints), 1e-6)
