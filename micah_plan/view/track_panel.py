@@ -99,4 +99,4 @@ def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
 
 def _locator(share: float) -> Any:
     """As many ticks as a side of this length, relative to the longest, has room for."""
-    return MaxNLocator(nbins=max(1, round(4.4 * share)), steps=[1, 2, 5, 10], min_n_ticks=1)
+    return MaxNLocator(nbins=max(2, round(4.4 * share)), steps=[1, 2, 5, 10], min_n_ticks=1)
