@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
+from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import chain, components, moving_joints
@@ -20,6 +21,8 @@ Floats = NDArray[np.float64]
 class NominalPlant:
     """What the planner believes in: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
 
+    Thresholds are drawn at every reset, as well as the model knows them.
+
     Pose noise is white in position and rotation, in the ratio in which the inverse kinematics weighs them, and of such
     a size that the configuration found from it has the model's `observation_std`.
     """
@@ -28,6 +31,7 @@ class NominalPlant:
         """Args: the model, the belief from which true starts are drawn, and the duration of a control step [s]."""
         self.automaton = automaton
         self.start = start
+        self._true = automaton
         self._period = control_period
         self._process_std = np.array(automaton.noise.process_std)
         self._rng: np.random.Generator | None = None
@@ -39,7 +43,8 @@ class NominalPlant:
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
         self._rng = rng
-        self._mode, self._x = sample_start(self.automaton, self.start, rng)
+        self._true = with_drawn_thresholds(self.automaton, rng)
+        self._mode, self._x = sample_start(self._true, self.start, rng)
         self._time = 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)
         return self._measure(0.0)
@@ -49,7 +54,7 @@ class NominalPlant:
         if self._rng is None:
             raise RuntimeError("apply before reset")
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
-        after = step(self.automaton, self._mode, self._x, command.input, disturbance)
+        after = step(self._true, self._mode, self._x, command.input, disturbance)
         self._mode, self._x = after.mode, after.x
         self._time += self._period
         return self._measure(self._period)
