@@ -139,7 +139,7 @@ def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
     box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
     name, probability = ranked[0]
     axes.text(
-        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8.5, weight="bold", color=INK, bbox=box
+        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8, weight="bold", color=INK, bbox=box
     )
     rest = [f"{name} {percents(probability)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
     axes.text(1.04, place, "".join(rest), va="center", fontsize=8.5, color=PANEL_INK)

@@ -250,3 +250,13 @@ def test_a_trace_of_other_rows_has_no_panels() -> None:
     changed = dataclasses.replace(edge, certainty=dataclasses.replace(edge.certainty, trace=elsewhere))
     figure = learning_figure(recording, KinematicGraph((changed,)))
     assert not any(axes.get_ylabel().startswith(("evidence", "P(")) for axes in figure.axes)
+
+
+def test_names_of_the_axes_in_space_are_not_cut_off() -> None:
+    for make in (assessed_door, no_joint, cabinet_runs):
+        figure = learning_figure(*make())
+        figure.draw_without_rendering()
+        renderer = figure.canvas.get_renderer()
+        for space in (axes for axes in figure.axes if axes.name == "3d"):
+            for axis in (space.xaxis, space.yaxis, space.zaxis):
+                assert axis.label.get_window_extent(renderer).x0 >= 0
