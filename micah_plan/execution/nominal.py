@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
 from micah_plan.automaton.thresholds import with_drawn_thresholds
+from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import chain, components, moving_joints
@@ -85,11 +86,13 @@ def pose_noise(automaton: HybridAutomaton) -> TrackerNoise:
     The inverse kinematics is the least-squares fit of position p and rotation L r (L the rotation length), so noise of
     std s in p and s / L in r gives a configuration of std s / |J|, J the Jacobian with its rotation scaled by L.
     """
-    position = []
-    first = automaton.modes[0].name
-    for link, joint in zip(automaton.links, moving_joints(automaton, first), strict=True):
-        scaled = jacobian(joint, 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
+    of_coordinate = np.zeros(automaton.n)
+    joints = moving_joints(automaton, automaton.modes[0].name)
+    for number, link in measuring_links(automaton):
+        scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
         # An unmoving part has no configuration; its noise is that of a slide.
         sensitivity = float(np.linalg.norm(scaled)) or 1.0
-        position.append(automaton.noise.observation_std[link.coordinate] * sensitivity)
+        of_coordinate[link.coordinate] = automaton.noise.observation_std[link.coordinate] * sensitivity
+    # A part fixed to another is seen as well as that one.
+    position = [of_coordinate[link.coordinate] for link in automaton.links]
     return TrackerNoise(np.array(position), np.array(position) / ROTATION_LENGTH)
