@@ -36,6 +36,39 @@ import numpy as np
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.learned import learned_edges
+from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
+from micah_plan.automaton.misfit import misfit_error
+from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
+from micah_plan.errors import InputError
+
+SMALLEST_STD = 1e-6
+
+
+def build_automaton(
+    graph: KinematicGraph,
+    *,
+    parts: Sequence[Part] = (),
+    noise: Noise | None = None,
+    release: float = 0.0,
+    input_limits: Sequence[float] | None = None,
+    provenance: Mapping[str, str] | None = None,
+) -> HybridAutomaton:
+    """H = (Q, X, U, Init, f, I, E, G, R, φ) of a kinematic graph, as the module's docstring defines it.
+
+    Args:
+        parts: bodies with their shapes and handles; parts of the graph that are not among them get no shapes.
+        noise: process and observation noise; None: root mean square over the segments of each edge, by rows.
+        release: displacement per step that an input must exceed to pull a part out of a rigid model [rad or m].
+        input_limits: largest displacement per step [rad or m], one per edge that is not fixed to another part; None:
+            any input is admissible.
+        provenance: where the model came from.
+
+    Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``),
+    without those of fixed parts.
+
+    Raises:
         InputError: no edges, edges not in the order parents first, rows that no single joint explains, segments that do
             not follow one another along one coordinate, or bad arguments.
     """

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.automaton.misfit import misfit_of
 from micah_plan.learn.relative import RelativeRows
 
 Floats = NDArray[np.float64]
@@ -32,11 +33,13 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         poses: (n,) of the whole recording, base frame.
 
     Returns:
-        (n,) poses, base frame; rows that no segment covers are as they were.
+        (n,) poses, base frame; rows that no segment covers, or that no joint explains, are as they were.
     """
     position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
     seen = relative.recording.poses()
     for segment in edge.segments:
+        if misfit_of(segment) is not None:
+            continue
         index = slice(segment.start, segment.end + 1)
         rotation = seen.rotation[index] if relative.recording.has_orientation else None
         c = inverse(segment.joint, seen.translation[index], rotation)
