@@ -114,15 +114,12 @@ def _is_fixed(edge: KinematicEdge) -> bool:
 def _links(graph: KinematicGraph, moving: Sequence[KinematicEdge]) -> tuple[Link, ...]:
     """One per edge; a fixed part's follows the coordinate of what carries it."""
     numbers = {edge.child: i for i, edge in enumerate(moving)}
-    links = []
+    links: list[Link] = []
     for edge in graph.edges:
-        if edge.child not in numbers:
-            if edge.parent not in numbers:
-                problem = (
-                    f"edge {edge.parent} -> {edge.child}: the parent must be {BASE} or the child of an earlier edge"
-                )
-                raise InputError(problem, remedy="list parents first")
-            numbers[edge.child] = numbers[edge.parent]
+        if edge.parent not in (BASE, *(link.child for link in links)):
+            problem = f"edge {edge.parent} -> {edge.child}: parent must be {BASE} or the child of an earlier edge"
+            raise InputError(problem, remedy="list parents first")
+        numbers.setdefault(edge.child, numbers.get(edge.parent, 0))
         links.append(Link(edge.parent, edge.child, numbers[edge.child]))
     return tuple(links)
 
