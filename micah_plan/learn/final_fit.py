@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.automaton.kinematics import inverse, reversed_direction, shifted
+from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
+from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.learn.channels import seen_by
 from micah_plan.learn.closed_form import fit_closed_form
 from micah_plan.learn.comparison import compare_all
 from micah_plan.learn.likelihood import fit_likelihood, likeliest, noise_of, parameter_covariance, white_noise
 from micah_plan.learn.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
+from micah_plan.learn.quaternions import times
 
 Floats = NDArray[np.float64]
 
@@ -176,8 +177,19 @@ def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
         return replace(joint, held=guess.held)
     if np.dot(joint.axis, guess.axis) < 0:
         joint = reversed_direction(joint)
-    rotation = Rotation.from_quat(guess.quaternion) if has_orientation else None
-    return shifted(joint, float(inverse(joint, guess.position, rotation, near=0.0)[0]))
+    quaternion = np.array([guess.quaternion]) if has_orientation else None
+    c = float(seen_by(joint, np.array([guess.position]), quaternion, _ROTATION_LENGTH).configuration[0])
+    axis, position, center = np.array(joint.axis), np.array(joint.position), np.array(joint.center)
+    if joint.kind == "prismatic":
+        return prismatic(axis, position + c * axis, joint.quaternion)
+    arm, slide = position - center, joint.pitch * c * axis
+    side = np.cross(axis, arm)
+    turn = np.append(np.sin(c / 2) * axis, np.cos(c / 2))
+    position = center + slide + np.cos(c) * arm + np.sin(c) * side
+    quaternion = times(turn, np.array(joint.quaternion))
+    if joint.kind == "revolute":
+        return revolute(axis, center, position, quaternion)
+    return screw(axis, center + slide, joint.pitch, position, quaternion)
 
 
 def _fitted(joint: Joint, mixtures: Mixtures, has_orientation: bool) -> FittedJoint:

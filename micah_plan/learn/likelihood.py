@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.channels import Channel, Seen, channels_of, seen_by
 from micah_plan.learn.parametrization import Chart, chart_of, stepped
-from micah_plan.learn.wander import NoisePosterior, OrnsteinUhlenbeck, memories, noise_posterior
+from micah_plan.learn.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 Floats = NDArray[np.float64]
 
-_STEPS = 10
+_STEPS = 25
+_UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
 _UNKNOWN = 1.0  # rad, m, m/rad: std of what the rows say nothing about
 
 
@@ -126,21 +127,22 @@ def noise_of(
         found.append(posterior)
     score = np.sum([one.log_likelihood for one in found], axis=0)
     probability = np.exp(score - score.max())
+    probability[probability < _UNLIKELY] = 0.0
     probability /= probability.sum()
-    of_position = found[0]
-    of_rotation = found[1] if len(found) > 1 else None
+    position, rotation = found[0], found[1] if len(found) > 1 else None
     return [
         (
             float(probability[i]),
             TrackerNoise(
-                float(of_position.white[i]),
-                float(of_position.wander[i]),
-                float(of_rotation.white[i]) if of_rotation else stds[0] ** 2,
-                float(of_rotation.wander[i]) if of_rotation else 0.0,
-                process,
+                float(position.white[i]),
+                float(position.wander[i]),
+                float(rotation.white[i]) if rotation else stds[0] ** 2,
+                float(rotation.wander[i]) if rotation else 0.0,
+                OrnsteinUhlenbeck(time, float(memory)),
             ),
         )
-        for i, process in enumerate(processes)
+        for i, memory in enumerate(finer(tried))
+        if probability[i]
     ]
 
 
@@ -208,7 +210,7 @@ def _spread_of_pull(
         ):
             flat = columns.reshape(-1, p)
             total += probability * white * (flat.T @ flat)
-            if one.process is not None and wander > 0 and probability > 1e-3:
+            if one.process is not None and wander > 0:
                 wandered = one.process.covariance_times(columns.reshape(n, -1))
                 total += probability * wander * (flat.T @ wandered.reshape(-1, p))
     return total

@@ -8,18 +8,21 @@ Their posterior over a grid is kept: what the data cannot tell of the wander the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 
 Floats = NDArray[np.float64]
 
-_TIMES = 4  # correlation times tried
-_LONGEST = 0.3  # of the duration; a slower wander looks like another joint
-_RATIOS = (0.0, 1.0, 4.0, 16.0, 64.0, 256.0)  # noise that a wander adds at slow frequencies, in units of the white
-_LEANING = 0.5
-_CALM = 0.45  # probability, before anything is seen, that a tracker does not wander
+_TIMES = 5  # correlation times tried
+_LONGEST = 0.5  # of the duration; a slower wander looks like another joint
+_RATIOS = (1.0, 6.0, 36.0, 216.0, 1296.0, 7776.0)  # noise a wander adds at slow frequencies, in units of the white
+_LEANING = 0.25
+_FINE = 13  # correlation times, and ratios, that likelihoods are interpolated at
+_CALM = 0.7  # probability, before anything is seen, that a tracker does not wander
 _FASTEST = 2.0  # rows; a wander of shorter memory is white noise
 _LEAST_INNOVATION = 1e-6  # of an Ornstein-Uhlenbeck step; rows at the same time would make it 0
 _GAP = 10.0  # rows; a longer pause counts as one of this length
@@ -54,11 +57,11 @@ class OrnsteinUhlenbeck:
 
 @dataclass(frozen=True, eq=False)
 class NoisePosterior:
-    """What is known of one channel's noise, for each correlation time tried.
+    """What is known of one channel's noise, for each of the `finer` correlation times.
 
     Attributes:
-        log_likelihood: (t,) restricted, the ratios of wander to white noise integrated out.
-        white, wander: (t,) mean variances, given each correlation time.
+        log_likelihood: (f,) restricted, the ratios of wander to white noise integrated out.
+        white, wander: (f,) mean variances, given each correlation time.
     """
 
     log_likelihood: Floats
@@ -97,38 +100,59 @@ def noise_posterior(
     # Columns of one channel stay together, so that one tridiagonal solve serves them all.
     both = np.concatenate([columns, error.reshape(n * k, 1)], axis=1).reshape(n, -1)
     flat = both.reshape(n * k, rank + 1)
-    prior = _prior(np.array([process.memory for process in processes]))
-    scores, variances = np.zeros_like(prior), np.zeros_like(prior)
-    ratios = np.array(
-        [np.array(_RATIOS) * processes[0].memory / (2 * _FASTEST * process.memory) for process in processes]
-    )
-    for t, process in enumerate(processes):
-        for i, ratio in enumerate(ratios[t].tolist()):
-            if t and not i:
-                scores[t, 0], variances[t, 0] = scores[0, 0], variances[0, 0]
-                continue
-            solved, log_det = process.whiten(ratio, both)
-            squares, log_information = _left(flat.T @ solved.reshape(n * k, rank + 1), least * degrees)
-            scores[t, i] = -0.5 * (degrees * np.log(squares) + k * log_det + log_information)
-            variances[t, i] = squares / max(degrees - 2, 1)
-    top = scores.max()
-    weight = np.exp(scores - top) * prior
-    total = weight.sum(axis=1, keepdims=True)
-    weight /= total
-    white = (weight * variances).sum(axis=1)
-    return NoisePosterior(top + np.log(total[:, 0]), white, (weight * variances * ratios).sum(axis=1))
+    slowness = np.array([process.memory for process in processes]) / processes[0].memory
+    tried = [
+        (process, ratio / (2 * _FASTEST * slow))
+        for process, slow in zip(processes, slowness, strict=True)
+        for ratio in _RATIOS
+    ]
+    scores, squares = [], []
+    for process, ratio in [*tried, (processes[0], 0.0)]:
+        solved, log_det = process.whiten(ratio, both)
+        left, log_information = _left(flat.T @ solved.reshape(n * k, rank + 1), least * degrees)
+        scores.append(-0.5 * (degrees * np.log(left) + k * log_det + log_information))
+        squares.append(np.log(left))
+    # The first column is the likelihood without wander, which no correlation time changes.
+    score, white = (_finer(np.array(values), len(processes)) for values in (scores, squares))
+    white = np.exp(white) / max(degrees - 2, 1)
+    fine = np.exp(np.linspace(0, np.log(slowness[-1]), _FINE))
+    level = np.append(0.0, np.exp(np.linspace(np.log(_RATIOS[0]), np.log(_RATIOS[-1]), _FINE)))
+    wander = white * level / (2 * _FASTEST * fine[:, None])
+    top = score.max()
+    weight = np.exp(score - top) * _prior(fine)
+    total = np.maximum(weight.sum(axis=1), 1e-300)
+    share = weight / total[:, None]
+    return NoisePosterior(top + np.log(total), (share * white).sum(axis=1), (share * wander).sum(axis=1))
 
 
-def _prior(tried: Floats) -> Floats:
-    """(t, r) what is believed of correlation times and ratios before anything is seen.
+def finer(tried: Floats) -> Floats:
+    """The correlation times that a `NoisePosterior` speaks of, from those tried."""
+    return np.geomspace(tried[0], tried[-1], _FINE)
+
+
+def _finer(values: Floats, times: int) -> Floats:
+    """(f, 1 + f) values on the finer grid, from those tried (t r + 1,) of which the last is without wander."""
+    over_times, over_ratios = _spline(times), _spline(len(_RATIOS))
+    wandering = over_times @ values[:-1].reshape(times, -1) @ over_ratios.T
+    return np.column_stack([np.full(_FINE, values[-1]), wandering])
+
+
+@lru_cache(maxsize=8)
+def _spline(points: int) -> Floats:
+    """(f, points) matrix that interpolates values at even points, by a cubic spline."""
+    return np.asarray(CubicSpline(np.linspace(0, 1, points), np.eye(points))(np.linspace(0, 1, _FINE)))
+
+
+def _prior(slowness: Floats) -> Floats:
+    """(f, 1 + f) what is believed of correlation times and ratios before anything is seen.
 
     Likelihoods underrate slow wander, for a fit absorbs it: the prior leans that way, as reference priors of
     autoregressions do (Berger and Yang, 1994).
     """
-    slow = (tried / tried[0]) ** _LEANING
-    prior = np.outer(slow / slow.sum(), np.full(len(_RATIOS), (1 - _CALM) / (len(_RATIOS) - 1)))
-    prior[:, 0] = _CALM / len(tried)
-    return prior
+    slow = slowness**_LEANING
+    prior = np.outer(slow / slow.sum(), np.full(_FINE + 1, (1 - _CALM) / _FINE))
+    prior[:, 0] = _CALM / _FINE
+    return np.asarray(prior)
 
 
 def _left(gram: Floats, least: float) -> tuple[float, float]:
