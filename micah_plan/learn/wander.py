@@ -106,14 +106,15 @@ def noise_posterior(
         for process, slow in zip(processes, slowness, strict=True)
         for ratio in _RATIOS
     ]
-    scores, squares = [], []
+    grams, log_dets = [], []
     for process, ratio in [*tried, (processes[0], 0.0)]:
         solved, log_det = process.whiten(ratio, both)
-        left, log_information = _left(flat.T @ solved.reshape(n * k, rank + 1), least * degrees)
-        scores.append(-0.5 * (degrees * np.log(left) + k * log_det + log_information))
-        squares.append(np.log(left))
+        grams.append(flat.T @ solved.reshape(n * k, rank + 1))
+        log_dets.append(log_det)
+    left, log_information = _left(np.array(grams), least * degrees)
+    scores = -0.5 * (degrees * np.log(left) + k * np.array(log_dets) + log_information)
     # The first column is the likelihood without wander, which no correlation time changes.
-    score, white = (_finer(np.array(values), len(processes)) for values in (scores, squares))
+    score, white = (_finer(values, len(processes)) for values in (scores, np.log(left)))
     white = np.exp(white) / max(degrees - 2, 1)
     fine = np.exp(np.linspace(0, np.log(slowness[-1]), _FINE))
     level = np.append(0.0, np.exp(np.linspace(np.log(_RATIOS[0]), np.log(_RATIOS[-1]), _FINE)))
@@ -155,12 +156,13 @@ def _prior(slowness: Floats) -> Floats:
     return np.asarray(prior)
 
 
-def _left(gram: Floats, least: float) -> tuple[float, float]:
-    """Squares that a fit leaves and log det of its information, from the products of [columns, errors]."""
-    rank = len(gram) - 1
-    lower = np.linalg.cholesky(gram[:rank, :rank])
-    pulled = np.linalg.solve(lower, gram[:rank, rank])
-    return max(float(gram[rank, rank] - pulled @ pulled), least), 2 * float(np.log(np.diag(lower)).sum())
+def _left(grams: Floats, least: float) -> tuple[Floats, Floats]:
+    """(g,) squares that fits leave and log det of their information; grams (g, r + 1, r + 1) of columns and errors."""
+    rank = grams.shape[1] - 1
+    lower = np.linalg.cholesky(grams[:, :rank, :rank])
+    pulled = np.linalg.solve(lower, grams[:, :rank, rank:])[:, :, 0]
+    squares = np.maximum(grams[:, rank, rank] - np.einsum("gi,gi->g", pulled, pulled), least)
+    return squares, 2 * np.log(np.einsum("gii->gi", lower)).sum(axis=1)
 
 
 def _independent(columns: Floats) -> Floats:
