@@ -6,8 +6,8 @@ footnote in the source of its Table I). Here are three counts:
 
 * structure: number of changepoints and kinds of joint match;
 * correct: structure, and within epsilon are the axis, as the paper measures it (1 - |cos| of the angle, so 0.05
-  forgives 0.32 rad), the centre and the radius [m] of a revolute joint, and the configurational changepoint [rad], which
-  is where the automaton will put its guard;
+  forgives 0.32 rad), the centre and the radius [m] of a revolute joint, and the configurational changepoint [rad],
+  which is where the automaton will put its guard;
 * strict: correct, and the angle between the axes, with their sense, is within epsilon too [rad].
 
 And two limits:
@@ -18,8 +18,8 @@ And two limits:
 * `actions_tell`, `poses_tell`: whether the data show that a rest on the way is not a stop. Actions do unless the hand
   moved in vain along the joint (in the air, or taking up slack) for half as long as it pressed on the shut door
   or, for a drawer, for 15 rows of its typical step. Poses alone do not once a rest lasts 10 rows (0.55 s): it looks
-  as the shut door does. Where data do not tell, a method can still be right by convention, such as "a rest after which
-  the part moves on along the same joint is a pause, a last one is a stop".
+  as the shut door does. Neither considers the tracker's noise. Where data do not tell, a method can still be right by
+  convention, such as "a rest after which the part moves on along the same joint is a pause, a last one is a stop".
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def _shortened(text: str) -> str:
         if depth >= 0 and indent > depth:
             continue
         depth = -1
-        if line.strip() == "covariance:":
+        if line.strip().startswith("covariance:"):
             depth = indent
             line = " " * indent + "covariance: # names and matrix, left out on this page"
         kept.append(line)

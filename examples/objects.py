@@ -1,4 +1,4 @@
-"""The true microwave and drawer of the simulated demonstrations.
+"""The true microwave, drawer and cabinet of the simulated demonstrations.
 
 The base frame has x to the right, y out of the front and z up, in metres. `micah-plan learn` does not see these
 mechanisms; it sees recordings. Shapes and handles are not learned: the true objects and the learned models take them
@@ -7,6 +7,7 @@ from `models/parts`, where they are given in each part's own frame, the one that
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,15 @@ DOOR_OPEN = 1.2
 DRAWER_TRAVEL = 0.32
 """From shut to the end stop [m]."""
 
+CABINET_TRAVEL = 0.3
+"""How far the cabinet's drawer comes out [m]."""
+
 _HINGE = (-0.24, 0.01, 0.0)
 _TRACKED = 0.31
+_CABINET_HINGE = (-0.2, 0.01, 0.0)
+_CABINET_TRACKED = 0.2
+_CABINET_DRAWER = (0.0, 0.0, 0.28)
+_HANDLE_ON_DOOR = (0.15, 0.045, 0.05)
 _PARTS = Path(__file__).resolve().parent.parent / "models" / "parts"
 
 
@@ -62,6 +70,40 @@ def drawer() -> HybridAutomaton:
     return _object("drawer", "m", drawer_parts(), (sliding,), (stop,))
 
 
+def cabinet() -> HybridAutomaton:
+    """A door as the microwave's, its handle, which is tracked too, and above it a drawer: three parts, two coordinates.
+
+    The drawer runs out along y. The handle is fixed to the door and turned, as a marker glued to it would be.
+    """
+    direction = Rotation.from_rotvec([0.0, 0.0, DOOR_OPEN])
+    tracked = np.array(_CABINET_HINGE) + direction.apply([_CABINET_TRACKED, 0.0, 0.0])
+    swing = revolute((0.0, 0.0, -1.0), _CABINET_HINGE, tracked, direction.as_quat())
+    slide = prismatic((0.0, 1.0, 0.0), _CABINET_DRAWER)
+    handle = rigid(_HANDLE_ON_DOOR, Rotation.from_rotvec([0.0, 0.5, 0.0]).as_quat())
+    pose = forward(swing, DOOR_OPEN)[0]
+    shut = rigid(pose.translation, pose.rotation.as_quat(), DOOR_OPEN)
+    names = ["door", "drawer"]
+    free, held = ((1.0, 0.0), (0.0, 1.0)), ((0.0, 0.0), (0.0, 1.0))
+    reach = box([0.0, 0.0], [DOOR_OPEN, CABINET_TRAVEL], 2, names)
+    shut_and_any = Region((above(0, DOOR_OPEN, 2, 2), above(1, 0.0, 2, 2), below(1, CABINET_TRAVEL, 2, 2)))
+    swinging = Mode("swinging", (swing, slide, handle), free, reach)
+    fixed = replace(handle, held=DOOR_OPEN)
+    latched = Mode("latched", (shut, slide, fixed), held, shut_and_any, pins=(Pin(0, DOOR_OPEN, 1e-3),))
+    coordinates = (Coordinate("door", "rad"), Coordinate("drawer", "m"))
+    return HybridAutomaton(
+        coordinates=coordinates,
+        inputs=coordinates,
+        links=(Link("base", "door", 0), Link("base", "drawer", 1), Link("door", "handle", 0)),
+        parts=cabinet_parts(),
+        modes=(swinging, latched),
+        edges=(
+            Edge("swinging", "latched", Region((above(0, DOOR_OPEN, 2, 2, name="door"),))),
+            Edge("latched", "swinging", Region((input_below(0, 0.0, 2, 2, strict=True, name="input door"),))),
+        ),
+        noise=Noise((0.001, 0.001), (0.01, 0.002)),
+    )
+
+
 def microwave_parts() -> tuple[Part, ...]:
     """The oven and its door; the door's frame: x from the hinge along the door, y outwards, z up, origin 0.31 m out."""
     return load_parts(_PARTS / "microwave.yaml")
@@ -70,6 +112,11 @@ def microwave_parts() -> tuple[Part, ...]:
 def drawer_parts() -> tuple[Part, ...]:
     """The cabinet and its drawer; the drawer's frame is parallel to the base, its origin in the middle of the front."""
     return load_parts(_PARTS / "drawer.yaml")
+
+
+def cabinet_parts() -> tuple[Part, ...]:
+    """The cabinet, its door, its drawer and the door's handle, each in its own frame."""
+    return load_parts(_PARTS / "cabinet.yaml")
 
 
 def _object(

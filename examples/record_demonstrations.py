@@ -1,10 +1,10 @@
-"""Make the demonstrations that the project ships: a hand shuts a microwave door and pulls a drawer, in MuJoCo.
+"""Make the demonstrations that the project ships: a hand moves a microwave, a drawer and a cabinet, in MuJoCo.
 
     python examples/record_demonstrations.py [FOLDER]
 
-writes microwave.csv and drawer.csv, by default into examples/demonstrations. The same seed gives the same files. As in
-the paper's "with grasp" case, the hand holds the handle, a tracker measures the part's pose at 18 Hz, and the
-action is the displacement of the part that the hand asked for, also while the shut door does not give way.
+writes microwave.csv, drawer.csv and cabinet.csv, by default into examples/demonstrations. The same seed gives the same
+files. As in the paper's "with grasp" case, the hand holds the handle, a tracker measures the part's pose at 18 Hz, and
+the action is the displacement of the part that the hand asked for, also while the shut door does not give way.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from objects import DOOR_OPEN, drawer, microwave
+from objects import DOOR_OPEN, cabinet, drawer, microwave
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco_plant import MujocoPlant
@@ -34,34 +34,35 @@ def demonstration(automaton: HybridAutomaton, targets: Floats, seed: int) -> Rec
     """Lead the object along target configurations and record it.
 
     Args:
-        automaton: the true object, with one coordinate; it starts at configuration 0.
-        targets: (k,) where the hand wants the object to be after each step [rad or m]; it may be where the object
-            cannot go, and then the hand presses.
+        automaton: the true object; it starts at configuration 0.
+        targets: (k, n) or, with one coordinate, (k,) where the hand wants the object to be after each step [rad or m];
+            it may be where the object cannot go, and then the hand presses.
         seed: of the tracker's noise.
 
     Returns:
-        k + 1 rows.
+        k + 1 rows per part, sorted by time.
     """
     # The hand follows its targets without a stop, hence motion_share 1.
     parameters = PhysicalParameters(control_period=1 / RATE, motion_share=1.0, **TRACKER)
-    plant = MujocoPlant(automaton, Start((0.0,), (0.0,)), parameters)
+    still = (0.0,) * automaton.n
+    plant = MujocoPlant(automaton, Start(still, still), parameters)
     measurements = [plant.reset(np.random.default_rng(seed))]
     actions = []
     moving = automaton.modes[0].name
-    for target in targets:
+    for target in targets.reshape(-1, automaton.n):
         felt = plant.truth().x
         order = command(automaton, moving, felt, target - felt)
         measurements.append(plant.apply(order))
         actions.append(order.origin)
     plant.close()
-    rows = len(measurements)
+    rows, parts = len(measurements), tuple(link.child for link in automaton.links)
     return Recording(
-        time=_short(np.arange(rows) / RATE),
+        time=_short(np.repeat(np.arange(rows) / RATE, len(parts))),
         position=_short(np.concatenate([m.position for m in measurements])),
         quaternion=_short(np.concatenate([m.quaternion for m in measurements])),
-        action=_short(np.concatenate([*actions, np.full((1, 3), np.nan)])),
+        action=_short(np.concatenate([*actions, np.full((len(parts), 3), np.nan)])),
         force=_short(np.concatenate([m.force for m in measurements if m.force is not None])),
-        part=(automaton.links[0].child,) * rows,
+        part=parts * rows,
         has_part=True,
     )
 
@@ -101,10 +102,20 @@ def pull_drawer(seed: int = 2) -> Recording:
     return demonstration(drawer(), stroke(0.28, 5.0, seed), seed)
 
 
+def use_cabinet(seed: int = 3) -> Recording:
+    """A drawer pulled out by 0.25 m in 2.5 s; then the door below is shut in 2.5 s and pressed for 1.2 s."""
+    pull, shut = stroke(0.25, 2.5, seed), stroke(DOOR_OPEN, 2.5, seed + 1)
+    pressed = press(DOOR_OPEN, 0.025, 1.2, seed + 2)
+    door = np.concatenate([np.zeros(len(pull)), shut, pressed])
+    drawer_out = np.concatenate([pull, np.full(len(shut) + len(pressed), pull[-1])])
+    return demonstration(cabinet(), np.stack([door, drawer_out], axis=1), seed)
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demonstrations"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, recording in (("microwave.csv", shut_microwave()), ("drawer.csv", pull_drawer())):
+    made = {"microwave.csv": shut_microwave(), "drawer.csv": pull_drawer(), "cabinet.csv": use_cabinet()}
+    for name, recording in made.items():
         write_csv(recording, folder / name)
         print(f"{folder / name}: {len(recording)} rows")
 

@@ -19,20 +19,24 @@ transitions, resets are the identity. Where it differs, and why:
   model that is entered at such a threshold is pinned no better than that.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
-An edge that never moved keeps its coordinate, as in the paper; the pin of its only model holds it. Neighbours are
-connected both ways, so every mode of the product can be reached from every other. `Init` is left to the task, as there.
+An edge to the base that never moved keeps its coordinate, as in the paper; the pin of its only model holds it. A part
+that is fixed to another part, a handle on a door, has nothing of its own to tell: it takes no part in the product, and
+its link follows the coordinate of what carries it, through a rigid joint. Neighbours are connected both ways, so every
+mode of the product can be reached from every other. `Init` is left to the task, as there.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
+from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.learned import learned_edges
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
 from micah_plan.automaton.misfit import misfit_error
@@ -57,14 +61,16 @@ def build_automaton(
         parts: bodies with their shapes and handles; parts of the graph that are not among them get no shapes.
         noise: process and observation noise; None: root mean square over the segments of each edge, by rows.
         release: displacement per step that an input must exceed to pull a part out of a rigid model [rad or m].
-        input_limits: largest displacement per step and coordinate [rad or m]; None: any input is admissible.
+        input_limits: largest displacement per step [rad or m], one per edge that is not fixed to another part; None:
+            any input is admissible.
         provenance: where the model came from.
 
-    Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``).
+    Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``),
+    without those of fixed parts.
 
     Raises:
-        InputError: no edges, rows that no single joint explains, segments that do not follow one another along one
-            coordinate, or bad arguments.
+        InputError: no edges, edges not in the order parents first, rows that no single joint explains, segments that do
+            not follow one another along one coordinate, or bad arguments.
     """
     if not graph.edges:
         raise InputError("kinematic graph must have at least one edge. Got none")
@@ -73,22 +79,26 @@ def build_automaton(
         raise refusal
     if not release >= 0:
         raise InputError(f"release must be >= 0. Got {release}")
-    chains = [local_models(edge) for edge in graph.edges]
+    moving = [edge for edge in graph.edges if not _is_fixed(edge)]
+    links = _links(graph, moving)
+    chains = [local_models(edge) for edge in moving]
+    fixed = [local_models(edge)[0].joint if _is_fixed(edge) else None for edge in graph.edges]
+    joined = list(zip(links, fixed, strict=True))
     n = len(chains)
     if input_limits is not None and (len(input_limits) != n or not all(limit > 0 for limit in input_limits)):
         raise InputError(f"input_limits must be {n} positive numbers. Got {list(input_limits)}")
-    names = [edge.child for edge in graph.edges]
+    names = [edge.child for edge in moving]
     coordinates = tuple(Coordinate(name, _unit(chain)) for name, chain in zip(names, chains, strict=True))
     admissible = Region() if input_limits is None else input_box([-v for v in input_limits], input_limits, n, names)
     product = list(itertools.product(*(range(len(chain)) for chain in chains)))
     automaton = HybridAutomaton(
         coordinates=coordinates,
         inputs=coordinates,
-        links=tuple(Link(edge.parent, edge.child, i) for i, edge in enumerate(graph.edges)),
+        links=links,
         parts=_parts(graph, parts),
-        modes=tuple(_mode(chains, choice, names, admissible) for choice in product),
+        modes=tuple(_mode(chains, choice, names, admissible, joined) for choice in product),
         edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
-        noise=noise or Noise(*(tuple(stds) for stds in zip(*map(_noise, graph.edges), strict=True))),
+        noise=noise or Noise(*(tuple(stds) for stds in zip(*map(_noise, moving), strict=True))),
         provenance=dict(provenance or {}),
         learned=learned_edges(graph),
     )
@@ -96,8 +106,30 @@ def build_automaton(
     return automaton
 
 
+def _is_fixed(edge: KinematicEdge) -> bool:
+    """Whether a part never moves relative to another part that may."""
+    return edge.parent != BASE and all(segment.joint.kind == "rigid" for segment in edge.segments)
+
+
+def _links(graph: KinematicGraph, moving: Sequence[KinematicEdge]) -> tuple[Link, ...]:
+    """One per edge; a fixed part's follows the coordinate of what carries it."""
+    numbers = {edge.child: i for i, edge in enumerate(moving)}
+    links: list[Link] = []
+    for edge in graph.edges:
+        if edge.parent not in (BASE, *(link.child for link in links)):
+            problem = f"edge {edge.parent} -> {edge.child}: parent must be {BASE} or the child of an earlier edge"
+            raise InputError(problem, remedy="list parents first")
+        numbers.setdefault(edge.child, numbers.get(edge.parent, 0))
+        links.append(Link(edge.parent, edge.child, numbers[edge.child]))
+    return tuple(links)
+
+
 def _mode(
-    chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...], names: Sequence[str], admissible: Region
+    chains: Sequence[tuple[LocalModel, ...]],
+    choice: tuple[int, ...],
+    names: Sequence[str],
+    admissible: Region,
+    links: Sequence[tuple[Link, Joint | None]],
 ) -> Mode:
     models = [chain[k] for chain, k in zip(chains, choice, strict=True)]
     n = len(models)
@@ -108,12 +140,17 @@ def _mode(
     upper = [model.upper + wide for model, wide in zip(models, slack, strict=True)]
     return Mode(
         name=_mode_name(chains, choice),
-        joints=tuple(model.joint for model in models),
+        joints=tuple(_joint(models[link.coordinate], fixed) for link, fixed in links),
         input_matrix=tuple(tuple(float(v) for v in row) for row in flow),
         invariant=box(lower, upper, n, names),
         inputs=admissible,
         pins=pins,
     )
+
+
+def _joint(model: LocalModel, fixed: Joint | None) -> Joint:
+    """A link's joint; a fixed one stands for the configuration at which its carrier is held, if it is."""
+    return model.joint if fixed is None else replace(fixed, held=model.joint.held if model.is_rigid else 0.0)
 
 
 def _edges(

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import inverse, inverse_jacobian
+from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
@@ -43,6 +43,21 @@ def moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
     """The joint that measures a link's configuration: the first that is not rigid, over the modes in order."""
     joints = [mode.joints[link] for mode in automaton.modes]
     return next((joint for joint in joints if joint.kind != "rigid"), joints[0])
+
+
+def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
+    """(number, link) that measures each coordinate: the first whose joint moves, for a part fixed to it shows nothing.
+
+    A coordinate that nothing ever moves is that of its first link.
+    """
+    found: dict[int, tuple[int, Link]] = {}
+    for number, link in enumerate(automaton.links):
+        before = found.get(link.coordinate)
+        if before is None or (
+            moving_joint(automaton, before[0]).kind == "rigid" and moving_joint(automaton, number).kind != "rigid"
+        ):
+            found[link.coordinate] = (number, link)
+    return tuple(found.values())
 
 
 def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...]:
@@ -87,13 +102,14 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
     quaternions = [r.quaternion for r in relative if r.quaternion is not None]
     quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
     x = configurations(automaton, position, quaternion)
-    actions = [r.action[:-1] for r in relative if r.action is not None]
-    u = displacements(automaton, x, np.stack(actions, axis=1)) if len(actions) == len(relative) else None
+    u = None
+    if all(part.action is not None for part in by_link):
+        u = displacements(automaton, x, _relative_actions(automaton, by_link, relative, x))
     return Track(run, time, position, quaternion, x, u)
 
 
 def _relative(parts: dict[str, Recording], link: Link) -> Recording:
-    """The rows of a link's child with poses and actions in its parent's frame instead of the base frame."""
+    """The rows of a link's child with poses in its parent's frame instead of the base frame, without actions."""
     own = parts[link.child] if link.child in parts else next(iter(parts.values()))
     parent = parts.get(link.parent)
     if parent is None:
@@ -110,14 +126,39 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
         own,
         position=pose.translation,
         quaternion=None if own.quaternion is None else pose.rotation.as_quat(),
-        action=None if own.action is None else frame.rotation.apply(own.action.copy()),  # SciPy refuses read-only rows
+        action=None,
     )
+
+
+def _relative_actions(
+    automaton: HybridAutomaton, by_link: list[Recording], relative: list[Recording], x: Floats
+) -> Floats:
+    """(T-1, l, 3) commanded displacements of the parts' origins relative to their parents [m].
+
+    A part on a moving parent is carried along, and its action contains that: what remains for its own joint is counted
+    from where its parent was told to go, f(c + u) of the links before it. This is the inverse of how a command of the
+    model is written as displacements; where the parent really went is not looked at.
+    """
+    ahead: dict[str, RigidTransform] = {}
+    actions = []
+    for number, (link, own, seen) in enumerate(zip(automaton.links, by_link, relative, strict=True)):
+        action = np.zeros((len(x), 3)) if own.action is None else own.action
+        asked = own.position[:-1] + action[:-1]
+        pose = seen.poses()[:-1]
+        frame = ahead.get(link.parent)
+        within = asked if frame is None else frame.inv().apply(asked)
+        actions.append(within - seen.position[:-1])
+        joint, c = moving_joint(automaton, number), x[:-1, link.coordinate]
+        u = np.nan_to_num(inverse_jacobian(joint, c, actions[-1]))
+        moved = forward(joint, c + u) * forward(joint, c).inv() * pose
+        ahead[link.child] = moved if frame is None else frame * moved
+    return np.stack(actions, axis=1)
 
 
 def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Floats | None) -> Floats:
     """(T, n) configurations of measured poses: position (T, l, 3) [m] and quaternion (T, l, 4) per link."""
     x = np.zeros((len(position), automaton.n))
-    for number, link in enumerate(automaton.links):
+    for number, link in measuring_links(automaton):
         rotation = None if quaternion is None else Rotation.from_quat(quaternion[:, number])
         x[:, link.coordinate] = inverse(moving_joint(automaton, number), position[:, number], rotation)
     return x
@@ -131,7 +172,7 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     if automaton.m != automaton.n:
         raise InputError("actions can only be read by an automaton with one input per coordinate")
     u = np.zeros((len(action), automaton.m))
-    for number, link in enumerate(automaton.links):
+    for number, link in measuring_links(automaton):
         joint = moving_joint(automaton, number)
         u[:, link.coordinate] = inverse_jacobian(joint, x[: len(action), link.coordinate], action[:, number])
     return u

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
+from micah_plan.automaton.thresholds import with_drawn_thresholds
+from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import chain, components, moving_joints
@@ -20,6 +22,8 @@ Floats = NDArray[np.float64]
 class NominalPlant:
     """What the planner believes in: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
 
+    Thresholds are drawn at every reset, as well as the model knows them.
+
     Pose noise is white in position and rotation, in the ratio in which the inverse kinematics weighs them, and of such
     a size that the configuration found from it has the model's `observation_std`.
     """
@@ -28,6 +32,7 @@ class NominalPlant:
         """Args: the model, the belief from which true starts are drawn, and the duration of a control step [s]."""
         self.automaton = automaton
         self.start = start
+        self._true = automaton
         self._period = control_period
         self._process_std = np.array(automaton.noise.process_std)
         self._rng: np.random.Generator | None = None
@@ -39,7 +44,8 @@ class NominalPlant:
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
         self._rng = rng
-        self._mode, self._x = sample_start(self.automaton, self.start, rng)
+        self._true = with_drawn_thresholds(self.automaton, rng)
+        self._mode, self._x = sample_start(self._true, self.start, rng)
         self._time = 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)
         return self._measure(0.0)
@@ -49,7 +55,7 @@ class NominalPlant:
         if self._rng is None:
             raise RuntimeError("apply before reset")
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
-        after = step(self.automaton, self._mode, self._x, command.input, disturbance)
+        after = step(self._true, self._mode, self._x, command.input, disturbance)
         self._mode, self._x = after.mode, after.x
         self._time += self._period
         return self._measure(self._period)
@@ -80,11 +86,13 @@ def pose_noise(automaton: HybridAutomaton) -> TrackerNoise:
     The inverse kinematics is the least-squares fit of position p and rotation L r (L the rotation length), so noise of
     std s in p and s / L in r gives a configuration of std s / |J|, J the Jacobian with its rotation scaled by L.
     """
-    position = []
-    first = automaton.modes[0].name
-    for link, joint in zip(automaton.links, moving_joints(automaton, first), strict=True):
-        scaled = jacobian(joint, 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
+    of_coordinate = np.zeros(automaton.n)
+    joints = moving_joints(automaton, automaton.modes[0].name)
+    for number, link in measuring_links(automaton):
+        scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
         # An unmoving part has no configuration; its noise is that of a slide.
         sensitivity = float(np.linalg.norm(scaled)) or 1.0
-        position.append(automaton.noise.observation_std[link.coordinate] * sensitivity)
+        of_coordinate[link.coordinate] = automaton.noise.observation_std[link.coordinate] * sensitivity
+    # A part fixed to another is seen as well as that one.
+    position = [of_coordinate[link.coordinate] for link in automaton.links]
     return TrackerNoise(np.array(position), np.array(position) / ROTATION_LENGTH)

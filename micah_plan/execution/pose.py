@@ -15,6 +15,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.automaton.tracks import measuring_links
 from micah_plan.execution.plant import Command
 
 Floats = NDArray[np.float64]
@@ -71,11 +72,12 @@ def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quate
         link.child: RigidTransform.from_components(position[number], rotations[number])
         for number, link in enumerate(automaton.links)
     }
-    for link, joint in zip(automaton.links, moving_joints(automaton, mode), strict=True):
+    joints = moving_joints(automaton, mode)
+    for number, link in measuring_links(automaton):
         pose = measured[link.child]
         if link.parent != BASE and link.parent in measured:
             pose = measured[link.parent].inv() * pose
-        x[link.coordinate] = inverse(joint, pose.translation, pose.rotation, near=near[link.coordinate])[0]
+        x[link.coordinate] = inverse(joints[number], pose.translation, pose.rotation, near=near[link.coordinate])[0]
     return x
 
 

@@ -3,7 +3,8 @@
 Source: Jain and Niekum, CoRL 2018; Platt et al., RSS 2010 (belief space, maximum-likelihood observations); Betts,
 "Practical Methods for Optimal Control" (transcription in phases). The state of a knot is the mean and the lower
 Cholesky factor L of the covariance. With k = Φ⁻¹(confidence), a half-space a'x >= c is planned to hold as
-a'mean - c >= k sqrt(||L'a||² + a'Λa), where Λ is the spread of the estimate in closed loop (`PhaseGuess.spreads`):
+a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the estimate in closed loop
+(`PhaseGuess.spreads`) and σ how well c is known (`Edge.threshold_std`):
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
@@ -246,7 +247,7 @@ def _margin_function(n: int) -> ca.Function:
 
 
 def _total_std(std: ca.MX, spread: ca.DM | float) -> ca.MX:
-    """Std of the true state: of the belief and of the estimate, whose variance is given."""
+    """Std of the true margin: of the belief, and of the estimate and the threshold, whose variance is given."""
     return ca.sqrt(std**2 + spread)
 
 
@@ -276,7 +277,7 @@ def _join(
         name += "" if certain else f" at {problem.settings.confidence:.0%}"
         unit = row_unit(automaton, half_space)
         a = np.array(half_space.a)
-        std = _total_std(stds[i], a @ guess.spreads[-1] @ a)
+        std = _total_std(stds[i], a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2)
         nlp.require(margins[i] - (0.0 if certain else k) * std, [Row(guess.mode, knot, name, unit, low, np.inf)])
     by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
     last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)

@@ -27,7 +27,8 @@ class CorridorRow:
         step: knot within the phase, from 1.
         uncertain: whether it should hold at k-sigma; else (a clamp) for the mean only.
         scale: length of one step across it [its unit].
-        spread: variance across it by which the estimate wanders in closed loop, to be added to the belief's.
+        spread: variance across it by which the estimate wanders in closed loop and that of the boundary itself where
+            it is a threshold, to be added to the belief's.
         margin, std: of the guess, with the spread.
     """
 
@@ -58,6 +59,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
     # A step stays out of a convex set if both its ends are outside of the same half-space.
     walls = [[_farthest(rows, guess, step) for step in range(1, guess.steps + 1)] for rows in obstacles]
     rows = []
+    stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
         mean, factor = guess.means[step], guess.factors[step]
         chosen = list(fixed)
@@ -69,9 +71,21 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
             if np.any(a @ mode.B):
                 scale = float(np.abs(a) @ limits.speed)
                 margin, spread = sign * (float(a @ mean) - half_space.c), float(a @ guess.spreads[step] @ a)
+                spread += stds.get(half_space, 0.0) ** 2
                 std = float(np.hypot(np.linalg.norm(factor.T @ a), np.sqrt(max(0.0, spread))))
                 rows.append(CorridorRow(half_space, sign, step, uncertain, scale, spread, margin, std))
     return rows
+
+
+def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[HalfSpace]) -> dict[HalfSpace, float]:
+    """How well the thresholds are known at which the mode is left: of guards, and of boundaries that end at one."""
+    stds: dict[HalfSpace, float] = {}
+    for edge in automaton.edges_from(mode.name):
+        for guard in edge.guard.half_spaces if edge.threshold_std else ():
+            ends = [h for h in boundaries if _faces(h, guard) and _is_beyond(h, guard) and _is_beyond(guard, h)]
+            for half_space in (guard, *ends):
+                stds[half_space] = max(stds.get(half_space, 0.0), edge.threshold_std)
+    return stds
 
 
 def _fixed_boundaries(

@@ -234,14 +234,16 @@ def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: 
     k = float(norm.ppf(problem.settings.confidence))
     u = np.zeros(problem.automaton.m)
     moved = x.copy()
-    guard, B = problem.automaton.edges[edge].guard, problem.automaton.mode(problem.automaton.edges[edge].source).B
+    taken = problem.automaton.edges[edge]
+    guard, B = taken.guard, problem.automaton.mode(taken.source).B
     for _ in range(3):  # rows that are not perpendicular disturb each other a little
         for row in guard.half_spaces:
             a = np.array(row.a)
             direction = B @ (B.T @ a)
             if any(row.b) or a @ direction <= 0:
                 continue
-            wanted = k * float(np.sqrt(a @ covariance @ a)) + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
+            std = float(np.sqrt(a @ covariance @ a + taken.threshold_std**2))
+            wanted = k * std + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
             moved = moved + direction * max(0.0, wanted - float(row.margin(moved, u))) / float(a @ direction)
     return np.asarray(moved)
 

@@ -1,7 +1,8 @@
 """Whether a plan works: roll-outs of the real hybrid system from sampled true states, closed loop.
 
-Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps, the
-estimate is that of the hybrid filter with noisy measurements, and the inputs are those of the policy.
+Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps and
+with thresholds drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid filter with
+noisy measurements, and the inputs are those of the policy.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as belief_filter
 from micah_plan.planning.limits import Limits, limited_input, limits_of
@@ -58,13 +60,14 @@ def roll_out(problem: Problem, trajectory: Trajectory, limits: Limits, rng: np.r
     """One closed-loop execution: the true mode and state (n,) at its end."""
     automaton = problem.automaton
     process, observation = (np.array(s) for s in (automaton.noise.process_std, automaton.noise.observation_std))
-    mode, x = sample_start(automaton, replace(problem.start, mode=trajectory.modes[0]), rng)
+    truth = with_drawn_thresholds(automaton, rng)
+    mode, x = sample_start(truth, replace(problem.start, mode=trajectory.modes[0]), rng)
     belief = belief_filter.initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
     for knot in time_knots(trajectory):
         believed, estimate = automaton.modes[belief.most_likely], belief.means[belief.most_likely]
         wanted = feedback_input(trajectory, int(knot), estimate)
         u = limited_input(believed, estimate, wanted, limits.max_step)
-        moved = step(automaton, mode, x, u, process * rng.standard_normal(automaton.n))
+        moved = step(truth, mode, x, u, process * rng.standard_normal(automaton.n))
         mode, x = moved.mode, moved.x
         measured = x + observation * rng.standard_normal(automaton.n)
         measured[~np.isfinite(observation)] = np.nan

@@ -63,13 +63,11 @@ def _length(rows: Recording, part: str) -> str:
 
 
 def _time(recording: Recording) -> str:
-    steps = [
-        np.diff(recording.time[(recording.run == run) & (np.array(recording.part) == part)])
-        for run in recording.runs
-        for part in recording.parts
-    ]
-    joined = np.concatenate(steps)
-    step = float(np.median(joined)) if len(joined) + 1 >= _FEWEST_ROWS else 0.0
+    _, part = np.unique(np.array(recording.part), return_inverse=True)
+    order = np.lexsort((part, recording.run))  # stable: rows of one run and part stay in the order of time
+    group = np.column_stack([recording.run, part])[order]
+    steps = np.diff(recording.time[order])[(group[1:] == group[:-1]).all(axis=1)]
+    step = float(np.median(steps)) if len(steps) + 1 >= _FEWEST_ROWS else 0.0
     if step <= LONGEST_STEP_S:
         return ""
     clock = next((name for name, ticks in _CLOCKS if step / ticks <= _SLOWEST_S), "nanoseconds")

@@ -108,6 +108,11 @@ class LearnedRun:
         """Whether positions are in the base frame."""
         return self.edge.parent == BASE
 
+    @property
+    def rows_apart(self) -> float:
+        """How far apart the rows of the evidence lie: 1, or more where only every so many rows were looked at."""
+        return float(np.median(np.diff(self.evidence_rows))) if len(self.evidence_rows) > 1 else 1.0
+
 
 def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRun, ...]:
     """Every part's runs, parts in the order of the graph."""
@@ -117,7 +122,8 @@ def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRu
         runs = list(dict.fromkeys(segment.run for segment in edge.segments))
         for number, run in enumerate(runs):
             own = tuple(c for c in segments if c.edge is edge and c.segment.run == run)
-            found.append(_learned_run(recording, edge, run, number, own))
+            if len(rows_of_run(recording, edge, run)):
+                found.append(_learned_run(recording, edge, run, number, own))
     return tuple(found)
 
 
@@ -168,10 +174,10 @@ def _configuration(segment: Segment, position: Floats, rotation: Rotation | None
 def _traced(
     trace: EvidenceTrace | None, rows: Ints, stretches: list[Stretch]
 ) -> tuple[Ints, tuple[EvidenceLine, ...], Floats]:
-    if trace is None:
-        return np.zeros(0, dtype=np.int64), (), np.zeros(0)
-    traced = np.array(trace.rows, dtype=np.int64)
+    traced = np.array(() if trace is None else trace.rows, dtype=np.int64)
     own = np.isin(traced, rows)
+    if trace is None or not own.any():
+        return traced[own], (), np.zeros(0)
     density = np.nan_to_num(np.array(trace.log_density, dtype=float)[own], nan=_IMPOSSIBLE, neginf=_IMPOSSIBLE)
     lines = tuple(
         EvidenceLine(model, color, values)

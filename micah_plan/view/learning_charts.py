@@ -131,7 +131,7 @@ def _evidence(panel: Panel, learned: LearnedRun) -> str:
 
 def _changepoint(panel: Panel, learned: LearnedRun) -> str:
     parts = [panel.y_axis("P(change\nat row)", 2)]
-    width = max(panel.width / (panel.x1 - panel.x0), 1.0)
+    width = max(learned.rows_apart * panel.width / (panel.x1 - panel.x0), 1.0)
     for row, probability in zip(learned.evidence_rows, learned.changepoint, strict=True):
         if probability >= 1e-4:
             top = panel.y(float(probability))

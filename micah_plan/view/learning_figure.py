@@ -132,7 +132,7 @@ def _draw_block(figure: Figure, block: _Block, top: float, several_runs: bool) -
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
     axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
-    plot_track(_space(figure, total, 0.05, space_bottom, _SPLIT - 1.0, panels_top + 0.35 - space_bottom), learned)
+    plot_track(_space(figure, total, 0.2, space_bottom, _SPLIT - 1.15, panels_top + 0.35 - space_bottom), learned)
     if block.bars:
         bars_bottom = bottom - 0.05
         if learned.counts:

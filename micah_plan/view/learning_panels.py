@@ -85,7 +85,7 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
 
 def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
     """The posterior probability of every row to be the first of a segment."""
-    axes.bar(learned.evidence_rows, learned.changepoint, width=1.0, color=INK, lw=0, zorder=3)
+    axes.bar(learned.evidence_rows, learned.changepoint, width=learned.rows_apart, color=INK, lw=0, zorder=3)
     axes.set_ylim(0.0, 1.08 * max(0.05, float(learned.changepoint.max(initial=0.0))))
     axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
     axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
@@ -139,7 +139,7 @@ def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
     box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
     name, probability = ranked[0]
     axes.text(
-        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8.5, weight="bold", color=INK, bbox=box
+        0.03, place, f"{name} {percents(probability)}", va="center", fontsize=8, weight="bold", color=INK, bbox=box
     )
     rest = [f"{name} {percents(probability)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
     axes.text(1.04, place, "".join(rest), va="center", fontsize=8.5, color=PANEL_INK)

@@ -71,7 +71,7 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
 
 
 def _charts(recording: Recording, graph: KinematicGraph, shown: Floats) -> list[ChartBlock]:
-    runs = [run for run in learned_runs(recording, graph) if len(run.rows) and run.stretches]
+    runs = learned_runs(recording, graph)
     several = len(recording.runs) > 1
     blocks = [chart_block(recording, run, shown, several_runs=several) for run in runs[:MOST_BLOCKS]]
     if len(runs) > MOST_BLOCKS:

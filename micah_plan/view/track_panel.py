@@ -68,7 +68,7 @@ def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
     space.plot(*axis.T, color=INK, lw=1.3, ls=(0, (5, 2, 1, 2)))
     space.text(*axis[int(axis[:, 2].argmax())], " axis", color=INK, fontsize=9, va="bottom")
     space.plot(*center[:, None], "o", ms=4.5, color=INK)
-    space.text(*center, "  centre", color=INK, fontsize=9, va="top")
+    space.text(*center, "centre  ", color=INK, fontsize=9, va="top", ha="right")
     for end in (curve[0], curve[-1]):
         space.plot(*np.stack([center, end]).T, color=MUTED, lw=0.8)
     return [curve, axis, center[None]]
@@ -88,7 +88,7 @@ def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
     space.set_box_aspect(half, zoom=0.86)
     for axis, name, length in zip((space.xaxis, space.yaxis, space.zaxis), "xyz", half, strict=True):
         axis.set_label_text(f"{name}{frame} [m]", fontsize=9, color=INK)
-        axis.labelpad = 7.0
+        axis.labelpad = 3.0 if name == "z" else 9.0
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor(GRID)
         axis._axinfo["grid"].update(color=GRID, linewidth=0.5)
@@ -99,4 +99,4 @@ def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
 
 def _locator(share: float) -> Any:
     """As many ticks as a side of this length, relative to the longest, has room for."""
-    return MaxNLocator(nbins=max(1, round(4.4 * share)), steps=[1, 2, 5, 10], min_n_ticks=1)
+    return MaxNLocator(nbins=max(2, round(4.4 * share)), steps=[1, 2, 5, 10], min_n_ticks=1)

@@ -27,7 +27,9 @@ def scripts():
         sys.path.remove(str(EXAMPLES))
 
 
-@pytest.mark.parametrize(("name", "script"), [("microwave", "shut_microwave"), ("drawer", "pull_drawer")])
+@pytest.mark.parametrize(
+    ("name", "script"), [("microwave", "shut_microwave"), ("drawer", "pull_drawer"), ("cabinet", "use_cabinet")]
+)
 def test_the_script_makes_the_shipped_files(scripts, name, script):
     made = getattr(scripts[1], script)()
     shipped = read_csv(FOLDER / f"{name}.csv")
@@ -56,9 +58,22 @@ def test_the_drawer_follows_the_hand(scripts):
     assert np.std(np.diff(track.x[:, 0]) - track.u[:, 0]) < 0.004
 
 
+def test_the_cabinet_is_used_one_part_after_the_other(scripts):
+    (track,) = tracks(scripts[0].cabinet(), read_csv(FOLDER / "cabinet.csv"))
+    out = int(np.argmax(track.x[:, 1] > 0.24))
+    assert 35 < out < 50
+    assert track.x[:out, 0] == pytest.approx(0.0, abs=0.06)
+    assert track.x[out + 5 :, 1] == pytest.approx(0.25, abs=0.01)
+    assert track.x[-10:, 0] == pytest.approx(1.2, abs=0.06)
+    # Shut it is pressed on; the handle goes with it and is asked for nothing of its own.
+    assert np.mean(track.u[-10:, 0]) > 0.01
+    handle = track.position[:, 2]
+    assert np.std(handle, axis=0).max() < 0.005
+
+
 def test_the_shapes_fit_the_true_objects(scripts):
     objects = scripts[0]
-    for automaton, moving in ((objects.microwave(), "door"), (objects.drawer(), "drawer")):
-        assert {part.name for part in automaton.parts} == {"base", moving}
+    for automaton in (objects.microwave(), objects.drawer(), objects.cabinet()):
+        assert {part.name for part in automaton.parts} == {"base", *(link.child for link in automaton.links)}
         assert all(part.shapes for part in automaton.parts)
-        assert automaton.part(moving).handle is not None
+        assert automaton.part(automaton.coordinates[0].name).handle is not None

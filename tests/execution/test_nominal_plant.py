@@ -97,3 +97,17 @@ def test_reset_comes_first():
     plant = NominalPlant(door(), Start((0.1,), (0.0,)))
     with pytest.raises(RuntimeError, match="before reset"):
         plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
+
+
+def test_a_threshold_that_is_not_known_is_drawn_at_every_reset():
+    certain = quiet(door())
+    edges = (e if e.source == e.target else replace(e, threshold_std=0.02) for e in certain.edges)
+    plant = NominalPlant(replace(certain, edges=tuple(edges)), Start((SHUT - 0.1,), (0.0,)))
+    rng, held_at = np.random.default_rng(3), []
+    for _ in range(300):
+        plant.reset(rng)
+        plant.apply(command(certain, "swinging", np.array([SHUT - 0.1]), np.array([0.3])))
+        assert plant.truth().mode == "shut"
+        held_at.append(plant.truth().x[0])
+    assert np.mean(held_at) == pytest.approx(SHUT, abs=0.005)
+    assert np.std(held_at) == pytest.approx(0.02, rel=0.2)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from planning_examples import one_dimensional
 
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.planning.start_state import LIMIT_ROOM
 
 unit = st.floats(0.0, 1.0)
 
@@ -15,6 +16,7 @@ unit = st.floats(0.0, 1.0)
 @settings(max_examples=40, deadline=None)
 @given(threshold=st.floats(0.2, 0.8), start=st.floats(-0.3, 1.3), goal=st.floats(-0.3, 1.3), std=st.floats(0.0, 0.1),
        tolerance=st.floats(0.005, 0.2), seed=st.integers(0, 10))  # fmt: skip
+@example(threshold=0.5, start=-6e-8, goal=0.0, std=0.0, tolerance=0.125, seed=0)
 def test_a_plan_or_a_true_reason(
     threshold: float, start: float, goal: float, std: float, tolerance: float, seed: int
 ) -> None:
@@ -22,7 +24,9 @@ def test_a_plan_or_a_true_reason(
     settings_ = PlannerSettings(samples_per_mode=20, time_limit_s=5.0)
     problem = Problem(automaton, Start((start,), (std,)), Goal(((0, goal, tolerance),)), settings_)
     found = plan(problem, seed)
-    start_outside = max(0.0 - start, start - 1.0) > 3.0 * max(std, 1e-9)
+    # A limit copied with fewer digits is still the limit.
+    beyond = max(0.0 - start - LIMIT_ROOM * threshold, start - 1.0 - LIMIT_ROOM * (1.0 - threshold))
+    start_outside = beyond > 3.0 * max(std, 1e-9)
     goal_outside = max(0.0 - goal, goal - 1.0) > tolerance + 1e-9
     if found.outcome == "solved":
         trajectory = found.trajectory

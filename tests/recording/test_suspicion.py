@@ -111,6 +111,16 @@ def test_a_clock_since_the_epoch_and_a_slow_recorder_are_not_suspicious() -> Non
     assert suspicions(replace(door(), time=np.arange(ROWS) * 2.0)) == ()
 
 
+def test_pauses_between_runs_and_rows_that_alternate_between_parts_are_no_clock() -> None:
+    runs = np.repeat(np.arange(40), 3)
+    time = np.arange(120) % 3 * 0.1 + 1000.0 * runs
+    still = np.tile([0.5, 0.0, 0.0], (120, 1))
+    assert suspicions(Recording(time, still, run=runs, has_run=True)) == ()
+    alternating = Recording(np.repeat(np.arange(60) * 0.1, 2), still, part=("door", "drawer") * 60)
+    assert suspicions(alternating) == ()
+    assert suspicions(replace(alternating, time=1e3 * alternating.time))
+
+
 def test_every_part_is_looked_at_and_named() -> None:
     both = [door(), in_millimetres(door(seed=1))]
     recording = Recording(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from learned_objects import assessed_door
 from matplotlib.image import imread
 from view_objects import door, measured, problem, solved
 
@@ -37,11 +39,11 @@ PANEL_WIDTH, PLAYER_HEIGHT = 350, 96
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium found: install Debian's package 'chromium'")
 
 
-def screenshot(folder: Path, page: str, fragment: str = "") -> np.ndarray:
+def screenshot(folder: Path, page: str, fragment: str = "", flags: Sequence[str] = ()) -> np.ndarray:
     """The 3-D part of a page as the browser shows it, (h, w, 3) in 0..1; fails on any message in the console."""
     file, picture = folder / "page.html", folder / "shot.png"
     file.write_text(page, encoding="utf-8")
-    command = [str(BROWSER), *FLAGS, f"--user-data-dir={folder / 'profile'}", f"--screenshot={picture}"]
+    command = [str(BROWSER), *FLAGS, *flags, f"--user-data-dir={folder / 'profile'}", f"--screenshot={picture}"]
     done = subprocess.run([*command, file.as_uri() + fragment], capture_output=True, text=True, timeout=120, check=True)
     messages = [line for line in done.stderr.splitlines() if "CONSOLE" in line and "GL Driver Message" not in line]
     assert not messages, "\n".join(messages)
@@ -70,6 +72,16 @@ def test_the_other_pages_draw_without_errors(kind: str, tmp_path: Path) -> None:
         "recording": lambda: recording_page(*measured()),
     }[kind]()
     assert 0.003 < share_of_object(screenshot(tmp_path, page, "#t=0.5")) < 0.6
+
+
+@pytest.mark.slow
+def test_a_dark_page_is_dark_all_over(tmp_path: Path) -> None:
+    page = recording_page(*assessed_door())
+    light = screenshot(tmp_path, page, "#t=0.5")
+    dark = screenshot(tmp_path, page, "#t=0.5", ["--blink-settings=preferredColorScheme=0"])
+    assert np.median(light) > 0.8
+    assert np.median(dark) < 0.25
+    assert 0.003 < (dark.max(axis=-1) > 0.6).mean() < 0.3, "joints and track are light"
 
 
 @pytest.mark.slow

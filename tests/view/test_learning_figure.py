@@ -229,3 +229,34 @@ def test_certainty_without_a_trace_still_shows_what_it_has() -> None:
     figure = learning_figure(recording, KinematicGraph((dataclasses.replace(edge, segments=segments, certainty=bare),)))
     assert "they say nothing about the motion" in words(figure)
     assert not any(axes.get_ylabel().startswith("evidence") for axes in figure.axes)
+
+
+def test_a_trace_of_every_third_row_has_bars_three_rows_wide() -> None:
+    recording, graph = assessed_door()
+    edge = graph.edges[0]
+    trace = edge.certainty.trace
+    thin = dataclasses.replace(
+        trace, rows=trace.rows[::3], log_density=trace.log_density[::3], changepoint=trace.changepoint[::3]
+    )
+    changed = dataclasses.replace(edge, certainty=dataclasses.replace(edge.certainty, trace=thin))
+    axes = labelled(learning_figure(recording, KinematicGraph((changed,))), "P(change")
+    assert {bar.get_width() for bar in axes.containers[0]} == {3.0}
+
+
+def test_a_trace_of_other_rows_has_no_panels() -> None:
+    recording, graph = assessed_door()
+    edge = graph.edges[0]
+    elsewhere = dataclasses.replace(edge.certainty.trace, rows=tuple(range(1000, 1060)))
+    changed = dataclasses.replace(edge, certainty=dataclasses.replace(edge.certainty, trace=elsewhere))
+    figure = learning_figure(recording, KinematicGraph((changed,)))
+    assert not any(axes.get_ylabel().startswith(("evidence", "P(")) for axes in figure.axes)
+
+
+def test_names_of_the_axes_in_space_are_not_cut_off() -> None:
+    for make in (assessed_door, no_joint, cabinet_runs):
+        figure = learning_figure(*make())
+        figure.draw_without_rendering()
+        renderer = figure.canvas.get_renderer()
+        for space in (axes for axes in figure.axes if axes.name == "3d"):
+            for axis in (space.xaxis, space.yaxis, space.zaxis):
+                assert axis.label.get_window_extent(renderer).x0 >= 0

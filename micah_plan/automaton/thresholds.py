@@ -1,0 +1,87 @@
+"""Thresholds that are known only so well: what the true object's may be.
+
+An object has one threshold per boundary, the same at every passage and for both ways through it; `Edge.threshold_std`
+says how well the model knows it. So a draw moves a boundary as a whole: in all guards and invariants that it bounds,
+and with it the pins of the modes that are entered there. Joints stay as they are: where poses are drawn from a
+configuration, those of the moving joints count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.region import HalfSpace, Region
+
+_DIGITS = 9
+_Boundary = tuple[float, ...]
+"""Weights and threshold of a half-space's boundary, scaled so that both sides of it are the same value."""
+
+
+def with_drawn_thresholds(automaton: HybridAutomaton, rng: np.random.Generator) -> HybridAutomaton:
+    """An automaton that the object may truly be: thresholds drawn around the model's, independently per boundary.
+
+    The automaton itself, without a draw from `rng`, where all thresholds are certain.
+    """
+    stds = _boundary_stds(automaton)
+    if not stds:
+        return automaton
+    shifts = {boundary: std * float(rng.standard_normal()) for boundary, std in stds.items()}
+    edges = tuple(replace(edge, guard=_moved(edge.guard, shifts)) for edge in automaton.edges)
+    return replace(
+        automaton, modes=tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes), edges=edges
+    )
+
+
+def _boundary_stds(automaton: HybridAutomaton) -> dict[_Boundary, float]:
+    """Std of every uncertain boundary, in the unit of its scaled threshold, in the order of the edges."""
+    stds: dict[_Boundary, float] = {}
+    for edge in automaton.edges:
+        for half_space in edge.guard.half_spaces if edge.threshold_std > 0 else ():
+            if any(half_space.a):
+                boundary, scale = _boundary(half_space)
+                stds[boundary] = max(stds.get(boundary, 0.0), edge.threshold_std / abs(scale))
+    return stds
+
+
+def _boundary(half_space: HalfSpace) -> tuple[_Boundary, float]:
+    """The boundary, and what its scaled threshold is to be multiplied by to give the half-space's."""
+    scale = next((weight for weight in (*half_space.a, *half_space.b) if weight), 1.0)
+    values = (*half_space.a, *half_space.b, half_space.c)
+    return tuple(round(value / scale, _DIGITS) + 0.0 for value in values), scale
+
+
+def _moved(region: Region, shifts: dict[_Boundary, float]) -> Region:
+    rows = []
+    for half_space in region.half_spaces:
+        boundary, scale = _boundary(half_space)
+        rows.append(replace(half_space, c=half_space.c + scale * shifts.get(boundary, 0.0)))
+    return Region(tuple(rows))
+
+
+def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[_Boundary, float]) -> Mode:
+    """The mode with its boundaries moved, and its pins with the boundary at which it is entered."""
+    carried = {}
+    for edge in automaton.edges:
+        if edge.target == mode.name:
+            for pin in automaton.pins_located_by(edge):
+                carried[pin.coordinate] = _shift_along(edge, pin.coordinate, shifts)
+    pins = tuple(replace(pin, value=pin.value + carried.get(pin.coordinate, 0.0)) for pin in mode.pins)
+    rows = []
+    for before, after in zip(mode.invariant.half_spaces, _moved(mode.invariant, shifts).half_spaces, strict=True):
+        along = [i for i, weight in enumerate(before.a) if weight]
+        # The range of a mode that is held at a boundary lies around it, though it does not end there.
+        held = len(along) == 1 and after == before and not any(before.b)
+        moved = replace(before, c=before.c + before.a[along[0]] * carried.get(along[0], 0.0)) if held else after
+        rows.append(moved)
+    return replace(mode, invariant=Region(tuple(rows)), pins=pins)
+
+
+def _shift_along(edge: Edge, coordinate: int, shifts: dict[_Boundary, float]) -> float:
+    """How far the boundary on a coordinate alone moves by which an edge enters its target."""
+    for half_space in edge.guard.half_spaces:
+        if [i for i, weight in enumerate(half_space.a) if weight] == [coordinate] and not any(half_space.b):
+            return shifts.get(_boundary(half_space)[0], 0.0)
+    return 0.0

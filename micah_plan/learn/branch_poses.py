@@ -1,0 +1,66 @@
+"""Where a part was, as the edge that it hangs on says it: less noisy than what was measured of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.graph import KinematicEdge
+from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.automaton.misfit import misfit_of
+from micah_plan.learn.relative import RelativeRows
+
+Floats = NDArray[np.float64]
+
+_WINDOW = 7
+_OUTLIER_STDS = 5.0
+_STD_PER_MAD = 1.4826
+
+
+def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransform) -> RigidTransform:
+    """Poses with those of an edge's child replaced by what the edge says of them.
+
+    A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
+    six errors, and that one is made small by a running parabola over the segment's configurations. A rigid segment
+    keeps none.
+
+    Args:
+        edge: learned from `relative`; its rows count within `relative.recording`.
+        relative: with the frames of the parent to which the edge's poses are relative.
+        poses: (n,) of the whole recording, base frame.
+
+    Returns:
+        (n,) poses, base frame; rows that no segment covers, or that no joint explains, are as they were.
+    """
+    position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
+    seen = relative.recording.poses()
+    for segment in edge.segments:
+        if misfit_of(segment) is not None:
+            continue
+        index = slice(segment.start, segment.end + 1)
+        rotation = seen.rotation[index] if relative.recording.has_orientation else None
+        c = inverse(segment.joint, seen.translation[index], rotation)
+        if segment.joint.kind == "revolute":
+            c = np.unwrap(c)
+        if segment.joint.kind != "rigid":
+            c = _smoothed(c)
+        said = relative.frames[index] * forward(segment.joint, c)
+        rows = relative.rows[index]
+        position[rows] = said.translation
+        quaternion[rows] = said.rotation.as_quat()
+    return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+
+
+def _smoothed(c: Floats) -> Floats:
+    """A running parabola through configurations, blind to single rows far from their neighbours."""
+    if len(c) < _WINDOW:
+        return c
+    miss = c - median_filter(c, size=_WINDOW, mode="nearest")
+    outlying = np.abs(miss) > _OUTLIER_STDS * max(_STD_PER_MAD * float(np.median(np.abs(miss))), 1e-9)
+    outlying[[0, -1]] = False
+    rows = np.arange(len(c))
+    clean = np.interp(rows, rows[~outlying], c[~outlying])
+    return np.asarray(savgol_filter(clean, _WINDOW, 2))

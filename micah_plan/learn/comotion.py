@@ -1,0 +1,73 @@
+"""Which parts can hang on which others, from their motion in the base frame alone: the cheap half of O(p²) pairs.
+
+A part that hangs on another is carried along. So where one moves in the base frame and the other rests, the other does
+not hang on it: it could only by moving at the same time just so that it stays where it is. Time is cut into windows,
+and a part can hang on another if it moves in at least half of the windows in which the other does. A part that never
+moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift of a tracker
+counts as motion, and then the pair is learned and judged by its evidence.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_WINDOWS = 24  # per run
+_MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
+_SHARE = 0.5
+_STD_PER_MAD = 1.4826
+
+
+def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
+    """For every part, the other parts that it can hang on, in the order of the recording's parts."""
+    windows = {part: [moving_windows(recording, run, part) for run in recording.runs] for part in recording.parts}
+    moving = {part: np.concatenate(runs) for part, runs in windows.items()}
+    return {
+        child: tuple(
+            parent for parent in recording.parts if parent != child and _carries(moving[parent], moving[child])
+        )
+        for child in recording.parts
+    }
+
+
+def moving_windows(recording: Recording, run: int, part: str) -> Bools:
+    """In which of the windows of a run a part moves; windows are of equal duration over the whole run, all parts."""
+    in_run = recording.run == run
+    own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
+    moves = np.zeros(_WINDOWS, dtype=bool)
+    if len(own) < 3:
+        return moves
+    place = _places(recording.rows(own))
+    edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
+    window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
+    threshold = _MOTION_STDS * _white_std(place)
+    for k in range(_WINDOWS):
+        # With its neighbours: a window between rows of a slow recording would have none or one.
+        rows = place[np.abs(window - k) <= 1]
+        if len(rows) > 1:
+            moves[k] = np.ptp(rows, axis=0).max() > threshold
+    return moves
+
+
+def _carries(parent: Bools, child: Bools) -> bool:
+    return bool(parent.any() and (parent & child).sum() >= _SHARE * parent.sum())
+
+
+def _places(own: Recording) -> Floats:
+    """(n, 3 or 12) positions, and directions of the part's axes scaled to lengths [m]."""
+    if own.quaternion is None:
+        return own.position
+    turned = own.poses().rotation.as_matrix().reshape(len(own), 9)
+    return np.concatenate([own.position, ROTATION_LENGTH * turned], axis=1)
+
+
+def _white_std(place: Floats) -> float:
+    """The largest column's noise, by what the mean of both neighbours misses (variance 1.5 σ²)."""
+    miss = place[1:-1] - 0.5 * (place[:-2] + place[2:])
+    return float(_STD_PER_MAD * np.median(np.abs(miss), axis=0).max() / np.sqrt(1.5))

@@ -1,0 +1,217 @@
+"""The last fit of a joint, to all rows of its segments: robust, of maximum likelihood, with an honest covariance.
+
+MLESAC finds the rows to believe (random minimal sets, the closed form and the guess compete under a mixture with
+outliers); generalized least squares on SE(3) under the noise that they leave finds the joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
+from micah_plan.automaton.kinematics import reversed_direction
+from micah_plan.learn.channels import seen_by
+from micah_plan.learn.closed_form import fit_closed_form
+from micah_plan.learn.comparison import compare_all
+from micah_plan.learn.likelihood import fit_likelihood, likeliest, noise_of, parameter_covariance, white_noise
+from micah_plan.learn.minimal_sets import joints_through, minimal_rows
+from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
+from micah_plan.learn.quaternions import times
+
+Floats = NDArray[np.float64]
+
+OUTLIER_WEIGHT = 10.0
+_LEAST_STDS = (1e-5, 1e-6)  # rad, m
+_ROTATION_SPAN = 2 * np.pi
+_POSITION_SPAN = 1.0  # m, where the rows span less
+_SCORED_ROWS = 100
+_VOTES = 3
+_ROTATION_LENGTH = 0.2  # m/rad, while no noise is known
+_ROUNDS = 2
+_ROUGH = 0.05  # nats
+
+
+@dataclass(frozen=True, eq=False)
+class FittedJoint:
+    """A joint fitted to rows.
+
+    Attributes:
+        joint: with the covariance of its parameters; without it where the rows are too few to tell noise from motion.
+        inlier: (n,) probability that a row is no outlier.
+        outlier_ratio: γ, the share of outliers.
+        position_std: total std of a position per axis [m], white and wandering.
+        rotation_std: the same of a rotation [rad]; 0 without orientations.
+        log_likelihood: of the mixture, with the prior of γ, rows taken as independent.
+    """
+
+    joint: Joint
+    inlier: Floats
+    outlier_ratio: float
+    position_std: float
+    rotation_std: float
+    log_likelihood: float
+
+
+def fit_joint(
+    guess: Joint,
+    position: Floats,
+    quaternion: Floats | None,
+    time: Floats,
+    weight: Floats,
+    rng: np.random.Generator,
+    draws: int,
+    outlier_weight: float = OUTLIER_WEIGHT,
+) -> FittedJoint:
+    """The joint of the guess's kind that makes the rows most likely.
+
+    Args:
+        guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
+            says where configurations are counted from and in which direction.
+        position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
+        time: (n,) [s] of the rows, not decreasing; pauses between segments are welcome.
+        weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
+        rng: draws the minimal sets; the same seed gives the same joint.
+        draws: how many minimal sets.
+        outlier_weight: w of p(γ) ∝ exp(-w γ).
+    """
+    rows = _Rows(position, _units(quaternion), weight, outlier_weight)
+    used = np.flatnonzero(weight > 0.5)
+    need = minimal_rows(guess.kind, quaternion is not None)
+    if len(used) <= need:
+        return rows.judged(guess)
+    used = used[np.argsort(time[used], kind="stable")]
+    # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
+    trusting = len(used) < _VOTES * need
+    joint, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
+    for _ in range(_ROUNDS):
+        mixture = rows.mixture(joint, stds)
+        stds = _stds(mixture)
+        kept = used if trusting else used[mixture.inlier[0, used] > 0.5]
+        if len(kept) <= need:
+            return rows.judged(joint)
+        p, q = rows.of(kept)
+        fit = fit_likelihood(joint, p, q, white_noise(stds), _ROUGH)
+        joint = fit.joint
+    posterior = noise_of(fit, time[kept], stds, _LEAST_STDS)
+    if posterior is None:
+        return rows.judged(joint)
+    noise = likeliest(posterior)
+    fit = fit_likelihood(_counted_as(joint, guess, quaternion is not None), p, q, noise)
+    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    judged = _fitted(joint, rows.mixture(joint, noise.stds), q is not None)
+    return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if q is not None else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    position: Floats
+    quaternion: Floats | None
+    weight: Floats
+    outlier_weight: float
+
+    def of(self, index: NDArray[np.int64]) -> tuple[Floats, Floats | None]:
+        """Positions and quaternions of some rows."""
+        return self.position[index], None if self.quaternion is None else self.quaternion[index]
+
+    def mixture(self, joint: Joint, stds: tuple[float, float]) -> Mixtures:
+        """The mixture of inliers and outliers under a joint."""
+        seen = seen_by(joint, self.position, self.quaternion, stds[1] / stds[0])
+        return self.mixtures(joint.kind, [one[None] for one in seen.squares()], self.weight)
+
+    def mixtures(self, kind: JointKind, squares: list[Floats], weight: Floats) -> Mixtures:
+        """The mixtures of squared errors (h, n), of positions and, where measured, of rotations."""
+        turning = kind in ("revolute", "screw")
+        has_orientation = len(squares) > 1
+        # What a row's configuration takes from its errors; a turn shares it between position and rotation.
+        shared = 0.5 if turning and has_orientation else 0.0 if kind == "rigid" else 1.0
+        far = self.position - self.position.mean(axis=0)
+        span = max(_POSITION_SPAN, 2 * float(np.sqrt(np.einsum("ij,ij->i", far, far).max())))
+        sorts = [Sort(squares[0], 3 - shared, span, _LEAST_STDS[1])]
+        if has_orientation:
+            sorts.append(Sort(squares[1], 2.5 if turning else 3.0, _ROTATION_SPAN, _LEAST_STDS[0]))
+        return fit_mixtures(sorts, weight, self.outlier_weight)
+
+    def judged(self, joint: Joint) -> FittedJoint:
+        """A joint as it is, without covariance, with what the rows say of it."""
+        bare = replace(joint, covariance=None)
+        if not (self.weight > 0.5).any():
+            return FittedJoint(bare, np.zeros(len(self.weight)), 0.0, 0.0, 0.0, 0.0)
+        return _fitted(bare, self.mixture(joint, (1.0, _ROTATION_LENGTH)), self.quaternion is not None)
+
+
+def _best_start(
+    guess: Joint, rows: _Rows, used: NDArray[np.int64], rng: np.random.Generator, draws: int
+) -> tuple[Joint, tuple[float, float]]:
+    """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
+    p, q = rows.of(used)
+    starts = [guess, _carried(guess, p, q), *joints_through(guess.kind, p, q, rng, draws)]
+    closed = fit_closed_form(guess.kind, p, None if q is None else Rotation.from_quat(q), np.ones(len(used)))
+    if closed is not None:
+        starts.append(closed)
+    some = used[np.linspace(0, len(used) - 1, min(len(used), _SCORED_ROWS)).round().astype(int)]
+    error = compare_all(starts, *rows.of(some), _ROTATION_LENGTH).error
+    squares = [np.einsum("hnk,hnk->hn", error[..., -3:], error[..., -3:])]
+    if q is not None:
+        squares.append(np.einsum("hnk,hnk->hn", error[..., :3], error[..., :3]))
+    scored = rows.mixtures(guess.kind, squares, rows.weight[some])
+    best = int(np.argmax(scored.log_likelihood))
+    return starts[best], _stds(scored, best)
+
+
+def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:
+    """The guess carried to the middle one of the rows: a start even where the rows fix no joint of its kind."""
+    row = int(np.argmin(((position - np.median(position, axis=0)) ** 2).sum(axis=1)))
+    shift = position[row] - guess.position
+    center = guess.center if guess.kind in ("rigid", "prismatic") else tuple((guess.center + shift).tolist())
+    turned = guess.quaternion if quaternion is None else tuple(quaternion[row].tolist())
+    return replace(guess, position=tuple(position[row].tolist()), center=center, quaternion=turned)
+
+
+def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
+    """The same motion, counted in the guess's direction from where the guess counts, or as it may be held."""
+    if joint.kind == "rigid":
+        return replace(joint, held=guess.held)
+    if np.dot(joint.axis, guess.axis) < 0:
+        joint = reversed_direction(joint)
+    quaternion = np.array([guess.quaternion]) if has_orientation else None
+    c = float(seen_by(joint, np.array([guess.position]), quaternion, _ROTATION_LENGTH).configuration[0])
+    axis, position, center = np.array(joint.axis), np.array(joint.position), np.array(joint.center)
+    if joint.kind == "prismatic":
+        return prismatic(axis, position + c * axis, joint.quaternion)
+    arm, slide = position - center, joint.pitch * c * axis
+    side = np.cross(axis, arm)
+    turn = np.append(np.sin(c / 2) * axis, np.cos(c / 2))
+    position = center + slide + np.cos(c) * arm + np.sin(c) * side
+    quaternion = times(turn, np.array(joint.quaternion))
+    if joint.kind == "revolute":
+        return revolute(axis, center, position, quaternion)
+    return screw(axis, center + slide, joint.pitch, position, quaternion)
+
+
+def _fitted(joint: Joint, mixtures: Mixtures, has_orientation: bool) -> FittedJoint:
+    rotation_std, position_std = _stds(mixtures)
+    return FittedJoint(
+        joint,
+        mixtures.inlier[0],
+        float(mixtures.ratio[0]),
+        position_std,
+        rotation_std if has_orientation else 0.0,
+        float(mixtures.log_likelihood[0]),
+    )
+
+
+def _stds(mixtures: Mixtures, one: int = 0) -> tuple[float, float]:
+    """Std of a rotation (1 rad where not measured) and of a position under one of the joints."""
+    rotation = float(mixtures.stds[1][one]) if len(mixtures.stds) > 1 else 1.0
+    return rotation, float(mixtures.stds[0][one])
+
+
+def _units(quaternion: Floats | None) -> Floats | None:
+    """Unit quaternions; their signs matter to nothing below."""
+    if quaternion is None:
+        return None
+    return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))

@@ -1,0 +1,234 @@
+"""The kinematic tree of several parts: which part hangs on which, from edges learned pair by pair.
+
+Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning kinematic models of articulated
+objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models).
+
+**What is compared.** Evidences of edges are of different data: relative poses of different pairs. They are made
+comparable by the chain rule. In a tree every part is a child once, so the density of all poses is a product over parts,
+
+    p(y_1 ... y_p | tree) = Π_j p(y_j | pose of the parent of j),   p(y_j | pose x_i of i) = p_edge(x_i⁻¹ y_j),
+
+and the relative pose has the same density as the child's own, because a rigid displacement changes no volumes. Two
+parents of one child thus compete for the same data y_j, and only such differences decide between trees. So:
+
+- No evidence of free motion is divided by. It would be of other data for each parent (the motion relative to it), and
+  reward those from which the child is seen to move most: a handle would hang on the base, not on its door.
+- The parent's pose must not bring its own measurement noise. With measured poses, Δ_ij has the noise of two parts and
+  any parent but the base, which has none, loses up to 6 ln √2 = 2.1 nats per row, more than a joint that need not
+  move wins. Sturm et al. give all pairs the same noise instead. Here the parent is put where its own edge says that it
+  was (`branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs to a tree, so this
+  starts with all parts on the base and is repeated along the tree found, until the tree stays.
+
+**Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
+same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
+the search, and the others hang on it.
+
+**Pairs that are not learned**: those that `comotion` excludes, those with a part that is rigid to the base, and all
+pairs if orientation was not measured, for then no part has a frame: all hang on the base.
+
+The edges returned are learned from measured poses, as a later observer measures them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
+from micah_plan.automaton.misfit import misfit_of
+from micah_plan.errors import InputError, shown
+from micah_plan.learn.arborescence import Arc, Weight, maximum_arborescence
+from micah_plan.learn.branch_poses import branch_poses
+from micah_plan.learn.comotion import carriers
+from micah_plan.learn.relative import RelativeRows, in_whole_recording, relative_rows
+from micah_plan.recording.value import Recording
+
+PairLearner = Callable[[Recording], KinematicEdge]
+Progress = Callable[[str, float], None]
+
+_MOST_ROUNDS = 5
+_EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
+
+
+@dataclass(frozen=True, eq=False)
+class PairEdge:
+    """What was learned of a child relative to a parent.
+
+    Attributes:
+        relative: the rows that it was learned from.
+        edge: as the learner returned it: its rows count within `relative.recording`.
+    """
+
+    relative: RelativeRows
+    edge: KinematicEdge
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the two never move relative to each other."""
+        return all(segment.joint.kind == "rigid" and misfit_of(segment) is None for segment in self.edge.segments)
+
+    @property
+    def log_evidence(self) -> float:
+        """ln probability of its rows [nats]: of all segmentations if the learner says it, else of the chosen one."""
+        if self.edge.certainty is not None:
+            return self.edge.certainty.log_evidence
+        return sum(segment.log_evidence for segment in self.edge.segments)
+
+
+def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress | None = None) -> KinematicGraph:
+    """The kinematic tree of a recording's parts, and how every part moves relative to its parent.
+
+    Args:
+        recording: of one or several parts.
+        learn_pair: learns one edge from a recording of one part, whose poses and actions are relative to the parent;
+            the segments' rows count within that recording. It is called once for every pair that it is asked about.
+        progress: called with a message and the fraction done.
+
+    Returns:
+        Edges in the order of the recording's parts, but parents first; rows count within the whole recording.
+
+    Raises:
+        InputError: a part named like the base, or what `learn_pair` raises.
+    """
+    if BASE in recording.parts:
+        problem = f"a part is named {shown(BASE)}, as the body that the tree stands on"
+        raise InputError(problem, where="column 'part'", remedy="give the part another name or leave its rows out")
+    pairs = _Pairs(recording, learn_pair, progress)
+    found = dict.fromkeys(recording.parts, BASE)
+    if recording.has_orientation and len(recording.parts) > 1:
+        still = {part for part in recording.parts if pairs.measured(BASE, part).is_rigid}
+        able = {
+            child: tuple(parent for parent in parents if not {parent, child} & still)
+            for child, parents in carriers(recording).items()
+        }
+        bodies = _bodies(able, pairs)
+        found |= bodies
+        free = {
+            child: tuple(parent for parent in parents if parent not in bodies)
+            for child, parents in able.items()
+            if child not in bodies
+        }
+        found |= _searched(free, pairs)
+    edges = tuple(pairs.final(found[part], part) for part in _parents_first(found))
+    if progress is not None:
+        progress("learned", 1.0)
+    return KinematicGraph(edges)
+
+
+class _Pairs:
+    """Learned pairs, each learned once."""
+
+    def __init__(self, recording: Recording, learn_pair: PairLearner, progress: Progress | None) -> None:
+        self.recording = recording
+        self._learn_pair = learn_pair
+        self._progress = progress
+        self._learned: dict[tuple[str, ...], PairEdge | None] = {}
+        self._poses: dict[tuple[str, ...], RigidTransform] = {}
+
+    def measured(self, parent: str, child: str) -> PairEdge:
+        """From measured poses.
+
+        Raises:
+            InputError: if the two have too few rows in common.
+        """
+        pair = self._pair((parent,), child, None)
+        if pair is None:
+            raise InputError(
+                f"parts {shown(parent)} and {shown(child)} have no run in which both were measured at the same time",
+                remedy="record the parts of one object together",
+            )
+        return pair
+
+    def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
+        """From the pose of the branch's last part as the branch (base first) says it; None: too few common rows."""
+        return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
+
+    def final(self, parent: str, child: str) -> KinematicEdge:
+        """The edge from measured poses, in rows of the whole recording."""
+        pair = self.measured(parent, child)
+        return in_whole_recording(pair.edge, pair.relative, child)
+
+    def _pair(self, branch: tuple[str, ...], child: str, poses: RigidTransform | None) -> PairEdge | None:
+        key = (*branch, child)
+        if key not in self._learned:
+            if self._progress is not None:
+                parts = len(self.recording.parts)
+                message = f"learning part '{child}' relative to {branch[-1]}"
+                # How many pairs will be needed is not known before; the base's are the first of all.
+                self._progress(message, min(0.95, len(self._learned) / (parts * (parts + 1))))
+            relative = relative_rows(self.recording, branch[-1], child, poses)
+            self._learned[key] = None if relative is None else PairEdge(relative, self._learn_pair(relative.recording))
+        return self._learned[key]
+
+    def _along(self, branch: tuple[str, ...]) -> RigidTransform:
+        """(n,) poses with those of the branch's parts put where the branch says."""
+        if branch == (BASE,):
+            return self.recording.poses()
+        if branch not in self._poses:
+            poses = self._along(branch[:-1])
+            pair = self.on_branch(branch[:-1], branch[-1])
+            self._poses[branch] = poses if pair is None else branch_poses(pair.edge, pair.relative, poses)
+        return self._poses[branch]
+
+
+def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
+    """Parts that are rigidly attached to another, and the first part by name of the body that they belong to."""
+    first = {part: part for part in able}
+    for child in sorted(able):
+        for parent in sorted(able[child]):
+            mutual = parent < child and child in able[parent]
+            if mutual and first[parent] != first[child] and pairs.measured(parent, child).is_rigid:
+                one, other = sorted((first[parent], first[child]))
+                first = {part: one if body == other else body for part, body in first.items()}
+    return {part: body for part, body in first.items() if part != body}
+
+
+def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
+    """Parent of every body: the tree of greatest evidence, given branches along which parents' poses are found."""
+    found = dict.fromkeys(able, BASE)
+    best, best_weight = found, -np.inf
+    seen: list[dict[str, str]] = []
+    while found not in seen and len(seen) < _MOST_ROUNDS:
+        seen.append(found)
+        weights = _weights(able, found, pairs)
+        # The tree that the poses were found along, valued with these poses.
+        weight = sum(weights[parent, child][0] for child, parent in found.items() if (parent, child) in weights)
+        if weight > best_weight:
+            best, best_weight = found, weight
+        found = maximum_arborescence(weights, BASE)
+    return best
+
+
+def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs: _Pairs) -> dict[Arc, Weight]:
+    """Of every possible edge: evidence for all rows of the child; ties: rigid first, then the base, then by name."""
+    order = {name: -float(number) for number, name in enumerate(sorted(able))}
+    weights: dict[Arc, Weight] = {}
+    for child, parents in able.items():
+        rows = len(pairs.measured(BASE, child).relative)
+        for parent in (BASE, *parents):
+            branch = _branch(tree, parent)
+            # A parent below the child has no branch without it: its own edge to the base stands in.
+            pair = pairs.on_branch((BASE, parent) if child in branch else branch, child)
+            if pair is not None:
+                # Rows that were seen together stand for those that were not.
+                evidence = round(pair.log_evidence * rows / len(pair.relative), _EVIDENCE_DIGITS)
+                weights[parent, child] = (evidence, float(pair.is_rigid), float(parent == BASE), order.get(parent, 0.0))
+    return weights
+
+
+def _branch(tree: Mapping[str, str], part: str) -> tuple[str, ...]:
+    """The parts from the base to a part."""
+    branch = [part]
+    while branch[0] != BASE:
+        branch.insert(0, tree[branch[0]])
+    return tuple(branch)
+
+
+def _parents_first(tree: Mapping[str, str]) -> list[str]:
+    placed: list[str] = []
+    while len(placed) < len(tree):
+        placed += [p for p, parent in tree.items() if p not in placed and (parent == BASE or parent in placed)][:1]
+    return placed

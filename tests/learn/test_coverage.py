@@ -1,0 +1,61 @@
+"""The 95 % intervals of a final fit hold the truth about that often (the whole table: benchmarks/fit_coverage.py)."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+RARELY = 1e-4  # chance that a sound interval fails a bound below
+
+
+@pytest.fixture(scope="module")
+def coverage() -> ModuleType:
+    """The benchmark's module, without leaving its folder on the path."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        return importlib.import_module("fit_coverage")
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+def least_hits(trials: int, share: float) -> int:
+    """Hits that an interval of a share of coverage hardly ever stays below."""
+    return int(binom.ppf(RARELY, trials, share))
+
+
+@pytest.mark.parametrize("wander", [0.0, 1.5])
+def test_intervals_of_a_door_hold_the_truth(coverage: ModuleType, wander: float) -> None:
+    found = coverage.covered(coverage.Case("revolute", rows=60, wander=wander), 60)
+    assert (found.share * 60 >= least_hits(60, 0.93) - 0.5).all()
+    # Intervals that always hold would be too wide by far.
+    assert (found.claimed < 2.2 * found.real).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wander", [0.0, 1.5])
+@pytest.mark.parametrize("has_orientation", [True, False])
+@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+def test_coverage_is_what_it_says(coverage: ModuleType, kind: str, has_orientation: bool, wander: float) -> None:
+    trials = 300
+    found = coverage.covered(coverage.Case(kind, has_orientation, 100, 0.9, 0.2, wander), trials)
+    assert (found.share * trials >= least_hits(trials, 0.93) - 0.5).all()
+    # Parameters share their errors, so their mean is bounded as a single one of them is.
+    spread = 3 * np.sqrt(0.95 * 0.05 / trials)
+    assert 0.93 - spread < found.share.mean() < 0.97 + spread
+    assert (found.claimed < 1.8 * found.real).all()
+
+
+@pytest.mark.slow
+def test_slow_wander_ends_what_intervals_can_promise(coverage: ModuleType) -> None:
+    fast = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=5.0), 150)
+    slow = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=150.0), 150)
+    assert fast.share.mean() > 0.93
+    # A wander that takes as long as the recording is, to any fit, another joint.
+    assert slow.share.mean() < fast.share.mean()

@@ -1,0 +1,304 @@
+"""The tree of several parts: planted trees are found, whatever the names, the order, the noise and the rows lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from planted_parts import CARRIAGE, TRAY, PlantedPart, arm, cabinet, carriage, recorded_parts, sweep
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.certainty import EdgeCertainty, Misfit, SegmentCertainty
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import prismatic, rigid
+from micah_plan.errors import InputError
+from micah_plan.learn.branch_poses import branch_poses
+from micah_plan.learn.comotion import carriers
+from micah_plan.learn.learn import learn_graph
+from micah_plan.learn.relative import relative_rows
+from micah_plan.learn.tree import learn_tree
+from micah_plan.recording.csv_file import read_csv
+from micah_plan.recording.value import Recording
+
+STD = 0.0015
+MARK = rigid((0.02, 0.03, 0.04), (0.0, 0.6, 0.0, 0.8))
+
+
+def sliding_edge(recording: Recording) -> KinematicEdge:
+    """A small learner that knows rigid and prismatic: noise of known std across, steps of the motion at their price."""
+    std = STD * np.sqrt(3)  # what rotation errors of the parent add is not modelled, but left room for
+    middle = recording.position.mean(axis=0)
+    away = recording.position - middle
+    axis = np.linalg.svd(away, full_matrices=False)[2][0]
+    c = away @ axis
+    across = away - np.outer(c, axis)
+    resting = -0.5 * np.sum(away**2) / std**2
+    moving = -0.5 * np.sum(across**2) / std**2 - 0.5 * np.sum(np.log1p(2 * (np.diff(c) / std) ** 2)) - 10.0
+    quaternion = recording.quaternion[0]
+    joint = rigid(middle, quaternion) if resting > moving else prismatic(axis, middle, quaternion)
+    span = (0.0, 0.0) if resting > moving else (float(c.min()), float(c.max()))
+    evidence = float(max(resting, moving))
+    segment = Segment(joint, 0, 0, len(recording) - 1, *span, span, 0.0, STD, evidence, 1.0)
+    return KinematicEdge(BASE, recording.parts[0], (segment,), EdgeCertainty(evidence, ((1.0,),)))
+
+
+def tree(graph: KinematicGraph) -> dict[str, str]:
+    return {edge.child: edge.parent for edge in graph.edges}
+
+
+def kinds(graph: KinematicGraph, child: str) -> list[str]:
+    return [s.joint.kind for edge in graph.edges if edge.child == child for s in edge.segments]
+
+
+def rails(slide: str = "carriage", on_it: str = "tray", mark: str = "tag") -> dict[str, PlantedPart]:
+    """A carriage, a tray that slides on it, and a mark on the tray."""
+    return {
+        slide: PlantedPart(BASE, CARRIAGE, sweep(120, 5, 100, 0.4)),
+        on_it: PlantedPart(slide, TRAY, sweep(120, 30, 115, 0.2)),
+        mark: PlantedPart(on_it, MARK, np.zeros(120)),
+    }
+
+
+SMALL = {"position": STD, "rotation": 0.002}
+
+
+class TestSearch:
+    """With the small learner, which is fast."""
+
+    def test_a_chain_with_a_mark(self) -> None:
+        graph = learn_tree(recorded_parts(rails(), 1, **SMALL), sliding_edge)
+        assert tree(graph) == {"carriage": BASE, "tag": "carriage", "tray": "tag"}
+        assert [edge.child for edge in graph.edges] == ["carriage", "tag", "tray"]
+        assert kinds(graph, "tray") == ["rigid"]
+        assert kinds(graph, "tag") == ["prismatic"]
+
+    @pytest.mark.parametrize("names", [("a", "b", "c"), ("c", "a", "b"), ("b", "c", "a"), ("c", "b", "a")])
+    def test_of_one_body_the_first_by_name_carries_the_others(self, names: tuple[str, str, str]) -> None:
+        slide, on_it, mark = names
+        first, second = sorted((on_it, mark))
+        for order in (names, names[::-1]):
+            recording = recorded_parts(rails(*names), 2, **SMALL, order=order)
+            assert tree(learn_tree(recording, sliding_edge)) == {slide: BASE, first: slide, second: first}
+
+    def test_what_never_moves_stands_on_the_base(self) -> None:
+        parts = rails() | {
+            "frame": PlantedPart(BASE, MARK, np.zeros(120)),
+            "foot": PlantedPart(BASE, TRAY, np.zeros(120)),
+        }
+        found = tree(learn_tree(recorded_parts(parts, 3, **SMALL), sliding_edge))
+        assert (found["frame"], found["foot"]) == (BASE, BASE)
+        assert found["tag"] == "carriage"
+
+    def test_a_noisy_parent_is_not_held_against_it(self) -> None:
+        """The carriage is seen three times worse than its tray, which is learned from its pose."""
+        noise = {"carriage": 3 * STD, "tray": STD, "tag": STD}
+        recording = recorded_parts(rails(), 4, position=noise, rotation=0.002)
+        assert tree(learn_tree(recording, sliding_edge)) == {"carriage": BASE, "tag": "carriage", "tray": "tag"}
+
+    def test_each_pair_is_learned_once_and_pairs_that_cannot_be_are_not(self) -> None:
+        asked: list[str] = []
+
+        def counted(recording: Recording) -> KinematicEdge:
+            asked.append(recording.parts[0])
+            return sliding_edge(recording)
+
+        apart = {
+            "left": PlantedPart(BASE, CARRIAGE, sweep(120, 5, 40, 0.4)),
+            "right": PlantedPart(BASE, TRAY, sweep(120, 60, 110, 0.3)),
+            "frame": PlantedPart(BASE, MARK, np.zeros(120)),
+        }
+        graph = learn_tree(recorded_parts(apart, 5, **SMALL), counted)
+        assert tree(graph) == {"left": BASE, "right": BASE, "frame": BASE}
+        assert sorted(asked) == ["frame", "left", "right"]
+
+    def test_rows_count_within_the_whole_recording(self) -> None:
+        recording = recorded_parts(rails(), 6, **SMALL, dropped=0.1, late=0.01)
+        for edge in learn_tree(recording, sliding_edge).edges:
+            for segment in edge.segments:
+                assert recording.part[segment.start] == recording.part[segment.end] == edge.child
+                assert segment.end - segment.start > 250
+
+    def test_lost_rows_and_late_parts_do_not_change_the_tree(self) -> None:
+        recording = recorded_parts(rails(), 7, **SMALL, dropped=0.25, late=0.01)
+        assert tree(learn_tree(recording, sliding_edge)) == {"carriage": BASE, "tag": "carriage", "tray": "tag"}
+
+    def test_without_orientations_no_part_has_a_frame(self) -> None:
+        recording = recorded_parts(rails(), 8, **SMALL)
+        flat = replace(recording, quaternion=None)
+
+        def placed(one: Recording) -> KinematicEdge:
+            return sliding_edge(replace(one, quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (len(one), 1))))
+
+        assert set(tree(learn_tree(flat, placed)).values()) == {BASE}
+
+    def test_one_part_needs_no_tree(self) -> None:
+        recording = recorded_parts(rails(), 9, **SMALL).select(part="carriage")
+        graph = learn_tree(recording, sliding_edge)
+        assert tree(graph) == {"carriage": BASE}
+        assert graph.edges[0].segments[0].end == len(recording) - 1
+
+    def test_progress_grows_to_the_end(self) -> None:
+        told: list[tuple[str, float]] = []
+        learn_tree(recorded_parts(rails(), 1, **SMALL), sliding_edge, lambda text, done: told.append((text, done)))
+        done = [fraction for _, fraction in told]
+        assert done == sorted(done)
+        assert told[-1] == ("learned", 1.0)
+        assert "learning part 'tray' relative to base" in [text for text, _ in told]
+
+    def test_a_part_named_as_the_base_is_refused(self) -> None:
+        with pytest.raises(InputError, match="a part is named 'base'"):
+            learn_tree(Recording(time=[0.0], position=np.zeros((1, 3)), part=("base",)), sliding_edge)
+
+
+class TestCarriers:
+    def test_a_knob_and_its_door_may_hang_on_each_other_a_drawer_on_neither(self) -> None:
+        found = carriers(recorded_parts(cabinet(), 0))
+        assert found == {"door": ("knob",), "drawer": (), "knob": ("door",)}
+
+    def test_a_tray_may_hang_on_its_carriage_but_not_the_other_way_round(self) -> None:
+        """It moves whenever the carriage does; the carriage rests while the tray slides alone."""
+        parts = {
+            "carriage": PlantedPart(BASE, CARRIAGE, sweep(140, 5, 45, 0.4)),
+            "tray": PlantedPart("carriage", TRAY, sweep(140, 50, 135, 0.2)),
+        }
+        assert carriers(recorded_parts(parts, 0)) == {"carriage": (), "tray": ("carriage",)}
+
+    def test_what_rests_carries_nothing(self) -> None:
+        parts = {"a": PlantedPart(BASE, MARK, np.zeros(50)), "b": PlantedPart(BASE, TRAY, np.zeros(50))}
+        assert carriers(recorded_parts(parts, 0)) == {"a": (), "b": ()}
+
+
+class TestBranchPoses:
+    def test_they_are_closer_to_the_truth_than_what_was_measured(self) -> None:
+        parts = rails()
+        noisy, exact = recorded_parts(parts, 1, **SMALL), recorded_parts(parts, 1, position=0.0, rotation=0.0)
+        relative = relative_rows(noisy, BASE, "carriage")
+        assert relative is not None
+        said = branch_poses(sliding_edge(relative.recording), relative, noisy.poses())
+        errors = [np.std((poses.translation - exact.position)[relative.rows]) for poses in (said, noisy.poses())]
+        assert errors[1] == pytest.approx(STD, rel=0.1)
+        assert errors[0] < 0.5 * errors[1]
+        others = np.setdiff1d(np.arange(len(noisy)), relative.rows)
+        assert said.translation[others] == pytest.approx(noisy.position[others], abs=1e-12)
+
+    def test_rows_that_no_joint_explains_stay_as_they_were_measured(self) -> None:
+        noisy = recorded_parts(rails(), 1, **SMALL)
+        relative = relative_rows(noisy, BASE, "tray")
+        assert relative is not None
+        edge = sliding_edge(relative.recording)
+        unknown = SegmentCertainty(None, (("prismatic", 0.0),), Misfit(0.1, 0.0, STD, 0.002, 300.0))
+        segment = replace(edge.segments[0], certainty=unknown)
+        said = branch_poses(replace(edge, segments=(segment,)), relative, noisy.poses())
+        assert said.translation == pytest.approx(noisy.position, abs=1e-12)
+
+    def test_a_single_outlier_does_not_move_them(self) -> None:
+        noisy = recorded_parts(rails(), 1, **SMALL)
+        row = np.flatnonzero(np.array([name == "carriage" for name in noisy.part]))[60]
+        wrong = noisy.position.copy()
+        wrong[row] += 0.3 * np.array(CARRIAGE.axis)
+        relatives = [relative_rows(one, BASE, "carriage") for one in (noisy, replace(noisy, position=wrong))]
+        edge = sliding_edge(relatives[0].recording)
+        clean, robust = (
+            branch_poses(edge, relative, noisy.poses()).translation[relative.rows] for relative in relatives
+        )
+        assert np.abs(robust - clean).max() < 2 * STD
+
+
+def planted(parts: dict[str, PlantedPart], method: str, seed: int) -> KinematicGraph:
+    return learn_tree(recorded_parts(parts, seed, actions=method == "act-champ"), partial(_learned, method=method))
+
+
+def _learned(recording: Recording, method: str) -> KinematicEdge:
+    """The edge that the project's learner finds for one part."""
+    return learn_graph(recording, method=method, seed=0).edges[0]  # type: ignore[arg-type]
+
+
+class TestWithTheLearner:
+    def test_cabinet(self) -> None:
+        graph = planted(cabinet(), "champ", 0)
+        assert tree(graph) == {"door": BASE, "drawer": BASE, "knob": "door"}
+        assert (kinds(graph, "door"), kinds(graph, "drawer")) == (["revolute", "rigid"], ["rigid", "prismatic"])
+        automaton = build_automaton(graph)
+        assert [coordinate.name for coordinate in automaton.coordinates] == ["door", "drawer"]
+        assert sorted(mode.name for mode in automaton.modes) == sorted(
+            f"{door}/{drawer}" for door in ("revolute", "rigid") for drawer in ("rigid", "prismatic")
+        )
+
+    def test_a_tray_pulled_out_of_a_carriage_after_the_carriage_was(self) -> None:
+        """Two slides of the tray on the base would explain it as well; what the carriage says makes one enough."""
+        graph = planted(carriage(together=False), "champ", 0)
+        assert tree(graph) == {"carriage": BASE, "tray": "carriage"}
+        assert kinds(graph, "tray") == ["rigid", "prismatic"]
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("method", ["champ", "act-champ"])
+    @pytest.mark.parametrize("planting", [carriage, arm])
+    @pytest.mark.parametrize("together", [True, False])
+    def test_chains(self, planting, together: bool, method: str, seed: int) -> None:
+        parts = planting(together)
+        graph = planted(parts, method, seed)
+        assert tree(graph) == {name: part.parent for name, part in parts.items()}
+        inner = graph.edges[1].segments[-1].joint
+        true = list(parts.values())[1].joint
+        assert inner.kind == true.kind
+        assert abs(np.dot(inner.axis, true.axis)) > np.cos(0.05)
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("method", ["champ", "act-champ"])
+    def test_cabinets(self, method: str, seed: int) -> None:
+        assert tree(planted(cabinet(), method, seed)) == {"door": BASE, "drawer": BASE, "knob": "door"}
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("method", ["champ", "act-champ"])
+    def test_the_cabinet_of_the_simulation(self, repository, method: str) -> None:
+        recording = read_csv(repository / "examples" / "demonstrations" / "cabinet.csv")
+        graph = learn_tree(recording, partial(_learned, method=method))
+        assert tree(graph) == {"door": BASE, "drawer": BASE, "handle": "door"}
+        door = next(s.joint for s in graph.edges[0].segments if s.joint.kind == "revolute")
+        slide = next(s.joint for s in graph.edges[1].segments if s.joint.kind == "prismatic")
+        handle = graph.edges[2].segments[0].joint
+        assert abs(door.axis[2]) > np.cos(0.02)
+        assert np.array(door.center)[:2] == pytest.approx((-0.2, 0.01), abs=0.01)
+        assert abs(slide.axis[1]) > np.cos(0.02)
+        assert handle.position == pytest.approx((0.15, 0.045, 0.05), abs=0.005)
+        assert build_automaton(graph).n == 2
+
+
+def test_why_evidence_is_not_divided_by_that_of_free_motion() -> None:
+    """Seen from its door a handle has nothing that free motion would explain worse, so it would hang on the base.
+
+    The reason that `tree` gives, in numbers: free motion of the same relative rows, with steps at their price.
+    """
+
+    def over_free_motion(parent: str) -> tuple[float, float]:
+        relative = relative_rows(recording, parent, "tag")
+        assert relative is not None
+        position = relative.recording.position
+        free = -0.5 * np.sum(np.log1p(2 * (np.diff(position, axis=0) / (STD * np.sqrt(3))) ** 2)) - 30.0
+        evidence = sliding_edge(relative.recording).certainty.log_evidence
+        return evidence, evidence - float(free)
+
+    moving = PlantedPart(BASE, prismatic((1, 1, 1), (0, 0, 0)), sweep(120, 5, 100, 1.2))
+    recording = recorded_parts({"slide": moving, "tag": PlantedPart("slide", MARK, np.zeros(120))}, 1, **SMALL)
+    on_base, on_slide = over_free_motion(BASE), over_free_motion("slide")
+    assert on_slide[0] > on_base[0]
+    assert on_slide[1] < on_base[1]
+
+
+def test_relative_poses_have_the_density_of_the_childs_own() -> None:
+    """A displacement by the parent's pose changes no volumes: its Jacobian on (rotation vector, position) is 1."""
+    parent = RigidTransform.from_components([0.3, -0.2, 0.5], Rotation.from_rotvec([0.4, 1.0, -0.3]))
+    child = RigidTransform.from_components([1.0, 0.2, 0.1], Rotation.from_rotvec([-0.2, 0.1, 0.7]))
+    seen = parent.inv() * child
+    columns = []
+    for step in 1e-6 * np.eye(6):
+        rotated = Rotation.from_rotvec(step[:3]) * child.rotation
+        moved = parent.inv() * RigidTransform.from_components(child.translation + step[3:], rotated)
+        turned = (moved.rotation * seen.rotation.inv()).as_rotvec()
+        columns.append(np.concatenate([turned, moved.translation - seen.translation]) / 1e-6)
+    assert abs(np.linalg.det(np.array(columns))) == pytest.approx(1.0, abs=1e-5)
