@@ -38,7 +38,10 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
         squares = ((missed / scale) ** 2).sum(axis=1)
         density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(squares / (_DOF + d)) - np.log(scale).sum()
         best = max(best, float(density.sum()))
-    return trust * (best - float(np.log(np.maximum(np.ptp(path, axis=0), _FINEST_EXTENT)).sum()))
+    first = float(np.log(np.maximum(np.ptp(path, axis=0), _FINEST_EXTENT)).sum())
+    # One scale per group is fitted, and the number of steps looked back is chosen.
+    fitted = 0.5 * (d // 3) * np.log(3.0 * n) + np.log(len(_LOOKING_BACK))
+    return trust * (best - first) - float(fitted)
 
 
 def _path(track: PartTrack) -> Floats:

@@ -32,6 +32,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
+_BEYOND_NOISE = 2.0  # times the scatter of the rows
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 
@@ -66,7 +67,8 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     posterior = posterior_of(segmented, settings)
     log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
     pieces = segmented.segmentation.pieces
-    if log_odds > 0:
+    misfit = _misfit(segmented, track, inlier, noise, log_odds) if log_odds > 0 else None
+    if misfit is not None:
         pieces = (segmented.best_single(),)
     located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
     starts = [0, *(one.row for one in located)]
@@ -80,10 +82,8 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
     chain = chained(fitted, track, inlier, noise)
-    misfit = None
-    if log_odds > 0:
-        misfit = _misfit(chain[0].joint, track, inlier, noise, log_odds)
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, log_odds) for p in pieces]
+    free = -np.inf if misfit is None else log_odds
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
     places = [None, *(_row_posterior(one, track) for one in located)]
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
@@ -146,16 +146,23 @@ def _joints(
     return found
 
 
-def _misfit(joint: Joint, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float) -> Misfit:
-    """How far a joint is from rows that it does not explain."""
+def _misfit(
+    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
+) -> Misfit | None:
+    """How far the best single joint misses the rows; None if not further than their noise lets them scatter."""
+    joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
     turned = track.quaternion is not None
+    missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
+    scatter = np.sqrt(3) * np.array([noise.position_white, noise.rotation_white])
+    if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
+        return None
     return Misfit(
-        position=float(np.sqrt((error[:, -3:] ** 2).sum(axis=1).mean())),
-        rotation=float(np.sqrt((error[:, :3] ** 2).sum(axis=1).mean())) if turned else None,
-        position_noise=float(np.sqrt(3)) * noise.position_white,
-        rotation_noise=float(np.sqrt(3)) * noise.rotation_white if turned else None,
+        position=float(missed[0]),
+        rotation=float(missed[1]) if turned else None,
+        position_noise=float(scatter[0]),
+        rotation_noise=float(scatter[1]) if turned else None,
         log_odds=log_odds,
     )
 
