@@ -16,7 +16,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
 from micah_plan.learn.branch_poses import branch_poses
-from micah_plan.learn.comotion import carriers
+from micah_plan.learn.comotion import carriers, moves_far
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.relative import relative_rows
 from micah_plan.learn.tree import learn_tree
@@ -169,6 +169,19 @@ class TestCarriers:
     def test_what_rests_carries_nothing(self) -> None:
         parts = {"a": PlantedPart(BASE, MARK, np.zeros(50)), "b": PlantedPart(BASE, TRAY, np.zeros(50))}
         assert carriers(recorded_parts(parts, 0)) == {"a": (), "b": ()}
+
+    def test_what_moves_far_need_not_be_asked_whether_it_is_rigid(self) -> None:
+        recording = recorded_parts(rails(), 1, **SMALL)
+        far = {
+            (parent, child): moves_far(relative_rows(recording, parent, child).recording)
+            for parent, child in [("carriage", "tray"), ("tray", "tag"), ("tag", "carriage"), (BASE, "tag")]
+        }
+        assert far == {
+            ("carriage", "tray"): True,
+            ("tray", "tag"): False,
+            ("tag", "carriage"): True,
+            (BASE, "tag"): True,
+        }
 
 
 class TestBranchPoses:
