@@ -24,8 +24,8 @@ same rows. Parts that are rigid to each other at all times are one body; of its 
 the search, and the others hang on it.
 
 **Pairs that are not learned**: those that `comotion` excludes, those with a part that is rigid to the base, and all
-pairs if orientation was not measured, for then no part has a frame: all hang on the base. Whether a pair is rigid is not
-asked where the two move far relative to each other.
+pairs if orientation was not measured, for then no part has a frame: all hang on the base. Whether a pair is rigid is
+not asked where the two move far relative to each other.
 
 The edges returned are learned from measured poses, as a later observer measures them.
 """
