@@ -19,6 +19,9 @@ parents of one child thus compete for the same data y_j, and only such differenc
   was (`branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs to a tree, so this
   starts with all parts on the base and is repeated along the tree found, until the tree stays.
 
+Where two parents explain a child equally well (parts that only ever moved in step, about one axis) the prior decides:
+the base.
+
 **Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
 same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
 the search, and the others hang on it.
@@ -51,6 +54,7 @@ PairLearner = Callable[[Recording], KinematicEdge]
 Progress = Callable[[str, float], None]
 
 _MOST_ROUNDS = 5
+_LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
 _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 
 
@@ -223,7 +227,8 @@ def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs
             pair = pairs.on_branch((BASE, parent) if child in branch else branch, child)
             if pair is not None:
                 # Rows that were seen together stand for those that were not.
-                evidence = round(pair.log_evidence * rows / len(pair.relative), _EVIDENCE_DIGITS)
+                prior = _LOG_BASE_ODDS if parent == BASE else 0.0
+                evidence = round(pair.log_evidence * rows / len(pair.relative) + prior, _EVIDENCE_DIGITS)
                 weights[parent, child] = (evidence, float(pair.is_rigid), float(parent == BASE), order.get(parent, 0.0))
     return weights
 

@@ -134,6 +134,13 @@ class TestSearch:
 
         assert set(tree(learn_tree(flat, placed)).values()) == {BASE}
 
+    def test_parts_that_explain_each_other_as_well_as_the_base_stand_on_it(self) -> None:
+        """Two slides along different lines in step: seen from the other each slides along a third line."""
+        step = sweep(120, 5, 100, 0.3)
+        parts = {"a": PlantedPart(BASE, CARRIAGE, step), "b": PlantedPart(BASE, TRAY, step)}
+        for seed in range(5):
+            assert tree(learn_tree(recorded_parts(parts, seed, **SMALL), sliding_edge)) == {"a": BASE, "b": BASE}
+
     def test_one_part_needs_no_tree(self) -> None:
         recording = recorded_parts(rails(), 9, **SMALL).select(part="carriage")
         graph = learn_tree(recording, sliding_edge)
