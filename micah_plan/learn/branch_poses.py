@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.graph import KinematicEdge
-from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.automaton.misfit import misfit_of
 from micah_plan.learn.relative import RelativeRows
 
 Floats = NDArray[np.float64]
 
 _WINDOW = 7
+_FEWEST_ROWS = 8
+_SMALLEST = 1e-9
 _OUTLIER_STDS = 5.0
 _STD_PER_MAD = 1.4826
 
@@ -24,8 +27,8 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
     """Poses with those of an edge's child replaced by what the edge says of them.
 
     A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
-    six errors, and that one is made small by a running parabola over the segment's configurations. A rigid segment
-    keeps none.
+    six errors, and that one is made small: what the actions do not say of the segment's configurations is smoothed. A
+    rigid segment keeps none.
 
     Args:
         edge: learned from `relative`; its rows count within `relative.recording`.
@@ -36,7 +39,7 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         (n,) poses, base frame; rows that no segment covers, or that no joint explains, are as they were.
     """
     position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
-    seen = relative.recording.poses()
+    seen, seen_action = relative.recording.poses(), relative.recording.action
     for segment in edge.segments:
         if misfit_of(segment) is not None:
             continue
@@ -46,7 +49,8 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         if segment.joint.kind == "revolute":
             c = np.unwrap(c)
         if segment.joint.kind != "rigid":
-            c = _smoothed(c)
+            told = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
+            c = told + _smoothed(c - told)
         said = relative.frames[index] * forward(segment.joint, c)
         rows = relative.rows[index]
         position[rows] = said.translation
@@ -54,13 +58,22 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
     return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
 
 
+def _told(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """(k,) what the actions say of the configurations, up to a constant: their sum, scaled as far as it is followed."""
+    asked = np.nan_to_num(inverse_jacobian(joint, c, action))[:-1]
+    followed = float(asked @ np.diff(c)) / max(float(asked @ asked), 1e-12)
+    return np.concatenate([[0.0], np.cumsum(followed * asked)])
+
+
 def _smoothed(c: Floats) -> Floats:
-    """A running parabola through configurations, blind to single rows far from their neighbours."""
-    if len(c) < _WINDOW:
+    """A spline through configurations, as smooth as generalised cross-validation finds best, and blind to outliers."""
+    if len(c) < _FEWEST_ROWS:
         return c
     miss = c - median_filter(c, size=_WINDOW, mode="nearest")
-    outlying = np.abs(miss) > _OUTLIER_STDS * max(_STD_PER_MAD * float(np.median(np.abs(miss))), 1e-9)
+    outlying = np.abs(miss) > _OUTLIER_STDS * max(_STD_PER_MAD * float(np.median(np.abs(miss))), _SMALLEST)
     outlying[[0, -1]] = False
-    rows = np.arange(len(c))
+    rows = np.arange(len(c), dtype=float)
     clean = np.interp(rows, rows[~outlying], c[~outlying])
-    return np.asarray(savgol_filter(clean, _WINDOW, 2))
+    if np.ptp(clean) < _SMALLEST:
+        return np.asarray(clean)
+    return np.asarray(make_smoothing_spline(rows, clean)(rows))

@@ -21,6 +21,8 @@ Bools = NDArray[np.bool_]
 _WINDOWS = 24  # per run
 _MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
 _SHARE = 0.5
+_FAR = 0.1  # m; further than slow errors of a tracker take a part, seen from another
+_FAR_STDS = 20.0
 _STD_PER_MAD = 1.4826
 
 
@@ -34,6 +36,16 @@ def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
         )
         for child in recording.parts
     }
+
+
+def moves_far(recording: Recording) -> bool:
+    """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
+    for run in recording.runs:
+        place = _places(recording.rows(recording.run == run))
+        low, high = np.quantile(place, [0.05, 0.95], axis=0)
+        if len(place) > 2 and (high - low).max() > max(_FAR, _FAR_STDS * _white_std(place)):
+            return True
+    return False
 
 
 def moving_windows(recording: Recording, run: int, part: str) -> Bools:

@@ -14,13 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import reversed_direction
-from micah_plan.learn.channels import seen_by
 from micah_plan.learn.closed_form import fit_closed_form
 from micah_plan.learn.comparison import compare_all
-from micah_plan.learn.likelihood import fit_likelihood, likeliest, noise_of, parameter_covariance, white_noise
+from micah_plan.learn.joint_frame import seen_by
+from micah_plan.learn.likelihood import fit_likelihood, parameter_covariance
 from micah_plan.learn.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.quaternions import times
+from micah_plan.learn.tracker_noise import likeliest, noise_of, white_noise
 
 Floats = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def fit_joint(
         p, q = rows.of(kept)
         fit = fit_likelihood(joint, p, q, white_noise(stds), _ROUGH)
         joint = fit.joint
-    posterior = noise_of(fit, time[kept], stds, _LEAST_STDS)
+    posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], stds, _LEAST_STDS)
     if posterior is None:
         return rows.judged(joint)
     noise = likeliest(posterior)

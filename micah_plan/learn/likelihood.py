@@ -1,6 +1,6 @@
 """The joint of maximum likelihood under white and wandering noise, and the covariance of its parameters.
 
-Generalized least squares over the channels across the motion, by Gauss-Newton with Levenberg's damping. The covariance
+Generalized least squares over error contrasts, by Gauss-Newton with Levenberg's damping. The covariance
 is that of this estimator under the whole posterior of the noise (a sandwich), not only under the likeliest noise.
 """
 
@@ -13,49 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, ParameterCovariance
-from micah_plan.learn.channels import Channel, Seen, channels_of, seen_by
+from micah_plan.learn.contrasts import Contrasts, contrasts_of
+from micah_plan.learn.joint_frame import Seen, seen_by
 from micah_plan.learn.parametrization import Chart, chart_of, stepped
-from micah_plan.learn.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learn.tracker_noise import TrackerNoise
 
 Floats = NDArray[np.float64]
 
 _STEPS = 25
-_UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
 _UNKNOWN = 1.0  # rad, m, m/rad: std of what the rows say nothing about
-
-
-@dataclass(frozen=True, eq=False)
-class TrackerNoise:
-    """Variances of a tracker's noise per axis [m², rad²] with a wander of one correlation time, if any."""
-
-    position_white: float
-    position_wander: float
-    rotation_white: float
-    rotation_wander: float
-    process: OrnsteinUhlenbeck | None
-
-    @property
-    def stds(self) -> tuple[float, float]:
-        """Total std of a rotation [rad] and a position [m]."""
-        return (
-            float(np.sqrt(self.rotation_white + self.rotation_wander)),
-            float(np.sqrt(self.position_white + self.position_wander)),
-        )
-
-    def of(self, channel: Channel) -> tuple[float, float]:
-        """White and wandering variance of a channel."""
-        turns = channel.reach**2 if channel.position is not None else 1.0
-        white = wander = 0.0
-        if channel.position is not None:
-            white, wander = self.position_white, self.position_wander
-        if channel.rotation is not None:
-            white, wander = white + turns * self.rotation_white, wander + turns * self.rotation_wander
-        return white, wander
-
-
-def white_noise(stds: tuple[float, float]) -> TrackerNoise:
-    """Noise without wander, of a std of rotations [rad] and positions [m]."""
-    return TrackerNoise(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +31,14 @@ class Fit:
     joint: Joint
     chart: Chart
     seen: Seen
-    channels: list[Channel]
+    contrasts: list[Contrasts]
 
 
 def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: TrackerNoise) -> Fit:
     """A joint as it is, with rows (n, 3), (n, 4)."""
     rotation_std, position_std = noise.stds
     seen = seen_by(joint, position, quaternion, position_std / rotation_std)
-    return Fit(joint, chart_of(joint, quaternion is not None), seen, channels_of(joint, seen, noise.stds))
+    return Fit(joint, chart_of(joint, quaternion is not None), seen, contrasts_of(joint, seen, noise.stds))
 
 
 def fit_likelihood(
@@ -104,53 +70,6 @@ def fit_likelihood(
     return fit
 
 
-def noise_of(
-    fit: Fit, time: Floats, stds: tuple[float, float], least: tuple[float, float]
-) -> list[tuple[float, TrackerNoise]] | None:
-    """Posterior of the noise by correlation time, as (probability, noise); None where rows are too few to tell.
-
-    Args:
-        time: (n,) of the fitted rows [s].
-        stds: rough ones, of a rotation [rad] and a position [m].
-        least: smallest stds to believe in.
-    """
-    tried = memories(time)
-    processes = [OrnsteinUhlenbeck(time, memory) for memory in tried.tolist()]
-    found: list[NoisePosterior] = []
-    for channel in fit.channels:
-        if channel.reach:
-            continue
-        floor = least[1 if channel.rotation is None else 0] ** 2
-        posterior = noise_posterior(processes, channel.error, channel.design @ fit.chart.in_frame, floor)
-        if posterior is None:
-            return None
-        found.append(posterior)
-    score = np.sum([one.log_likelihood for one in found], axis=0)
-    probability = np.exp(score - score.max())
-    probability[probability < _UNLIKELY] = 0.0
-    probability /= probability.sum()
-    position, rotation = found[0], found[1] if len(found) > 1 else None
-    return [
-        (
-            float(probability[i]),
-            TrackerNoise(
-                float(position.white[i]),
-                float(position.wander[i]),
-                float(rotation.white[i]) if rotation else stds[0] ** 2,
-                float(rotation.wander[i]) if rotation else 0.0,
-                OrnsteinUhlenbeck(time, float(memory)),
-            ),
-        )
-        for i, memory in enumerate(finer(tried))
-        if probability[i]
-    ]
-
-
-def likeliest(posterior: Sequence[tuple[float, TrackerNoise]]) -> TrackerNoise:
-    """The noise of the likeliest correlation time."""
-    return max(posterior, key=lambda one: one[0])[1]
-
-
 def parameter_covariance(
     fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
 ) -> ParameterCovariance:
@@ -162,7 +81,7 @@ def parameter_covariance(
     prior = np.eye(len(information)) / _UNKNOWN**2
     spread = fit.chart.free @ np.linalg.inv(information + prior)
     within = fit.chart.in_frame
-    middle = prior + within.T @ _spread_of_pull(fit.channels, noise, posterior) @ within
+    middle = prior + within.T @ _spread_of_pull(fit.contrasts, noise, posterior) @ within
     matrix = spread @ middle @ spread.T
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
@@ -172,18 +91,18 @@ def parameter_covariance(
 
 def _normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:
     """Information (p, p), pull (p,) of the errors, and their cost [nats]."""
-    size = fit.channels[0].design.shape[2] + 1
+    size = fit.contrasts[0].design.shape[2] + 1
     gram = np.zeros((size, size))
-    for channel in fit.channels:
-        both = np.concatenate([channel.design, channel.error[:, :, None]], axis=2)
-        gram += both.reshape(-1, size).T @ _weighted(both, channel, noise).reshape(-1, size)
+    for contrast in fit.contrasts:
+        both = np.concatenate([contrast.design, contrast.error[:, :, None]], axis=2)
+        gram += both.reshape(-1, size).T @ _weighted(both, contrast, noise).reshape(-1, size)
     within = fit.chart.in_frame
     return within.T @ gram[:-1, :-1] @ within, within.T @ gram[:-1, -1], 0.5 * float(gram[-1, -1])
 
 
-def _weighted(columns: Floats, channel: Channel, noise: TrackerNoise) -> Floats:
+def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floats:
     """Σ⁻¹ times columns (n, k, m)."""
-    white, wander = noise.of(channel)
+    white, wander = noise.of(contrast)
     if noise.process is None or wander <= 0:
         return columns / white
     flat = columns.reshape(len(columns), -1)
@@ -191,17 +110,17 @@ def _weighted(columns: Floats, channel: Channel, noise: TrackerNoise) -> Floats:
 
 
 def _spread_of_pull(
-    channels: Sequence[Channel], noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
+    contrasts: Sequence[Contrasts], noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
 ) -> Floats:
     """(p, p) covariance of the pull, when noise of the posterior meets the weights of one noise."""
-    n, _, p = channels[0].design.shape
+    n, _, p = contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))
-    for channel in channels:
-        weighted = _weighted(channel.design, channel, noise)
-        if channel.position is not None:
-            by_position += channel.position.transpose(0, 2, 1) @ weighted
-        if channel.rotation is not None:
-            by_rotation += channel.rotation.transpose(0, 2, 1) @ weighted
+    for contrast in contrasts:
+        weighted = _weighted(contrast.design, contrast, noise)
+        if contrast.position is not None:
+            by_position += contrast.position.transpose(0, 2, 1) @ weighted
+        if contrast.rotation is not None:
+            by_rotation += contrast.rotation.transpose(0, 2, 1) @ weighted
     total = np.zeros((p, p))
     for probability, one in posterior:
         for columns, white, wander in (

@@ -8,7 +8,6 @@ the origin, save the one along the motion.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, JointKind, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.learn.joint_frame import cross, frame_of
 from micah_plan.learn.quaternions import times
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ _PARTS: dict[JointKind, tuple[str, ...]] = {
     "screw": (*_AXIS, *_CENTER, "pitch"),
 }
 _LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
-_ON_THE_AXIS = 1e-9  # m
+_SHORTEST = 1e-9  # m; a direction shorter than that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,24 +80,6 @@ def chart_of(joint: Joint, has_orientation: bool) -> Chart:
     return Chart(before + after, free, change @ free, basis)
 
 
-def frame_of(joint: Joint) -> tuple[Floats, float]:
-    """(3, 3) rows u1, u2 and the axis of a joint's own frame (the base's for a rigid one), and its radius [m].
-
-    u1 points from the axis to the part's origin; where that is on the axis it is the first of `axis_basis`.
-    """
-    if joint.kind == "rigid":
-        return np.eye(3), 0.0
-    axis = np.array(joint.axis)
-    arm = np.subtract(joint.position, joint.center) if joint.kind != "prismatic" else np.zeros(3)
-    arm = arm - (arm @ axis) * axis
-    radius = math.sqrt(float(arm @ arm))
-    if radius > _ON_THE_AXIS:
-        first = arm / radius
-    else:
-        first, radius = axis_basis(joint.axis)[0], 0.0
-    return np.stack([first, _cross(axis, first), axis]), radius
-
-
 def stepped(joint: Joint, chart: Chart, numbers: Floats) -> Joint | None:
     """The joint after a step of the free numbers (p,); None where the step is too long to mean anything."""
     step = dict(zip(chart.names, (chart.free @ numbers).tolist(), strict=True))
@@ -127,7 +109,8 @@ def _start_direction(joint: Joint) -> Floats:
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return np.concatenate([np.zeros(3), axis])
-    return np.concatenate([axis, _cross(axis, np.subtract(joint.position, joint.center)) + joint.pitch * axis])
+    arm = np.subtract(joint.position, joint.center)
+    return np.concatenate([axis, cross(axis, arm) + joint.pitch * axis])
 
 
 def _across(direction: Floats) -> Floats:
@@ -135,7 +118,7 @@ def _across(direction: Floats) -> Floats:
     scale = np.repeat([ROTATION_LENGTH, 1.0], 3)[6 - len(direction) :]
     mirror = direction * scale
     length = float(np.linalg.norm(mirror))
-    if length < _ON_THE_AXIS:
+    if length < _SHORTEST:
         return np.eye(len(direction))
     # Householder's reflection takes one unit vector to the direction and so the others across it.
     mirror = mirror / length
@@ -143,7 +126,3 @@ def _across(direction: Floats) -> Floats:
     mirror[largest] += 1.0 if mirror[largest] >= 0 else -1.0
     rest = np.eye(len(mirror)) - np.outer(mirror, mirror) * (2 / float(mirror @ mirror))
     return np.asarray(np.delete(rest, largest, axis=1) / scale[:, None])
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -19,12 +19,16 @@ parents of one child thus compete for the same data y_j, and only such differenc
   was (`branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs to a tree, so this
   starts with all parts on the base and is repeated along the tree found, until the tree stays.
 
+Where two parents explain a child equally well (parts that only ever moved in step, about one axis) the prior decides:
+the base.
+
 **Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
 same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
 the search, and the others hang on it.
 
 **Pairs that are not learned**: those that `comotion` excludes, those with a part that is rigid to the base, and all
-pairs if orientation was not measured, for then no part has a frame: all hang on the base.
+pairs if orientation was not measured, for then no part has a frame: all hang on the base. Whether a pair is rigid is
+not asked where the two move far relative to each other.
 
 The edges returned are learned from measured poses, as a later observer measures them.
 """
@@ -42,7 +46,7 @@ from micah_plan.automaton.misfit import misfit_of
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.arborescence import Arc, Weight, maximum_arborescence
 from micah_plan.learn.branch_poses import branch_poses
-from micah_plan.learn.comotion import carriers
+from micah_plan.learn.comotion import carriers, moves_far
 from micah_plan.learn.relative import RelativeRows, in_whole_recording, relative_rows
 from micah_plan.recording.value import Recording
 
@@ -50,6 +54,7 @@ PairLearner = Callable[[Recording], KinematicEdge]
 Progress = Callable[[str, float], None]
 
 _MOST_ROUNDS = 5
+_LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
 _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 
 
@@ -142,6 +147,14 @@ class _Pairs:
             )
         return pair
 
+    def are_rigid(self, parent: str, child: str) -> bool:
+        """Whether two parts never move relative to each other; False where they cannot be seen together."""
+        if (parent, child) not in self._learned:
+            relative = relative_rows(self.recording, parent, child)
+            if relative is None or moves_far(relative.recording):
+                return False
+        return self.measured(parent, child).is_rigid
+
     def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
         """From the pose of the branch's last part as the branch (base first) says it; None: too few common rows."""
         return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
@@ -180,7 +193,7 @@ def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str
     for child in sorted(able):
         for parent in sorted(able[child]):
             mutual = parent < child and child in able[parent]
-            if mutual and first[parent] != first[child] and pairs.measured(parent, child).is_rigid:
+            if mutual and first[parent] != first[child] and pairs.are_rigid(parent, child):
                 one, other = sorted((first[parent], first[child]))
                 first = {part: one if body == other else body for part, body in first.items()}
     return {part: body for part, body in first.items() if part != body}
@@ -214,7 +227,8 @@ def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs
             pair = pairs.on_branch((BASE, parent) if child in branch else branch, child)
             if pair is not None:
                 # Rows that were seen together stand for those that were not.
-                evidence = round(pair.log_evidence * rows / len(pair.relative), _EVIDENCE_DIGITS)
+                prior = _LOG_BASE_ODDS if parent == BASE else 0.0
+                evidence = round(pair.log_evidence * rows / len(pair.relative) + prior, _EVIDENCE_DIGITS)
                 weights[parent, child] = (evidence, float(pair.is_rigid), float(parent == BASE), order.get(parent, 0.0))
     return weights
 

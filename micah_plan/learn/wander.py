@@ -18,11 +18,11 @@ from scipy.linalg import lapack
 Floats = NDArray[np.float64]
 
 _TIMES = 5  # correlation times tried
-_LONGEST = 0.5  # of the duration; a slower wander looks like another joint
+_LONGEST = 0.4  # of the duration; a slower wander looks like another joint
 _RATIOS = (1.0, 6.0, 36.0, 216.0, 1296.0, 7776.0)  # noise a wander adds at slow frequencies, in units of the white
-_LEANING = 0.25
+_LEANING = 0.2  # power of the correlation time in its prior
 _FINE = 13  # correlation times, and ratios, that likelihoods are interpolated at
-_CALM = 0.7  # probability, before anything is seen, that a tracker does not wander
+_CALM = 0.65  # probability, before anything is seen, that a tracker does not wander
 _FASTEST = 2.0  # rows; a wander of shorter memory is white noise
 _LEAST_INNOVATION = 1e-6  # of an Ornstein-Uhlenbeck step; rows at the same time would make it 0
 _GAP = 10.0  # rows; a longer pause counts as one of this length
@@ -57,7 +57,7 @@ class OrnsteinUhlenbeck:
 
 @dataclass(frozen=True, eq=False)
 class NoisePosterior:
-    """What is known of one channel's noise, for each of the `finer` correlation times.
+    """What is known of the noise of contrasts, for each of the `finer` correlation times.
 
     Attributes:
         log_likelihood: (f,) restricted, the ratios of wander to white noise integrated out.
@@ -80,11 +80,11 @@ def memories(time: Floats) -> Floats:
 def noise_posterior(
     processes: list[OrnsteinUhlenbeck], error: Floats, design: Floats, least: float
 ) -> NoisePosterior | None:
-    """Posterior of the noise that channels share, given what a fit leaves of them.
+    """Posterior of the noise that contrasts share, given what a fit leaves of them.
 
     Args:
         processes: one per correlation time.
-        error: (n, k) of k channels of equal and independent noise.
+        error: (n, k) of k contrasts of equal and independent noise.
         design: (n, k, p) their derivative by the parameters that were fitted, of any rank.
         least: smallest variance to believe in.
 
@@ -97,7 +97,7 @@ def noise_posterior(
     degrees = n * k - rank
     if degrees < 3:
         return None
-    # Columns of one channel stay together, so that one tridiagonal solve serves them all.
+    # Columns of one contrast stay together, so that one tridiagonal solve serves them all.
     both = np.concatenate([columns, error.reshape(n * k, 1)], axis=1).reshape(n, -1)
     flat = both.reshape(n * k, rank + 1)
     slowness = np.array([process.memory for process in processes]) / processes[0].memory

@@ -13,8 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse, rebased, shifted
 from micah_plan.learn.final_fit import FittedJoint, fit_joint
-from micah_plan.learn.likelihood import fit_likelihood, seen_with, white_noise
+from micah_plan.learn.likelihood import fit_likelihood, seen_with
 from micah_plan.learn.parametrization import chart_of, stepped
+from micah_plan.learn.tracker_noise import white_noise
 
 TRUTHS: dict[str, Joint] = {"rigid": rigid((0.5, 0.1, 0.3), JOINTS["revolute"].quaternion), **JOINTS}
 KINDS = tuple(TRUTHS)
@@ -103,9 +104,9 @@ def test_the_design_is_the_derivative_of_the_errors(kind: str, has_orientation: 
     for i, step in enumerate(h * np.eye(at.chart.free.shape[1])):
         ends = [stepped(TRUTHS[kind], at.chart, sign * step) for sign in (1, -1)]
         after, before = (seen_with(end, position, given, noise) for end in ends if end is not None)
-        for channel, high, low in zip(at.channels, after.channels, before.channels, strict=True):
+        for contrast, high, low in zip(at.contrasts, after.contrasts, before.contrasts, strict=True):
             slope = (high.error - low.error) / (2 * h)
-            np.testing.assert_allclose(slope, -(channel.design @ at.chart.in_frame)[..., i], atol=1e-8)
+            np.testing.assert_allclose(slope, -(contrast.design @ at.chart.in_frame)[..., i], atol=1e-8)
 
 
 @EVERY

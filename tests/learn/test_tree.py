@@ -16,7 +16,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
 from micah_plan.learn.branch_poses import branch_poses
-from micah_plan.learn.comotion import carriers
+from micah_plan.learn.comotion import carriers, moves_far
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.relative import relative_rows
 from micah_plan.learn.tree import learn_tree
@@ -134,6 +134,13 @@ class TestSearch:
 
         assert set(tree(learn_tree(flat, placed)).values()) == {BASE}
 
+    def test_parts_that_explain_each_other_as_well_as_the_base_stand_on_it(self) -> None:
+        """Two slides along different lines in step: seen from the other each slides along a third line."""
+        step = sweep(120, 5, 100, 0.3)
+        parts = {"a": PlantedPart(BASE, CARRIAGE, step), "b": PlantedPart(BASE, TRAY, step)}
+        for seed in range(5):
+            assert tree(learn_tree(recorded_parts(parts, seed, **SMALL), sliding_edge)) == {"a": BASE, "b": BASE}
+
     def test_one_part_needs_no_tree(self) -> None:
         recording = recorded_parts(rails(), 9, **SMALL).select(part="carriage")
         graph = learn_tree(recording, sliding_edge)
@@ -169,6 +176,19 @@ class TestCarriers:
     def test_what_rests_carries_nothing(self) -> None:
         parts = {"a": PlantedPart(BASE, MARK, np.zeros(50)), "b": PlantedPart(BASE, TRAY, np.zeros(50))}
         assert carriers(recorded_parts(parts, 0)) == {"a": (), "b": ()}
+
+    def test_what_moves_far_need_not_be_asked_whether_it_is_rigid(self) -> None:
+        recording = recorded_parts(rails(), 1, **SMALL)
+        far = {
+            (parent, child): moves_far(relative_rows(recording, parent, child).recording)
+            for parent, child in [("carriage", "tray"), ("tray", "tag"), ("tag", "carriage"), (BASE, "tag")]
+        }
+        assert far == {
+            ("carriage", "tray"): True,
+            ("tray", "tag"): False,
+            ("tag", "carriage"): True,
+            (BASE, "tag"): True,
+        }
 
 
 class TestBranchPoses:

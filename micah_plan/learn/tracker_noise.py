@@ -1,0 +1,103 @@
+"""Noise of a tracker's poses, white and wandering, and its posterior given what a fit of a joint leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.contrasts import Contrasts
+from micah_plan.learn.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
+
+Floats = NDArray[np.float64]
+
+_UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerNoise:
+    """Variances of a tracker's noise per axis [m², rad²] with a wander of one correlation time, if any."""
+
+    position_white: float
+    position_wander: float
+    rotation_white: float
+    rotation_wander: float
+    process: OrnsteinUhlenbeck | None
+
+    @property
+    def stds(self) -> tuple[float, float]:
+        """Total std of a rotation [rad] and a position [m]."""
+        return (
+            float(np.sqrt(self.rotation_white + self.rotation_wander)),
+            float(np.sqrt(self.position_white + self.position_wander)),
+        )
+
+    def of(self, contrast: Contrasts) -> tuple[float, float]:
+        """White and wandering variance of contrasts."""
+        turns = contrast.reach**2 if contrast.position is not None else 1.0
+        white = wander = 0.0
+        if contrast.position is not None:
+            white, wander = self.position_white, self.position_wander
+        if contrast.rotation is not None:
+            white, wander = white + turns * self.rotation_white, wander + turns * self.rotation_wander
+        return white, wander
+
+
+def white_noise(stds: tuple[float, float]) -> TrackerNoise:
+    """Noise without wander, of a std of rotations [rad] and positions [m]."""
+    return TrackerNoise(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
+
+
+def noise_of(
+    contrasts: Sequence[Contrasts],
+    within: Floats,
+    time: Floats,
+    stds: tuple[float, float],
+    least: tuple[float, float],
+) -> list[tuple[float, TrackerNoise]] | None:
+    """Posterior of the noise by correlation time, as (probability, noise); None where rows are too few to tell.
+
+    Args:
+        contrasts: what a fit leaves.
+        within: (11, p) the parameters that were fitted (`Chart.in_frame`).
+        time: (n,) of the fitted rows [s].
+        stds: rough ones, of a rotation [rad] and a position [m].
+        least: smallest stds to believe in.
+    """
+    tried = memories(time)
+    processes = [OrnsteinUhlenbeck(time, memory) for memory in tried.tolist()]
+    found: list[NoisePosterior] = []
+    for contrast in contrasts:
+        if contrast.reach:
+            continue
+        floor = least[1 if contrast.rotation is None else 0] ** 2
+        posterior = noise_posterior(processes, contrast.error, contrast.design @ within, floor)
+        if posterior is None:
+            return None
+        found.append(posterior)
+    score = np.sum([one.log_likelihood for one in found], axis=0)
+    probability = np.exp(score - score.max())
+    probability[probability < _UNLIKELY] = 0.0
+    probability /= probability.sum()
+    position, rotation = found[0], found[1] if len(found) > 1 else None
+    return [
+        (
+            float(probability[i]),
+            TrackerNoise(
+                float(position.white[i]),
+                float(position.wander[i]),
+                float(rotation.white[i]) if rotation else stds[0] ** 2,
+                float(rotation.wander[i]) if rotation else 0.0,
+                OrnsteinUhlenbeck(time, float(memory)),
+            ),
+        )
+        for i, memory in enumerate(finer(tried))
+        if probability[i]
+    ]
+
+
+def likeliest(posterior: Sequence[tuple[float, TrackerNoise]]) -> TrackerNoise:
+    """The noise of the likeliest correlation time."""
+    return max(posterior, key=lambda one: one[0])[1]
