@@ -21,6 +21,7 @@ from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
+from micah_plan.learn.tree import learn_tree
 from micah_plan.recording.value import Recording
 
 Method = Literal["champ", "act-champ"]
@@ -37,8 +38,9 @@ def learn_graph(
 ) -> KinematicGraph:
     """Segment a recording and fit the joints of its segments.
 
-    Every part is related to the base by one edge. Every run is segmented on its own; the first run defines the
-    configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
+    Every part hangs on the base or on another part, whichever explains the poses best (see `learn.tree`). Every run is
+    segmented on its own; the first one defines the configuration coordinate, the segments of the others are counted
+    along it and follow in the order of the runs.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
@@ -56,23 +58,16 @@ def learn_graph(
     if len(recording) == 0:
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
-    edges = []
-    for number, part in enumerate(recording.parts):
-        if progress is not None:
-            progress(f"segmenting the motion of '{part}'", number / len(recording.parts))
-        edges.append(learn_edge(recording, part, method, chosen, seed))
-    if progress is not None:
-        progress("learned", 1.0)
-    return KinematicGraph(tuple(edges))
+    return learn_tree(recording, lambda one: learn_edge(one, method, chosen, seed), progress)
 
 
-def learn_edge(recording: Recording, part: str, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:
-    """How one part moves relative to its base: every run segmented, all runs on one coordinate."""
-    runs = tuple(dict.fromkeys(int(r) for r, name in zip(recording.run, recording.part, strict=True) if name == part))
+def learn_edge(recording: Recording, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:
+    """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate."""
+    part = recording.parts[0]
     segments: list[Segment] = []
     reference: Joint | None = None
     learned = []
-    for i, run in enumerate(runs):
+    for i, run in enumerate(recording.runs):
         rng = np.random.default_rng([seed, i])
         one = learn_run(part_track(recording, run, part), settings, method == "act-champ", rng)
         learned.append(one)
