@@ -17,7 +17,7 @@ from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.learn.closed_form import fit_closed_form
 from micah_plan.learn.comparison import compare_all
 from micah_plan.learn.joint_frame import seen_by
-from micah_plan.learn.likelihood import fit_likelihood, parameter_covariance
+from micah_plan.learn.likelihood import Fit, fit_likelihood, parameter_covariance
 from micah_plan.learn.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.quaternions import times
@@ -29,7 +29,7 @@ OUTLIER_WEIGHT = 10.0
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
 _POSITION_SPAN = 1.0  # m, where the rows span less
-_SCORED_ROWS = 100
+_STARTING_ROWS = 100  # no start needs more
 _VOTES = 3
 _ROTATION_LENGTH = 0.2  # m/rad, while no noise is known
 _ROUNDS = 2
@@ -73,7 +73,7 @@ def fit_joint(
         guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
             says where configurations are counted from and in which direction.
         position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
-        time: (n,) [s] of the rows, not decreasing; pauses between segments are welcome.
+        time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
         weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
         rng: draws the minimal sets; the same seed gives the same joint.
         draws: how many minimal sets.
@@ -87,24 +87,19 @@ def fit_joint(
     used = used[np.argsort(time[used], kind="stable")]
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
-    joint, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
-    for _ in range(_ROUNDS):
-        mixture = rows.mixture(joint, stds)
-        stds = _stds(mixture)
-        kept = used if trusting else used[mixture.inlier[0, used] > 0.5]
-        if len(kept) <= need:
-            return rows.judged(joint)
-        p, q = rows.of(kept)
-        fit = fit_likelihood(joint, p, q, white_noise(stds), _ROUGH)
-        joint = fit.joint
+    start, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
+    believed = _believed(start, stds, rows, used, trusting)
+    if believed is None:
+        return rows.judged(start)
+    fit, kept, stds = believed
     posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], stds, _LEAST_STDS)
     if posterior is None:
-        return rows.judged(joint)
+        return rows.judged(fit.joint)
     noise = likeliest(posterior)
-    fit = fit_likelihood(_counted_as(joint, guess, quaternion is not None), p, q, noise)
+    fit = fit_likelihood(_counted_as(fit.joint, guess, quaternion is not None), *rows.of(kept), noise)
     joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
-    judged = _fitted(joint, rows.mixture(joint, noise.stds), q is not None)
-    return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if q is not None else 0.0)
+    judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
+    return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if quaternion is not None else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,19 +143,38 @@ def _best_start(
     guess: Joint, rows: _Rows, used: NDArray[np.int64], rng: np.random.Generator, draws: int
 ) -> tuple[Joint, tuple[float, float]]:
     """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
-    p, q = rows.of(used)
+    some = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
+    p, q = rows.of(some)
     starts = [guess, _carried(guess, p, q), *joints_through(guess.kind, p, q, rng, draws)]
-    closed = fit_closed_form(guess.kind, p, None if q is None else Rotation.from_quat(q), np.ones(len(used)))
+    closed = fit_closed_form(guess.kind, p, None if q is None else Rotation.from_quat(q), np.ones(len(some)))
     if closed is not None:
         starts.append(closed)
-    some = used[np.linspace(0, len(used) - 1, min(len(used), _SCORED_ROWS)).round().astype(int)]
-    error = compare_all(starts, *rows.of(some), _ROTATION_LENGTH).error
+    error = compare_all(starts, p, q, _ROTATION_LENGTH).error
     squares = [np.einsum("hnk,hnk->hn", error[..., -3:], error[..., -3:])]
     if q is not None:
         squares.append(np.einsum("hnk,hnk->hn", error[..., :3], error[..., :3]))
     scored = rows.mixtures(guess.kind, squares, rows.weight[some])
     best = int(np.argmax(scored.log_likelihood))
     return starts[best], _stds(scored, best)
+
+
+def _believed(
+    joint: Joint, stds: tuple[float, float], rows: _Rows, used: NDArray[np.int64], trusting: bool
+) -> tuple[Fit, NDArray[np.int64], tuple[float, float]] | None:
+    """A joint fitted to the rows that agree with it, those rows and their stds; None where too few do."""
+    fit, kept = None, used[:0]
+    for _ in range(_ROUNDS):
+        before = kept
+        mixture = rows.mixture(joint, stds)
+        stds = _stds(mixture)
+        kept = used if trusting else used[mixture.inlier[0, used] > 0.5]
+        if len(kept) <= minimal_rows(joint.kind, rows.quaternion is not None):
+            return None
+        if fit is not None and np.array_equal(kept, before):
+            break
+        fit = fit_likelihood(joint, *rows.of(kept), white_noise(stds), _ROUGH)
+        joint = fit.joint
+    return None if fit is None else (fit, kept, stds)
 
 
 def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:

@@ -106,7 +106,7 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floa
     if noise.process is None or wander <= 0:
         return columns / white
     flat = columns.reshape(len(columns), -1)
-    return np.asarray(noise.process.whiten(wander / white, flat)[0].reshape(columns.shape) / white)
+    return np.asarray(noise.process.whiten(wander / white, flat).reshape(columns.shape) / white)
 
 
 def _spread_of_pull(

@@ -46,13 +46,14 @@ class OrnsteinUhlenbeck:
         diagonal, beside, _ = lapack.dpttrf(self.diagonal, self.beside)
         return _solved(diagonal, beside, columns)
 
-    def whiten(self, ratio: float, columns: Floats) -> tuple[Floats, float]:
-        """(I + ratio K)⁻¹ X for columns (n, m), and log det (I + ratio K)."""
-        if ratio <= 0:
-            return columns, 0.0
+    def smoothed(self, ratio: float, columns: Floats) -> tuple[Floats, float]:
+        """(K⁻¹ + ratio I)⁻¹ X for columns (n, m), and log det (I + ratio K)."""
         diagonal, beside, _ = lapack.dpttrf(self.diagonal + ratio, self.beside)
-        log_det = float(np.log(diagonal).sum()) - self.log_precision
-        return columns - ratio * _solved(diagonal, beside, columns), log_det
+        return _solved(diagonal, beside, columns), float(np.log(diagonal).sum()) - self.log_precision
+
+    def whiten(self, ratio: float, columns: Floats) -> Floats:
+        """(I + ratio K)⁻¹ X for columns (n, m)."""
+        return columns - ratio * self.smoothed(ratio, columns)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,20 +98,21 @@ def noise_posterior(
     degrees = n * k - rank
     if degrees < 3:
         return None
-    # Columns of one contrast stay together, so that one tridiagonal solve serves them all.
-    both = np.concatenate([columns, error.reshape(n * k, 1)], axis=1).reshape(n, -1)
-    flat = both.reshape(n * k, rank + 1)
+    both = np.concatenate([columns, error.reshape(n * k, 1)], axis=1)
+    # Side by side, so that one tridiagonal solve serves all contrasts.
+    beside = np.asfortranarray(both.reshape(n, k, rank + 1).reshape(n, -1))
     slowness = np.array([process.memory for process in processes]) / processes[0].memory
-    tried = [
-        (process, ratio / (2 * _FASTEST * slow))
-        for process, slow in zip(processes, slowness, strict=True)
-        for ratio in _RATIOS
-    ]
+    levels = np.array(_RATIOS) / (2 * _FASTEST)
+    tried = [(process, level / slow) for process, slow in zip(processes, slowness, strict=True) for level in levels]
+    whole = both.T @ both
     grams, log_dets = [], []
-    for process, ratio in [*tried, (processes[0], 0.0)]:
-        solved, log_det = process.whiten(ratio, both)
-        grams.append(flat.T @ solved.reshape(n * k, rank + 1))
+    for process, ratio in tried:
+        solved, log_det = process.smoothed(ratio, beside)
+        parts = (slice(i * (rank + 1), (i + 1) * (rank + 1)) for i in range(k))
+        grams.append(whole - ratio * sum(beside[:, part].T @ solved[:, part] for part in parts))
         log_dets.append(log_det)
+    grams.append(whole)
+    log_dets.append(0.0)
     left, log_information = _left(np.array(grams), least * degrees)
     scores = -0.5 * (degrees * np.log(left) + k * np.array(log_dets) + log_information)
     # The first column is the likelihood without wander, which no correlation time changes.
