@@ -1,0 +1,311 @@
+"""Estimating the action channel: in which frame, how strongly and how late recorded actions move a joint.
+
+The model is c' = c + g J⁻¹(c) R a(t - delay) + w, measured with white noise (MICAH, equation for the predicted pose,
+with the action seen through a channel). Time counts in shares of the run, and w is a random walk in time, so neither
+the sampling rate nor the unit of time matters.
+
+Priors: see channel_search for R and g; delay ~ N(0, 0.08²) of the run's duration. Actions before the first and after
+the last row are unknown: steps that they would govern count as moving freely. Noise in the actions themselves, other
+than what the random walk takes up, makes the gain too small, as in every regression.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.automaton.certainty import ActionChannel
+from micah_plan.automaton.joint import Joint
+from micah_plan.learn.channel_search import Posterior, Quadratic, climb, integrate, matrices, scan
+from micah_plan.learn.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
+from micah_plan.learn.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+DELAY_STD = 0.08  # of the run's duration
+LEAST_LOG_ODDS = 5.0  # of the channel against none, 150 : 1
+_COARSE_STEPS = 128  # per run
+_COARSE_DELAYS = np.arange(-22, 23) / 96
+_NEAR_ROWS = 8
+_WALK_SHARES = (0.3, 0.01)
+_WALKS = 0.25 ** np.arange(9.0)
+_NEGLIGIBLE_WALK = -4.0  # ln probability
+_FINE_DELAYS = 13
+_MOST_ROUNDS = 6
+_WIDEST = 0.25  # half-width of the delays integrated over, as a share of the run
+_MOST_UNKNOWN = 0.04  # share of the run beyond the delay where actions count as unknown at most
+_FEWEST_STEPS = 10
+_FEWEST_DRAWS = 12.0
+_NUMBERS = 5  # rotation, gain, delay
+_BLOCKS = 64  # per run, to which `explained` refers
+
+
+@dataclass(frozen=True, eq=False)
+class _Mode:
+    """A point of the posterior and what lies around it.
+
+    Attributes:
+        delay, rotation, log_gain: the point; the delay is a share of the run, the rotation a quaternion (4,).
+        information: (4, 4) of (e, ln g) there.
+        delays: (d,) grid around it.
+        log_weight: (d,) ln posterior of these by Laplace's method.
+        turns: (d, 3) modes of e from the point, per delay.
+    """
+
+    delay: float
+    rotation: Floats
+    log_gain: float
+    information: Floats
+    delays: Floats
+    log_weight: Floats
+    turns: Floats
+
+
+def estimate_channel(
+    joint: Joint,
+    pieces: Sequence[tuple[int, int]],
+    track: PartTrack,
+    white_std: float,
+    inlier: Bools | None = None,
+    least_log_odds: float = LEAST_LOG_ODDS,
+) -> ActionChannel | None:
+    """How the actions of a run move a part along its joint.
+
+    Args:
+        joint: fitted; prismatic, revolute or screw.
+        pieces: first and last row (inclusive, counted within the track) of the stretches that the joint governs.
+        track: of the run, with actions.
+        white_std: believed std of one measured configuration [rad or m]; estimated further from the rows.
+        inlier: (n,) rows of the track that count; None: all.
+        least_log_odds: what the evidence of the channel must exceed that of no channel by [nats].
+
+    Returns:
+        The most probable channel. The rotational part of its covariance is that of a small turn e in the base frame,
+        exp(e) R(frame_rotation); the gain's is that of ln g, times g². All are second moments of the posterior about
+        the estimate. None if there are no actions, fewer than 10 steps, no motion, or if the evidence, integrated over
+        rotations, gains and delays, does not speak for a channel.
+    """
+    command = command_of(track)
+    if command is None or joint.kind == "rigid":
+        return None
+    counted = np.ones(len(track), dtype=bool) if inlier is None else inlier
+    white = max(white_std, 1e-9) ** 2
+    steps = steps_of(joint, pieces, track, counted, white, None)
+    if len(steps) < _FEWEST_STEPS or not np.any(steps.leverage) or not np.any(steps.size):
+        return None
+    still = fit_noise(steps, steps.size, np.zeros(len(steps)))
+    if len(steps) <= 1.5 * _COARSE_STEPS:
+        searches = [(steps, _COARSE_DELAYS)]
+    else:  # for a motion that is slow compared to a row, and for one that is not
+        thinned = steps_of(joint, pieces, track, counted, white, _COARSE_STEPS)
+        row = np.median(steps.end - steps.start)
+        searches = [(thinned if len(thinned) >= _FEWEST_STEPS else steps, _COARSE_DELAYS)]
+        searches.append((steps, row * np.arange(-_NEAR_ROWS, _NEAR_ROWS + 1.0)))
+    nothing = np.zeros(len(steps))
+    starts = [_searched(searched, command, still.walk, delays) for searched, delays in searches]
+    left = [steps.size - _predicted(steps, command, *start) for start in starts]
+    best = int(np.argmax([fit_noise(steps, one, nothing).log_density for one in left])) if len(starts) > 1 else 0
+    mode, noises, extra = _settled(steps, command, still.walk, *starts[best])
+    posterior = _integrated(steps, command, noises, mode, still.walk)
+    if posterior.log_evidence - fit_noise(steps, steps.size, extra).log_density <= least_log_odds:
+        return None
+    return _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
+
+
+def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:
+    """The track with its actions `delay` [s] later: each row's action is what moves the part from it to the next.
+
+    Nothing is commanded before the first and after the last row.
+    """
+    command = command_of(track)
+    if command is None or delay == 0:
+        return track
+    path = replace(command, before=np.zeros(3), after=np.zeros(3)).at(command.time - delay / track.duration)
+    action = np.concatenate([np.diff(path, axis=0), np.zeros((1, 3))])
+    if track.quaternion is not None:
+        action = Rotation.from_quat(track.quaternion).inv().apply(action)
+    return replace(track, action=action)
+
+
+def _quadratic(steps: Steps, predictors: Floats, noise: StepNoise) -> Quadratic:
+    """Likelihood for predictors (d, 9, m) of d delays."""
+    solved = noise.solve(predictors.reshape(-1, len(steps))).reshape(predictors.shape)
+    return Quadratic(np.matmul(predictors, solved.transpose(0, 2, 1)), np.matmul(solved, steps.size))
+
+
+def _searched(steps: Steps, command: Command, walk: float, tried: Floats) -> tuple[float, Floats, float]:
+    """Where to start: delay, rotation and ln gain, from a grid over some delays and all rotations."""
+    log_prior = -0.5 * (tried / DELAY_STD) ** 2
+    predictors = steps.predictors(command, tried)
+    normals, targets, rotations, gains, delays, densities = [], [], [], [], [], []
+    for share in _WALK_SHARES:
+        noise = noise_of(steps, steps.size, np.zeros(len(steps)), share * walk, steps.white)
+        quadratic = _quadratic(steps, predictors, noise)
+        index, rotation, log_gain = scan(quadratic, log_prior)
+        normals.append(quadratic.normal[index])
+        targets.append(quadratic.target[index])
+        rotations.append(rotation)
+        gains.append(log_gain)
+        delays.append(tried[index])
+        densities.append(noise.log_density + log_prior[index])
+    starts = Quadratic(np.concatenate(normals), np.concatenate(targets))
+    channels, _ = climb(starts, np.concatenate(rotations), np.concatenate(gains))
+    best = int(np.argmax(channels.score + np.concatenate(densities)))
+    return float(np.concatenate(delays)[best]), channels.rotation[best], float(channels.log_gain[best])
+
+
+def _settled(
+    steps: Steps, command: Command, walk: float, delay: float, rotation: Floats, log_gain: float
+) -> tuple[_Mode, list[tuple[StepNoise, float]], Floats]:
+    """The mode with a grid of delays as wide as their posterior, the noise there, the variance of unknown actions."""
+    width, center = 2.0 / _COARSE_STEPS, delay
+    for number in range(_MOST_ROUNDS):
+        extra = _unknown(steps, delay, min(width, _MOST_UNKNOWN), walk)
+        left = steps.size - _predicted(steps, command, delay, rotation, log_gain)
+        white = fit_noise(steps, left, extra).white
+        noises = _noises(steps, command, white, extra, walk, (delay, rotation, log_gain))
+        noise = max(noises, key=lambda pair: pair[1])[0]
+        mode = _explored(steps, command, noise, center + width * np.linspace(-1, 1, _FINE_DELAYS), rotation, log_gain)
+        delay, rotation, log_gain = mode.delay, mode.rotation, mode.log_gain
+        weight = np.exp(mode.log_weight)
+        spacing = 2 * width / (_FINE_DELAYS - 1)
+        std = float(np.sqrt(weight @ (mode.delays - delay) ** 2))
+        if number == _MOST_ROUNDS - 1:
+            break
+        if max(weight[0], weight[-1]) > 0.02 and width < _WIDEST:
+            center, width = float(mode.delays[np.argmax(weight)]), min(2.5 * width, _WIDEST)
+        elif std < 1.2 * spacing and width > 1e-5:
+            center, width = delay, max(3.5 * std, 0.8 * spacing)
+        elif number > 0:
+            break
+    return mode, noises, extra
+
+
+def _noises(
+    steps: Steps, command: Command, white: float, extra: Floats, walk: float, at: tuple[float, Floats, float]
+) -> list[tuple[StepNoise, float]]:
+    """Random walks that matter, with their ln posterior.
+
+    The channel takes up much of what a slow random walk does, so that the walk that fits best with the best channel is
+    too small, often 0; with the channel integrated out, and a flat prior of its std (Gelman, Bayesian Analysis 2006),
+    it is not.
+    """
+    noises, density = _weighed(steps, command, white, extra, walk * _WALKS, at)
+    i = int(np.argmax(density))
+    if 0 < i < len(_WALKS) - 1:
+        slope, bend = 0.5 * (density[i + 1] - density[i - 1]), density[i - 1] + density[i + 1] - 2 * density[i]
+        if bend < -0.5:  # known to a factor: look closer
+            ratio = -np.log(_WALKS[1])
+            std, middle = ratio / np.sqrt(-bend), np.log(noises[i].walk) + ratio * slope / bend
+            walks = np.exp(middle + 0.9 * std * np.arange(-2.0, 3.0))
+            noises, density = _weighed(steps, command, white, extra, walks, at)
+    density -= np.logaddexp.reduce(density)
+    return [(noise, float(p)) for noise, p in zip(noises, density, strict=True) if p > _NEGLIGIBLE_WALK]
+
+
+def _weighed(
+    steps: Steps, command: Command, white: float, extra: Floats, walks: Floats, at: tuple[float, Floats, float]
+) -> tuple[list[StepNoise], Floats]:
+    """Noises with given walks (w,), and their ln posterior, rotation and gain integrated out by Laplace's method."""
+    delay, rotation, log_gain = at
+    noises = [noise_of(steps, steps.size, extra, float(walk), white) for walk in walks]
+    predictors = steps.predictors(command, np.array([delay]))[0]
+    solved = np.stack([noise.solve(predictors) for noise in noises])
+    every = Quadratic(np.matmul(solved, predictors.T), np.matmul(solved, steps.size))
+    channels, information = climb(every, np.tile(rotation, (len(noises), 1)), np.full(len(noises), log_gain))
+    density = np.array([noise.log_density for noise in noises]) + 0.5 * np.log(walks)
+    return noises, density + channels.score - 0.5 * np.linalg.slogdet(information)[1]
+
+
+def _explored(
+    steps: Steps, command: Command, noise: StepNoise, delays: Floats, rotation: Floats, log_gain: float
+) -> _Mode:
+    """The mode over a grid of delays, starting everywhere at one rotation and gain."""
+    d = len(delays)
+    quadratic = _quadratic(steps, steps.predictors(command, delays), noise)
+    channels, information = climb(quadratic, np.tile(rotation, (d, 1)), np.full(d, log_gain))
+    score = channels.score - 0.5 * (delays / DELAY_STD) ** 2 - 0.5 * np.linalg.slogdet(information)[1]
+    log_weight = score - np.logaddexp.reduce(score)
+    weight = np.exp(log_weight)
+    delay = float(weight @ delays)
+    near = int(np.argmin(np.abs(delays - delay) - 1e-3 * weight))
+    at = _quadratic(steps, steps.predictors(command, np.array([delay])), noise)
+    best, there = climb(at, channels.rotation[near : near + 1], channels.log_gain[near : near + 1])
+    turns = rotation_vector(times(channels.rotation, conjugate(best.rotation)))
+    return _Mode(delay, best.rotation[0], float(best.log_gain[0]), there[0], delays, log_weight, turns)
+
+
+def _integrated(
+    steps: Steps, command: Command, noises: list[tuple[StepNoise, float]], mode: _Mode, none: float
+) -> Posterior:
+    """Over rotations, gains, delays and random walks."""
+    delays = mode.delays[::2]
+    spacing = delays[1] - delays[0]
+    log_prior = -0.5 * (delays / DELAY_STD) ** 2 + np.log(spacing / (DELAY_STD * np.sqrt(2 * np.pi)))
+    predictors = steps.predictors(command, delays)
+    quadratics = [_quadratic(steps, predictors, noise) for noise, _ in noises]
+    walks = np.array([noise.walk for noise, _ in noises])
+    log_walk = 0.5 * np.log(walks) + np.log(_spacings(walks)) - np.log(2 * np.sqrt(none))
+    density = np.array([noise.log_density for noise, _ in noises]) + log_walk
+    likely = int(np.argmax([p for _, p in noises]))
+    weight = np.exp(mode.log_weight)
+    covariance = np.linalg.inv(mode.information)[:3, :3] + (mode.turns * weight[:, None]).T @ mode.turns
+    every = Quadratic(
+        np.concatenate([one.normal for one in quadratics]), np.concatenate([one.target for one in quadratics])
+    )
+    log_weight = (density[:, None] + log_prior).ravel()
+    return integrate(every, log_weight, mode.rotation, mode.log_gain, covariance, len(noises), likely)
+
+
+def _reported(mode: _Mode, posterior: Posterior, track: PartTrack, explained: float) -> ActionChannel:
+    covariance = np.zeros((_NUMBERS, _NUMBERS))
+    weight, square = posterior.delays, posterior.square
+    offset = mode.delays[::2] - mode.delay
+    cross = (weight * offset) @ posterior.mean
+    if posterior.effective < _FEWEST_DRAWS:
+        covariance[:4, :4] = np.linalg.inv(mode.information)
+    else:
+        covariance[:4, :4] = square
+        covariance[:4, 4] = covariance[4, :4] = cross
+    covariance[4, 4] = weight @ offset**2
+    gain = float(np.exp(mode.log_gain))
+    units = np.array([1.0, 1.0, 1.0, gain, track.duration])
+    covariance *= np.outer(units, units)
+    x, y, z = (float(v) for v in rotation_vector(mode.rotation))
+    rows = tuple(tuple(float(v) for v in row) for row in covariance)
+    return ActionChannel((x, y, z), gain, mode.delay * track.duration, rows, explained)
+
+
+def _spacings(walks: Floats) -> Floats:
+    """(w,) share of the ln-axis that each of evenly spaced walks stands for."""
+    return np.full(len(walks), abs(np.log(walks[1] / walks[0])) if len(walks) > 1 else 1.0)
+
+
+def _predicted(steps: Steps, command: Command, delay: float, rotation: Floats, log_gain: float) -> Floats:
+    m = np.exp(log_gain) * matrices(rotation[None]).ravel()
+    return np.asarray(m @ steps.predictors(command, np.array([delay]))[0])
+
+
+def _unknown(steps: Steps, delay: float, width: float, walk: float) -> Floats:
+    """(m,) variance of steps whose actions, at some delay of interest, are not recorded."""
+    outside = (steps.start < max(delay + width, 0.0)) | (steps.end > 1.0 + min(delay - width, 0.0))
+    return np.where(outside, walk * (steps.end - steps.start), 0.0)
+
+
+def _explained(steps: Steps, command: Command, mode: _Mode, noise: StepNoise) -> float:
+    """Share of the mean squared step, between blocks of the run, that the channel predicts; less measurement noise."""
+    predicted = _predicted(steps, command, mode.delay, mode.rotation, mode.log_gain)
+    block = np.minimum((0.5 * (steps.start + steps.end) * _BLOCKS).astype(np.int64), _BLOCKS - 1)
+    moved = np.bincount(block, steps.size, _BLOCKS)
+    missed = np.bincount(block, steps.size - predicted, _BLOCKS)
+    by_noise = 2 * noise.white * len(np.unique(block))
+    motion = float(moved @ moved) - by_noise
+    if motion <= 0:
+        return 0.0
+    return float(np.clip(1.0 - max(float(missed @ missed) - by_noise, 0.0) / motion, 0.0, 1.0))
