@@ -88,10 +88,12 @@ def fit_joint(
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
     start, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
-    believed = _believed(start, stds, rows, used, trusting)
-    if believed is None:
+    # A helix through positions alone has other optima near circles: there the guess is refined as well.
+    starts = [start, guess] if guess.kind == "screw" and quaternion is None else [start]
+    fits = [fit for fit in (_believed(one, stds, rows, used, trusting) for one in starts) if fit is not None]
+    if not fits:
         return rows.judged(start)
-    fit, kept, stds = believed
+    fit, kept, stds = max(fits, key=lambda one: rows.likelihood(one[0].joint, one[2])) if len(fits) > 1 else fits[0]
     posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], stds, _LEAST_STDS)
     if posterior is None:
         return rows.judged(fit.joint)
@@ -130,6 +132,10 @@ class _Rows:
         if has_orientation:
             sorts.append(Sort(squares[1], 2.5 if turning else 3.0, _ROTATION_SPAN, _LEAST_STDS[0]))
         return fit_mixtures(sorts, weight, self.outlier_weight)
+
+    def likelihood(self, joint: Joint, stds: tuple[float, float]) -> float:
+        """Log likelihood of the mixture under a joint."""
+        return float(self.mixture(joint, stds).log_likelihood[0])
 
     def judged(self, joint: Joint) -> FittedJoint:
         """A joint as it is, without covariance, with what the rows say of it."""
