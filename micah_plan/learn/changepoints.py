@@ -25,6 +25,8 @@ Ints = NDArray[np.int64]
 class Stream(Protocol):
     """What the recursion needs: evidence columns row by row, and forgetting of starts."""
 
+    def __len__(self) -> int: ...
+
     def advance(self) -> EvidenceColumn: ...
 
     def keep(self, index: Ints) -> None: ...
@@ -74,16 +76,17 @@ class _Choice:
 
 
 def most_probable(
-    stream: Stream, rows: int, prior: LengthPrior, rng: np.random.Generator, particles: int | None = None
+    stream: Stream, prior: LengthPrior, rng: np.random.Generator, particles: int | None = None
 ) -> Segmentation:
     """The MAP changepoints and models of the rows of a stream.
 
     Args:
-        stream: evidence of its `rows` rows.
+        stream: evidence of its rows.
         prior: of segment lengths, in rows.
         rng: for resampling; unused where every start is kept.
         particles: most starts kept after a row; None: all of them, which is exact.
     """
+    rows = len(stream)
     every = np.arange(1, rows + 1)
     log_length, log_survival = prior.log_probability(every), prior.log_survival(every - 1)
     best_before = np.full(rows + 1, -np.inf)  # P^MAP of a changepoint before each row

@@ -10,7 +10,7 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,7 +134,7 @@ class ExactEvidence:
         table: densities.
         kinds: candidate kinds, in the order of the evidence's columns.
         members: hypotheses to choose among; None: all.
-        charged: whether a segment pays for the parameters of its joint (else whoever chose the members does).
+        paid: those whose parameters cost a segment nothing (whoever chose them pays).
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class ExactEvidence:
         table: EvidenceTable,
         kinds: tuple[JointKind, ...],
         members: Sequence[int] | None = None,
-        charged: bool = True,
+        paid: Collection[int] = (),
     ) -> None:
         n = table.log_density.shape[1]
         self._best = np.full((n, n, len(kinds)), -np.inf)
@@ -152,13 +152,16 @@ class ExactEvidence:
         for i in range(len(names)) if members is None else members:
             column = kinds.index(names[i])
             sums = segment_sums(table.log_density[:, :, i])
-            if charged:
+            if i not in paid:
                 sums = sums - table.cost(np.array(i), lengths)
             better = sums > self._best[:, :, column]
             np.copyto(self._best[:, :, column], sums, where=better)
             self._which[:, :, column][better] = i
         self.starts: Ints = np.zeros(0, dtype=np.int64)
         self.row = -1
+
+    def __len__(self) -> int:
+        return len(self._best)
 
     def advance(self) -> EvidenceColumn:
         """Open a segment at the next row and take that row into all open segments."""

@@ -1,0 +1,93 @@
+"""Choosing segments from a table of evidence when a joint is paid for once, however often a part returns to it.
+
+The recursion over changepoints lets every segment pay for its own joint. Here a few joints are chosen first, at a cost,
+and the recursion runs with them alone: joints are dropped while that pays, and one joint with rests is always tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from micah_plan.learn.changepoints import Piece, Segmentation, most_probable
+from micah_plan.learn.evidence import EvidenceTable, ExactEvidence
+from micah_plan.learn.length_prior import LengthPrior
+from micah_plan.learn.settings import LearnSettings
+
+ANOTHER_JOINT = 10.0  # nats: most parts have one moving joint; another one needs decisive evidence
+_PROMISING = 3
+
+
+def selections(
+    table: EvidenceTable, prior: LengthPrior, settings: LearnSettings, rng: np.random.Generator
+) -> list[Segmentation]:
+    """Segmentations that may be the most probable one, each with its log probability, the best first."""
+    apart = most_probable(ExactEvidence(table, settings.kinds), prior, rng, settings.particles)
+    found = [_fewest(table, apart, prior, settings, rng)]
+    moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
+    rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
+    for joint in _promising(table):
+        evidence = ExactEvidence(table, settings.kinds, [joint, *(i for i in rests if i != joint)], {joint})
+        with_rests = most_probable(evidence, prior, rng, settings.particles)
+        used = sorted({piece.hypothesis for piece in with_rests.pieces})
+        found += [shared(table, members, prior, settings, rng) for members in ([joint], used)]
+    unique = {tuple((p.start, names[p.hypothesis], p.hypothesis) for p in one.pieces): one for one in found}
+    return sorted(unique.values(), key=lambda one: -one.log_probability)
+
+
+def shared(
+    table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings, rng: np.random.Generator
+) -> Segmentation:
+    """The most probable segments under few joints, whose parameters are paid once."""
+    evidence = ExactEvidence(table, settings.kinds, members, members)
+    found = most_probable(evidence, prior, rng, settings.particles)
+    used: dict[int, int] = {}
+    for piece in found.pieces:
+        used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
+    moving = sum(bool(table.pool.moving[i]) for i in used)
+    cost = table.cost(np.array(list(used)), np.array(list(used.values()), dtype=float), moving > 0).sum()
+    # A part does not get from one rest to another without a motion.
+    rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
+    jumps = sum(a and b for a, b in pairwise(rigid))
+    cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT
+    return Segmentation(_merged(found.pieces), found.log_probability - float(cost))
+
+
+def _fewest(
+    table: EvidenceTable,
+    apart: Segmentation,
+    prior: LengthPrior,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+) -> Segmentation:
+    """Segments of the joints of a segmentation, of which some are dropped while that pays."""
+    members = sorted({piece.hypothesis for piece in apart.pieces})
+    best = shared(table, members, prior, settings, rng)
+    while len(members) > 1:
+        fewer = [[m for m in members if m != dropped] for dropped in members]
+        tried = [shared(table, some, prior, settings, rng) for some in fewer]
+        i = max(range(len(tried)), key=lambda k: tried[k].log_probability)
+        if tried[i].log_probability <= best.log_probability:
+            break
+        members, best = fewer[i], tried[i]
+    return best
+
+
+def _promising(table: EvidenceTable) -> list[int]:
+    """Hypotheses that explain all rows best."""
+    order = len(table.log_density) - 1
+    totals = table.log_density[order, order:].sum(axis=0) - table.occam
+    return [int(i) for i in np.argsort(-totals, kind="stable")[:_PROMISING]]
+
+
+def _merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
+    """Neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
+    merged: list[Piece] = []
+    for piece in pieces:
+        if merged and merged[-1].hypothesis == piece.hypothesis:
+            before = merged.pop()
+            piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
+        merged.append(piece)
+    return tuple(merged)
