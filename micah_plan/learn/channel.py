@@ -41,7 +41,7 @@ _MOST_ROUNDS = 6
 _WIDEST = 0.25  # half-width of the delays integrated over, as a share of the run
 _MOST_UNKNOWN = 0.04  # share of the run beyond the delay where actions count as unknown at most
 _FEWEST_STEPS = 10
-_FEWEST_DRAWS = 12.0
+_FEWEST_DRAWS = 8.0
 _NUMBERS = 5  # rotation, gain, delay
 _BLOCKS = 64  # per run, to which `explained` refers
 
