@@ -6,7 +6,8 @@ the sampling rate nor the unit of time matters.
 
 Priors: see channel_search for R and g; delay ~ N(0, 0.08²) of the run's duration. Actions before the first and after
 the last row are unknown: steps that they would govern count as moving freely. Noise in the actions themselves, other
-than what the random walk takes up, makes the gain too small, as in every regression.
+than what the random walk takes up, makes the gain too small, as in every regression. A gain that varies along
+the motion is not in the model: where all actions point along the joint, it passes for a turned frame.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _MOST_ROUNDS = 6
 _WIDEST = 0.25  # half-width of the delays integrated over, as a share of the run
 _MOST_UNKNOWN = 0.04  # share of the run beyond the delay where actions count as unknown at most
 _FEWEST_STEPS = 10
-_FEWEST_DRAWS = 12.0
+_FEWEST_DRAWS = 8.0
 _NUMBERS = 5  # rotation, gain, delay
 _BLOCKS = 64  # per run, to which `explained` refers
 
@@ -169,7 +170,7 @@ def _settled(
         extra = _unknown(steps, delay, min(width, _MOST_UNKNOWN), walk)
         left = steps.size - _predicted(steps, command, delay, rotation, log_gain)
         white = fit_noise(steps, left, extra).white
-        noises = _noises(steps, command, white, extra, walk, (delay, rotation, log_gain))
+        noises = _noises(steps, command, white, extra, walk, (delay, rotation, log_gain), number > 0)
         noise = max(noises, key=lambda pair: pair[1])[0]
         mode = _explored(steps, command, noise, center + width * np.linspace(-1, 1, _FINE_DELAYS), rotation, log_gain)
         delay, rotation, log_gain = mode.delay, mode.rotation, mode.log_gain
@@ -188,7 +189,13 @@ def _settled(
 
 
 def _noises(
-    steps: Steps, command: Command, white: float, extra: Floats, walk: float, at: tuple[float, Floats, float]
+    steps: Steps,
+    command: Command,
+    white: float,
+    extra: Floats,
+    walk: float,
+    at: tuple[float, Floats, float],
+    closely: bool,
 ) -> list[tuple[StepNoise, float]]:
     """Random walks that matter, with their ln posterior.
 
@@ -198,7 +205,7 @@ def _noises(
     """
     noises, density = _weighed(steps, command, white, extra, walk * _WALKS, at)
     i = int(np.argmax(density))
-    if 0 < i < len(_WALKS) - 1:
+    if closely and 0 < i < len(_WALKS) - 1:
         slope, bend = 0.5 * (density[i + 1] - density[i - 1]), density[i - 1] + density[i + 1] - 2 * density[i]
         if bend < -0.5:  # known to a factor: look closer
             ratio = -np.log(_WALKS[1])
@@ -218,7 +225,7 @@ def _weighed(
     predictors = steps.predictors(command, np.array([delay]))[0]
     solved = np.stack([noise.solve(predictors) for noise in noises])
     every = Quadratic(np.matmul(solved, predictors.T), np.matmul(solved, steps.size))
-    channels, information = climb(every, np.tile(rotation, (len(noises), 1)), np.full(len(noises), log_gain))
+    channels, information = climb(every, np.tile(rotation, (len(noises), 1)), np.full(len(noises), log_gain), 5)
     density = np.array([noise.log_density for noise in noises]) + 0.5 * np.log(walks)
     return noises, density + channels.score - 0.5 * np.linalg.slogdet(information)[1]
 
@@ -236,7 +243,7 @@ def _explored(
     delay = float(weight @ delays)
     near = int(np.argmin(np.abs(delays - delay) - 1e-3 * weight))
     at = _quadratic(steps, steps.predictors(command, np.array([delay])), noise)
-    best, there = climb(at, channels.rotation[near : near + 1], channels.log_gain[near : near + 1])
+    best, there = climb(at, channels.rotation[near : near + 1], channels.log_gain[near : near + 1], 4)
     turns = rotation_vector(times(channels.rotation, conjugate(best.rotation)))
     return _Mode(delay, best.rotation[0], float(best.log_gain[0]), there[0], delays, log_weight, turns)
 

@@ -5,7 +5,7 @@ of rows, rotations and gains are searched and integrated over N and b alone, for
 exp(e) R: e is in the base frame, where rotations that no recording tells apart (about the direction of a prismatic
 joint) lie on a straight line.
 
-Priors: a rotation by θ has density ∝ exp(-θ²/2) on the group of rotations (about 1 rad per axis); ln g ~ N(0, 1.5²).
+Priors: a rotation by θ has density ∝ exp(-θ²/2σ²) on the group of rotations (σ = 1.3 rad); ln g ~ N(0, 1.5²).
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from micah_plan.learn.quaternions import rotation_vector
 
 Floats = NDArray[np.float64]
 
-ROTATION_STD = 1.0  # rad
+ROTATION_STD = 1.3  # rad; frames are mostly right, but reversed ones exist
 LOG_GAIN_STD = 1.5
 _PRECISION = np.array([ROTATION_STD**-2] * 3 + [LOG_GAIN_STD**-2])
 _GRID_ROTATIONS = 600
 _DAMPING = 1e-3
 _NEGLIGIBLE = 2e-3  # nats
-_FEWEST_DRAWS = 12.0  # to improve on Laplace's approximation with
+_ENOUGH_DRAWS = 50.0
+_FEWEST_DRAWS = 8.0  # to improve on Laplace's approximation with
 _DRAWS = 255
 _TURNS = np.array(  # derivative of exp(e) at 0 by each component of e
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
@@ -193,7 +194,7 @@ def integrate(
     """The posterior by importance sampling of rotations; gains by Laplace's method for each.
 
     Rotations are drawn (without chance: a lattice) around the most probable one with its covariance, and around the
-    prior; then once more with the moments found.
+    prior; then again with the moments found, and with more draws where the posterior is far from normal.
 
     Args:
         log_weight: (d,) ln prior mass of each delay, with the part of the likelihood that no channel changes.
@@ -205,8 +206,10 @@ def integrate(
     center, first = np.zeros(3), covariance
     best = len(log_weight) // groups * likely
     likely_delays = slice(best, best + len(log_weight) // groups)
-    for part in (likely_delays, slice(None)):
-        turns, log_density = _draws([(center, covariance * 1.3), (np.zeros(3), first * 1.7), (np.zeros(3), np.eye(3))])
+    for part, draws in ((likely_delays, 3 * _DRAWS), (slice(None), _DRAWS), (slice(None), 5 * _DRAWS)):
+        turns, log_density = _draws(
+            draws, [(center, covariance * 1.3), (np.zeros(3), first * 1.7), (np.zeros(3), np.eye(3))]
+        )
         angle = np.linalg.norm(turns, axis=1)
         halves = np.sinc(0.5 * angle / np.pi) ** 2
         log_volume = np.where(angle < np.pi, np.log(np.maximum(halves, 1e-300)), -np.inf)
@@ -223,6 +226,8 @@ def integrate(
         mean = over_draws @ turns
         spread_now = (turns - mean).T @ ((turns - mean) * over_draws[:, None])
         effective = 1.0 / float(np.sum(over_draws**2))
+        if len(weight) == len(log_weight) and effective > _ENOUGH_DRAWS:
+            break
         if effective > _FEWEST_DRAWS:
             center, covariance = mean, spread_now + 1e-12 * np.eye(3)
     delays = len(log_weight) // groups
@@ -254,9 +259,9 @@ def _over_gains(quadratic: Quadratic, entries: Floats) -> tuple[Floats, Floats, 
     return value - 0.5 * np.log(curvature / precision), log_gain, 1.0 / curvature
 
 
-def _draws(normals: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+def _draws(number: int, normals: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     """(k, 3) points of an equal mixture of normal distributions, and their ln density."""
-    points = _normal_lattice()
+    points = _normal_lattice(number)
     turns, densities = [], []
     factors = [np.linalg.cholesky(covariance) for _, covariance in normals]
     for i, ((mean, _), factor) in enumerate(zip(normals, factors, strict=True)):
@@ -269,11 +274,11 @@ def _draws(normals: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     return every, np.asarray(log_density)
 
 
-@lru_cache(maxsize=1)
-def _normal_lattice() -> Floats:
+@lru_cache(maxsize=3)
+def _normal_lattice(number: int) -> Floats:
     """(k, 3) normally distributed points of an additive recurrence (Roberts' generalised golden ratio)."""
     ratio = 1.2207440846057596
-    uniform = (0.5 + np.arange(1, _DRAWS + 1)[:, None] * ratio ** -np.arange(1.0, 4.0)) % 1.0
+    uniform = (0.5 + np.arange(1, number + 1)[:, None] * ratio ** -np.arange(1.0, 4.0)) % 1.0
     return np.asarray(ndtri(uniform))
 
 

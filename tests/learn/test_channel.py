@@ -1,0 +1,236 @@
+"""The action channel: planted frames, gains and delays are found, with spreads that hold the truth."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from micah_plan.automaton.joint import rigid
+from micah_plan.automaton.kinematics import inverse_jacobian
+from micah_plan.learn.channel import estimate_channel, with_delayed_actions
+from micah_plan.learn.channel_search import Quadratic, climb, integrate, matrices, turned_by
+from micah_plan.learn.channel_steps import command_of, fit_noise, noise_of, steps_of
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def script():
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        import channel
+
+        yield channel
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+def estimated(truth, track=None):
+    track = track or truth.track
+    return estimate_channel(truth.joint, [(0, len(track) - 1)], track, truth.white_std)
+
+
+def with_motion_as_actions(truth):
+    """The recording with its measured displacements as actions: the identity channel."""
+    step = np.diff(truth.track.position, axis=0, append=truth.track.position[-1:])
+    return replace(truth.track, action=truth.track.rotation.inv().apply(step))
+
+
+def steps_and_command(script, case, seed=0):
+    truth = script.planted(case, np.random.default_rng(seed))
+    everything = np.ones(len(truth.track), dtype=bool)
+    pieces = [(0, 70), (71, len(truth.track) - 1)]
+    return steps_of(truth.joint, pieces, truth.track, everything, truth.white_std**2, None), command_of(truth.track)
+
+
+def test_ideal_actions_are_the_identity_channel(script):
+    for kind in ("prismatic", "revolute"):
+        truth = script.planted(script.Case(kind, arc=1.0, noise=1e-5), np.random.default_rng(1))
+        found = estimated(truth, with_motion_as_actions(truth))
+        assert found.gain == pytest.approx(1.0, abs=0.03)
+        assert np.linalg.norm(found.frame_rotation) < 0.2
+        assert abs(found.delay) < 0.01
+        assert found.explained > 0.99
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_a_reversed_frame_is_a_rotation_not_a_negative_gain(script, kind):
+    truth = script.planted(script.Case(kind, arc=1.2, noise=3e-4), np.random.default_rng(4), np.pi - 0.05)
+    found = estimated(truth)
+    assert found.gain == pytest.approx(truth.gain, rel=0.25)
+    error = script.misses(truth, found)
+    assert error["angle error"] < 3 * error["angle std"]
+    assert np.linalg.norm(found.frame_rotation) > 1.5
+
+
+def test_what_a_prismatic_joint_cannot_tell_keeps_its_prior_spread(script):
+    truth = script.planted(script.Case("prismatic", across=2.0, noise=3e-4), np.random.default_rng(2), 0.3)
+    covariance = np.array(estimated(truth).covariance)[:3, :3]
+    axis = np.array(truth.joint.axis)
+    values, vectors = np.linalg.eigh(covariance)
+    assert 0.7 < np.sqrt(axis @ covariance @ axis) < 1.5
+    assert abs(vectors[:, 2] @ axis) > 0.99
+    assert np.sqrt(values[1]) < 0.15
+
+
+def test_the_unit_of_time_only_scales_the_delay(script):
+    truth = script.planted(script.Case("revolute"), np.random.default_rng(3))
+    seconds, other = estimated(truth), estimated(truth, replace(truth.track, time=60.0 * truth.track.time + 5.0))
+    assert other.delay == pytest.approx(60.0 * seconds.delay, rel=1e-6)
+    assert other.gain == pytest.approx(seconds.gain, rel=1e-6)
+    assert np.allclose(other.frame_rotation, seconds.frame_rotation, atol=1e-6)
+    scale = np.array([1, 1, 1, 1, 60.0])
+    expected = np.array(seconds.covariance) * np.outer(scale, scale)
+    assert np.allclose(other.covariance, expected, rtol=1e-4, atol=1e-9)
+
+
+def test_sampling_more_often_changes_little(script):
+    slow, fast = (
+        script.planted(script.Case("prismatic", rows=r, rate=0.12 * r, across=1.0), np.random.default_rng(7), 1.0)
+        for r in (150, 1200)
+    )
+    for truth in (slow, fast):
+        found = estimated(truth)
+        stds = np.sqrt(np.diag(found.covariance))
+        assert abs(found.gain - truth.gain) < 3 * stds[3]
+        assert abs(found.delay - truth.delay) < 3 * stds[4]
+
+
+def test_without_a_reason_there_is_no_channel(script):
+    truth = script.planted(script.Case("prismatic"), np.random.default_rng(5))
+    n = len(truth.track)
+    still = replace(truth.track, position=np.tile(truth.joint.position, (n, 1)))
+    assert estimated(truth) is not None
+    assert estimated(truth, replace(truth.track, action=None)) is None
+    assert estimated(truth, replace(truth.track, action=np.zeros((n, 3)))) is None
+    assert estimated(truth, still) is None
+    assert estimate_channel(truth.joint, [(3, 8)], truth.track, truth.white_std) is None
+    assert estimate_channel(rigid((0, 0, 0)), [(0, n - 1)], truth.track, truth.white_std) is None
+
+
+def test_unrelated_actions_seldom_make_a_channel(script):
+    found = 0
+    for trial in range(20):
+        rng = np.random.default_rng([8, trial])
+        truth = script.planted(script.Case("prismatic"), rng)
+        action = 0.003 * rng.standard_normal((len(truth.track), 3))
+        found += estimated(truth, replace(truth.track, action=action)) is not None
+    assert found <= 2
+
+
+def test_rows_that_do_not_count_do_no_harm(script):
+    truth = script.planted(script.Case("prismatic", across=1.0), np.random.default_rng(6))
+    wrong = np.random.default_rng(0).random(len(truth.track)) < 0.1
+    position = truth.track.position + wrong[:, None] * 0.4
+    spoiled = replace(truth.track, position=position)
+    pieces = [(0, len(truth.track) - 1)]
+    kept = estimate_channel(truth.joint, pieces, spoiled, truth.white_std, ~wrong)
+    assert kept.gain == pytest.approx(estimated(truth).gain, rel=0.1)
+    assert kept.delay == pytest.approx(estimated(truth).delay, abs=0.05)
+
+
+def test_predictors_are_the_inverse_jacobian_of_turned_actions(script):
+    steps, command = steps_and_command(script, script.Case("revolute"))
+    rotation, gain, delay = Rotation.from_rotvec([0.3, -0.8, 0.5]), 0.7, 0.013
+    given = command.at(steps.end - delay) - command.at(steps.start - delay)
+    predicted = steps.predictors(command, np.array([delay]))[0].T @ (gain * rotation.as_matrix().ravel())
+    assert np.allclose(predicted, gain * np.sum(steps.leverage * rotation.apply(given), axis=1))
+    joint = script.planted(script.Case("revolute"), np.random.default_rng(0)).joint
+    at_zero = inverse_jacobian(joint, np.zeros(3), np.eye(3))
+    assert np.allclose(steps.leverage[0], at_zero, atol=0.1 * np.abs(at_zero).max())
+
+
+def test_the_covariance_of_steps_is_that_of_the_model(script):
+    steps, _ = steps_and_command(script, script.Case("prismatic"))
+    walk, white, m = 0.02, 3e-6, len(steps)
+    noise = noise_of(steps, steps.size, np.zeros(m), walk, white)
+    dense = np.diag(walk * (steps.end - steps.start) + 2 * white)
+    for i in np.flatnonzero(steps.linked):
+        dense[i, i + 1] = dense[i + 1, i] = -white
+    assert not steps.linked[69]
+    assert steps.linked.sum() == m - 2
+    assert np.allclose(noise.solve(steps.size[None])[0], np.linalg.solve(dense, steps.size), rtol=1e-5)
+    density = -0.5 * (steps.size @ np.linalg.solve(dense, steps.size) + np.linalg.slogdet(2 * np.pi * dense)[1])
+    prior = -0.5 * (np.log(white / steps.white) / 0.4) ** 2
+    assert noise.log_density == pytest.approx(density + prior, rel=1e-6)
+
+
+def test_noise_is_found_again(script):
+    steps, _ = steps_and_command(script, script.Case("prismatic", rows=2000, rate=240.0))
+    rng = np.random.default_rng(3)
+    span = steps.end - steps.start
+    error = np.concatenate([1e-3 * rng.standard_normal(len(steps)), [0.0]])
+    left = np.sqrt(0.004 * span) * rng.standard_normal(len(steps)) + np.diff(error)
+    found = fit_noise(replace(steps, white=1e-6), left, np.zeros(len(steps)))
+    assert found.walk == pytest.approx(0.004, rel=0.3)
+    assert found.white == pytest.approx(1e-6, rel=0.15)
+
+
+def test_rotations_compose_as_scipy_says():
+    rng = np.random.default_rng(0)
+    vector, rotation = rng.standard_normal((5, 3)), Rotation.random(5, rng=rng)
+    turned = turned_by(vector, rotation.as_quat())
+    assert np.allclose(matrices(turned), (Rotation.from_rotvec(vector) * rotation).as_matrix())
+
+
+def test_a_sharp_posterior_is_normal_with_its_information():
+    rng = np.random.default_rng(1)
+    design = rng.standard_normal((60, 9))
+    rotation, gain = Rotation.from_rotvec([0.4, 0.2, -0.7]), 0.8
+    measured = design @ (gain * rotation.as_matrix().ravel())
+    quadratic = Quadratic(1e4 * (design.T @ design)[None], 1e4 * (design.T @ measured)[None])
+    channels, information = climb(quadratic, np.array([[0.0, 0, 0, 1]]), np.zeros(1), 30)
+    assert np.allclose(matrices(channels.rotation)[0], rotation.as_matrix(), atol=1e-3)
+    assert np.exp(channels.log_gain[0]) == pytest.approx(gain, abs=1e-3)
+    covariance = np.linalg.inv(information[0])
+    center, log_gain = channels.rotation[0], float(channels.log_gain[0])
+    posterior = integrate(quadratic, np.zeros(1), center, log_gain, covariance[:3, :3], 1, 0)
+    assert posterior.effective > 50
+    assert np.allclose(posterior.square, covariance, atol=0.15 * np.diag(covariance).max())
+
+
+def test_delayed_actions_move_the_command_in_time(script):
+    truth = script.planted(script.Case("prismatic", uneven=True), np.random.default_rng(2))
+    later = with_delayed_actions(truth.track, 0.3)
+    before, after = command_of(truth.track), command_of(later)
+    share = 0.3 / truth.track.duration
+    inside = before.time[before.time > share]
+    assert np.allclose(after.path[before.time > share], before.at(inside - share), atol=1e-12)
+    assert with_delayed_actions(truth.track, 0.0) is truth.track
+    found = estimated(truth)
+    remaining = estimated(truth, with_delayed_actions(truth.track, found.delay))
+    assert abs(remaining.delay) < 0.05
+    assert remaining.gain == pytest.approx(found.gain, rel=0.1)
+
+
+def covered(script, trials):
+    """Shares of intervals that hold the truth over all cases, and how many channels were found."""
+    counts = {"all": [], "gain": [], "delay": []}
+    for number, case in enumerate(script.CASES):
+        for trial in range(trials):
+            rng = np.random.default_rng([11, number, trial])
+            truth = script.planted(case, rng, script.believed_angle(rng))
+            found = estimated(truth)
+            if found is not None:
+                result = script.misses(truth, found)
+                for name, values in counts.items():
+                    values.append(result[name])
+    return {name: float(np.mean(values)) for name, values in counts.items()}, len(counts["gain"])
+
+
+def test_intervals_hold_the_truth(script):
+    shares, found = covered(script, 6)
+    assert found >= 66
+    assert min(shares.values()) > 0.82
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_often_enough(script):
+    shares, found = covered(script, 40)
+    assert found >= 450
+    for name in ("gain", "delay"):
+        assert 0.90 <= shares[name] <= 0.985, name
+    assert 0.87 <= shares["all"] <= 0.98
