@@ -13,15 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.joint_arrays import (
-    JointArrays,
-    arrays_of,
-    conjugate,
-    cross,
-    product,
-    rotated,
-    rotation_vector,
-)
+from micah_plan.learn.joint_arrays import JointArrays, arrays_of
+from micah_plan.learn.quaternions import conjugate, cross, rotated, rotation_vector, times
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +71,7 @@ def compare_arrays(
     imaginary = np.einsum("hnk,hk->hn", arm, side[:, 0])
     relative = None
     if quaternion is not None:
-        relative = product(np.broadcast_to(quaternion, (h, n, 4)), conjugate(joints.quaternion)[:, None])
+        relative = times(np.broadcast_to(quaternion, (h, n, 4)), conjugate(joints.quaternion)[:, None])
         twist = np.einsum("hnk,hk->hn", relative[..., :3], joints.axis)
         real = real + rotation_length**2 * (relative[..., 3] ** 2 - twist**2)
         imaginary = imaginary + rotation_length**2 * 2 * relative[..., 3] * twist
@@ -102,7 +95,7 @@ def compare_arrays(
     if relative is None:
         return Compared(configuration, error, moved)
     half = np.concatenate([np.sin(turned / 2)[..., None] * axis, np.cos(turned / 2)[..., None]], axis=2)
-    rotation = rotation_vector(product(relative, conjugate(half)))
+    rotation = rotation_vector(times(relative, conjugate(half)))
     turns = np.broadcast_to(turning[..., None] * axis, rotation.shape)
     return Compared(configuration, np.concatenate([rotation, error], axis=2), np.concatenate([turns, moved], axis=2))
 

@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import reversed_direction
-from micah_plan.learn.closed_form import fit_closed_form
 from micah_plan.learn.comparison import compare_all
 from micah_plan.learn.joint_frame import seen_by
-from micah_plan.learn.likelihood import Fit, fit_likelihood, parameter_covariance
+from micah_plan.learn.likelihood import Fit, fit_likelihood, parameter_covariance, seen_with
+from micah_plan.learn.linear_fits import linear_fits
 from micah_plan.learn.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.quaternions import times
@@ -34,6 +33,7 @@ _VOTES = 3
 _ROTATION_LENGTH = 0.2  # m/rad, while no noise is known
 _ROUNDS = 2
 _ROUGH = 0.05  # nats
+_FAR = 4.0  # stds that better weights may move an axis by
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +98,28 @@ def fit_joint(
     if posterior is None:
         return rows.judged(fit.joint)
     noise = likeliest(posterior)
-    fit = fit_likelihood(_counted_as(fit.joint, guess, quaternion is not None), *rows.of(kept), noise)
+    before = _counted_as(fit.joint, guess, quaternion is not None)
+    fit = fit_likelihood(before, *rows.of(kept), noise)
     joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    if _strays(joint, before):
+        fit = seen_with(before, *rows.of(kept), noise)
+        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
     judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if quaternion is not None else 0.0)
+
+
+def _strays(joint: Joint, before: Joint) -> bool:
+    """Whether an axis is further from where equal weights put it than its covariance lets it be.
+
+    Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
+    motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
+    """
+    if joint.kind == "rigid" or joint.covariance is None:
+        return False
+    if joint.kind == "prismatic":
+        return True  # weights change little there, and only positions tell the axis
+    turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
+    return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +170,9 @@ def _best_start(
     some = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
     p, q = rows.of(some)
     starts = [guess, _carried(guess, p, q), *joints_through(guess.kind, p, q, rng, draws)]
-    closed = fit_closed_form(guess.kind, p, None if q is None else Rotation.from_quat(q), np.ones(len(some)))
-    if closed is not None:
-        starts.append(closed)
+    linear, fixed = linear_fits([guess.kind], np.ones((1, len(some)), dtype=bool), p, q)
+    if fixed[0]:
+        starts.append(linear.joint(0))
     error = compare_all(starts, p, q, _ROTATION_LENGTH).error
     squares = [np.einsum("hnk,hnk->hn", error[..., -3:], error[..., -3:])]
     if q is not None:

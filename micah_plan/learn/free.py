@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.joint_arrays import conjugate, product, rotation_vector
 from micah_plan.learn.noise import NoiseModel, log_peak
+from micah_plan.learn.quaternions import conjugate, rotation_vector, times
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ def _path(track: PartTrack) -> Floats:
     """(n, d) rotation so far, as a sum of small rotation vectors [rad], and position [m]."""
     if track.quaternion is None:
         return track.position
-    turns = rotation_vector(product(track.quaternion[1:], conjugate(track.quaternion[:-1])))
+    turns = rotation_vector(times(track.quaternion[1:], conjugate(track.quaternion[:-1])))
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
     return np.concatenate([turned, track.position], axis=1)
 

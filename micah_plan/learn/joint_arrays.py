@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid, screw
+from micah_plan.learn.quaternions import rotated, rotation_quaternion, times
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -79,7 +80,7 @@ class JointArrays:
         axis = np.where(moving, rotated(base, self.axis), 0.0)
         axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
         center = np.where(turning, rotated(base, self.center) + step[:, 3:6], 0.0)
-        quaternion = product(base, product(part, self.quaternion))
+        quaternion = times(base, times(part, self.quaternion))
         quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
         pitch = np.where(self.twisting, self.pitch + step[:, 12], 0.0)
         return JointArrays(self.kinds, axis, center, position, quaternion, pitch)
@@ -115,47 +116,3 @@ def concatenated(first: JointArrays, second: JointArrays) -> JointArrays:
     axis, center, position, quaternion = (np.concatenate(pair) for pair in pairs)
     pitch = np.concatenate([first.pitch, second.pitch])
     return JointArrays(first.kinds + second.kinds, axis, center, position, quaternion, pitch)
-
-
-def product(a: Floats, b: Floats) -> Floats:
-    """Products of quaternions (..., 4), scalar last."""
-    vector = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + cross(a[..., :3], b[..., :3])
-    scalar = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
-
-
-def conjugate(quaternion: Floats) -> Floats:
-    """Inverse rotations (..., 4)."""
-    return np.asarray(quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))
-
-
-def rotated(quaternion: Floats, vector: Floats) -> Floats:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    double = 2 * cross(quaternion[..., :3], vector)
-    return np.asarray(vector + quaternion[..., 3:] * double + cross(quaternion[..., :3], double))
-
-
-def rotation_quaternion(vector: Floats) -> Floats:
-    """Unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
-    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return np.concatenate([0.5 * np.sinc(angle / (2 * np.pi)) * vector, np.cos(0.5 * angle)], axis=-1)
-
-
-def rotation_vector(quaternion: Floats) -> Floats:
-    """Rotation vectors (..., 3) [rad], shortest, of unit quaternions (..., 4)."""
-    q = np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
-    length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(length, q[..., 3:])
-    return np.asarray(q[..., :3] * np.where(length > 1e-12, angle / np.maximum(length, 1e-12), 2.0))
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """Cross products (..., 3): like np.cross without its overhead."""
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )

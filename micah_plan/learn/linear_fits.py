@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joint_arrays import JointArrays, conjugate, product, rotation_vector
+from micah_plan.learn.joint_arrays import JointArrays
+from micah_plan.learn.quaternions import conjugate, rotated, rotation_vector, times
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -49,8 +50,7 @@ def linear_fits(
         pitch, turned = np.zeros(len(mean)), curved
     else:
         middle = np.linalg.eigh(np.einsum("hn,ni,nj->hij", share, quaternion, quaternion))[1][:, :, 3]
-        axis, center, pitch, turned = _turning(share, centred, middle, position, quaternion)
-        start = mean
+        axis, center, start, pitch, turned = _turning(share, centred, middle, position, quaternion)
     straight = (rigid | sliding)[:, None]
     arrays = JointArrays(
         tuple(kinds),
@@ -65,9 +65,9 @@ def linear_fits(
 
 def _turning(
     share: Floats, centred: Floats, middle: Floats, position: Floats, quaternion: Floats
-) -> tuple[Floats, Floats, Floats, Bools]:
-    """Axes (h, 3), points on them (h, 3), pitches (h,) and whether anything turned (h,)."""
-    relative = product(np.broadcast_to(quaternion, (len(share), *quaternion.shape)), conjugate(middle)[:, None])
+) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+    """Axes (h, 3), points on them (h, 3), origins in the middle (h, 3), pitches (h,) and whether anything turned."""
+    relative = times(np.broadcast_to(quaternion, (len(share), *quaternion.shape)), conjugate(middle)[:, None])
     turns = rotation_vector(relative)
     values, vectors = np.linalg.eigh(np.einsum("hn,hni,hnj->hij", share, turns, turns))
     axis = vectors[:, :, 2]
@@ -82,12 +82,15 @@ def _turning(
     in_part = (np.linalg.pinv(normal, rcond=1e-6, hermitian=True) @ pulled[..., None])[..., 0]
     mean = share @ position
     center = mean + np.einsum("hij,hj->hi", mean_matrix, in_part)
+    # The mean of an arc lies inside it: the origin is where the middle orientation puts it.
+    out = np.einsum("hij,hj->hi", across, rotated(middle, in_part))
+    start = center - out
     angle = np.einsum("hni,hi->hn", turns, axis)
     angle = angle - np.sum(share * angle, axis=1, keepdims=True)
     along = np.einsum("hni,hi->hn", centred, axis)
     spread = np.sum(share * angle**2, axis=1)
     pitch = np.sum(share * angle * along, axis=1) / np.maximum(spread, _TINY)
-    return axis, center, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
+    return axis, center, start, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
 
 
 def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, Floats, Floats, Bools]:

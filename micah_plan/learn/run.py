@@ -14,12 +14,11 @@ from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.changepoints import Piece
 from micah_plan.learn.comparison import compare_all
 from micah_plan.learn.evidence import TRUST
+from micah_plan.learn.final_fit import fit_joint
 from micah_plan.learn.free import free_log_probability
 from micah_plan.learn.inliers import find_inliers
-from micah_plan.learn.mlesac import Mixture, fit_robust
 from micah_plan.learn.noise import MeasurementNoise
 from micah_plan.learn.posterior import ChangepointPosterior
-from micah_plan.learn.refine import with_covariance
 from micah_plan.learn.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
 from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
@@ -74,7 +73,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
-    joints = _joints(pieces, spans, segmented, track, inlier, noise, settings, rng)
+    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
     fitted = [
         FittedPiece(
             a, b, joints[p.hypothesis], segmented.table.motion.gain[p.hypothesis], _leader(p, segmented), p.log_evidence
@@ -118,31 +117,25 @@ def _joints(
     segmented: Segmented,
     track: PartTrack,
     inlier: Bools,
-    noise: MeasurementNoise,
     settings: LearnSettings,
     rng: np.random.Generator,
 ) -> dict[int, Joint]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won."""
     found = {}
-    span = float(np.ptp(track.position, axis=0).max())
-    mixture = Mixture(
-        rotation_std=noise.rotation_std,
-        position_std=noise.position_std,
-        rotation_span=2 * np.pi,
-        position_span=max(2 * span, 20 * noise.position_std),
-        weight=settings.outlier_weight,
-    )
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
         )
-        leader = segmented.table.pool.hypotheses.joints.joint(hypothesis)
-        rotation = None if track.rotation is None else track.rotation[rows]
-        weight = inlier[rows].astype(float)
-        fit = fit_robust(leader.kind, track.position[rows], rotation, mixture, rng, settings.draws, weight)
-        joint = leader if fit is None else fit.joint
-        weight = weight if fit is None else fit.inlier * weight
-        found[hypothesis] = with_covariance(joint, track.position[rows], rotation, weight, mixture.stds)
+        found[hypothesis] = fit_joint(
+            segmented.table.pool.hypotheses.joints.joint(hypothesis),
+            track.position[rows],
+            None if track.quaternion is None else track.quaternion[rows],
+            track.time[rows],
+            inlier[rows].astype(float),
+            rng,
+            settings.draws,
+            settings.outlier_weight,
+        ).joint
     return found
 
 

@@ -12,8 +12,8 @@ from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
+from micah_plan.learn.comparison import compare_all
 from micah_plan.learn.noise import MeasurementNoise
-from micah_plan.learn.refine import compare
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -199,16 +199,16 @@ def _smoothed(c: Floats) -> Floats:
 
 def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> float:
     """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
-    rotation = None if track.rotation is None else track.rotation[rows]
-    error = compare(joint, track.position[rows], rotation, noise.rotation_length).error
+    quaternion = None if track.quaternion is None else track.quaternion[rows]
+    error = compare_all([joint], track.position[rows], quaternion, noise.rotation_length).error[0]
     direction = jacobian(measured_by, 0.0)[0]
     moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
-    turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if rotation is not None else 0.0
+    turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if quaternion is not None else 0.0
     share = moves / max(moves + turns, 1e-12)
     along = 0.0 if joint.kind == "rigid" else 1.0
-    position = max(float((error[:, 3:] ** 2).sum(axis=1).mean()) / (3 - along * share), noise.position_white**2)
+    position = max(float((error[:, -3:] ** 2).sum(axis=1).mean()) / (3 - along * share), noise.position_white**2)
     variance = moves * position
-    if rotation is not None:
+    if quaternion is not None:
         turning = float((error[:, :3] ** 2).sum(axis=1).mean()) / (3 - along * (1 - share))
         variance += turns * noise.rotation_length**2 * max(turning, noise.rotation_white**2)
     return float(np.sqrt(variance)) / max(moves + turns, 1e-12)

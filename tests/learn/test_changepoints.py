@@ -27,6 +27,9 @@ class Table:
     def __init__(self, values: np.ndarray) -> None:
         self.values, self.starts, self.row = values, np.zeros(0, dtype=np.int64), -1
 
+    def __len__(self) -> int:
+        return len(self.values)
+
     def advance(self) -> EvidenceColumn:
         self.row += 1
         self.starts = np.append(self.starts, self.row)
@@ -99,7 +102,7 @@ def test_the_recursion_finds_the_best_of_all_segmentations() -> None:
 
     candidates = [cuts for k in range(rows) for cuts in itertools.combinations(range(1, rows), k)]
     best = max(candidates, key=score)
-    found = most_probable(Table(values), rows, prior, np.random.default_rng(0))
+    found = most_probable(Table(values), prior, np.random.default_rng(0))
     assert tuple(piece.start for piece in found.pieces[1:]) == best
     assert found.log_probability == pytest.approx(score(best))
     assert [p.kind for p in found.pieces] == [int(values[p.start, p.end].argmax()) for p in found.pieces]
@@ -121,8 +124,8 @@ def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, Exact
 def test_particles_agree_with_the_exact_recursion() -> None:
     exact, approximate, rows = planted_evidence()
     prior = LengthPrior(rows / 2, 2.0)
-    first = most_probable(exact, rows, prior, np.random.default_rng(0))
-    second = most_probable(approximate, rows, prior, np.random.default_rng(0), particles=25)
+    first = most_probable(exact, prior, np.random.default_rng(0))
+    second = most_probable(approximate, prior, np.random.default_rng(0), particles=25)
     assert len(approximate.starts) <= 25
     assert first == second
 

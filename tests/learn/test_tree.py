@@ -240,11 +240,14 @@ class TestWithTheLearner:
     def test_cabinet(self) -> None:
         graph = planted(cabinet(), "champ", 0)
         assert tree(graph) == {"door": BASE, "drawer": BASE, "knob": "door"}
-        assert (kinds(graph, "door"), kinds(graph, "drawer")) == (["revolute", "rigid"], ["prismatic"])
+        assert kinds(graph, "door") == ["revolute", "rigid"]
+        # Poses alone do not tell whether the drawer was held before it was pulled.
+        drawer = kinds(graph, "drawer")
+        assert drawer in (["prismatic"], ["rigid", "prismatic"])
         automaton = build_automaton(graph)
         assert [coordinate.name for coordinate in automaton.coordinates] == ["door", "drawer"]
         assert sorted(mode.name for mode in automaton.modes) == sorted(
-            f"{door}/prismatic" for door in ("revolute", "rigid")
+            f"{one}/{other}" for one in ("revolute", "rigid") for other in drawer
         )
 
     def test_a_tray_pulled_out_of_a_carriage_after_the_carriage_was(self) -> None:
