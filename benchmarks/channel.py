@@ -22,8 +22,8 @@ from scipy.stats import chi2
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint, prismatic, revolute
 from micah_plan.automaton.kinematics import forward, jacobian
-from micah_plan.learn.channel import estimate_channel
-from micah_plan.learn.channel_search import ROTATION_STD
+from micah_plan.learn.actions.channel import estimate_channel
+from micah_plan.learn.actions.channel_search import ROTATION_STD
 from micah_plan.learn.track import PartTrack, part_track
 from micah_plan.recording.value import Recording
 

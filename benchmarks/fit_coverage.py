@@ -30,8 +30,8 @@ from micah_plan.automaton.joint import (
     screw,
 )
 from micah_plan.automaton.kinematics import forward, inverse, reversed_direction, shifted
-from micah_plan.learn.final_fit import FittedJoint, fit_joint
-from micah_plan.learn.parametrization import chart_of, stepped
+from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
+from micah_plan.learn.joints.parametrization import chart_of, stepped
 
 AXIS = np.array([0.36, 0.48, 0.8])
 QUANTILE = 1.959964

@@ -17,11 +17,11 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
+from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
-from micah_plan.learn.tree import learn_tree
 from micah_plan.recording.value import Recording
 
 Method = Literal["champ", "act-champ"]

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.certainty import EvidenceTrace, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.learn.changepoints import Piece
-from micah_plan.learn.comparison import compare_all
-from micah_plan.learn.evidence import TRUST
-from micah_plan.learn.final_fit import fit_joint
-from micah_plan.learn.free import free_log_probability
 from micah_plan.learn.inliers import find_inliers
-from micah_plan.learn.noise import MeasurementNoise
-from micah_plan.learn.posterior import ChangepointPosterior
-from micah_plan.learn.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.joints.final_fit import fit_joint
+from micah_plan.learn.segmenting.changepoints import Piece
+from micah_plan.learn.segmenting.evidence import TRUST
+from micah_plan.learn.segmenting.free import free_log_probability
+from micah_plan.learn.segmenting.noise import MeasurementNoise
+from micah_plan.learn.segmenting.posterior import ChangepointPosterior
+from micah_plan.learn.segmenting.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.segmenting.steps import Steps, steps_of
+from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.steps import Steps, steps_of
 from micah_plan.learn.track import PartTrack
-from micah_plan.learn.zoom import Located, locate
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

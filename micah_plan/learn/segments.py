@@ -12,8 +12,8 @@ from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
-from micah_plan.learn.comparison import compare_all
-from micah_plan.learn.noise import MeasurementNoise
+from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

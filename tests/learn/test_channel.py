@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.kinematics import inverse_jacobian
-from micah_plan.learn.channel import estimate_channel, with_delayed_actions
-from micah_plan.learn.channel_search import Quadratic, climb, integrate, matrices, turned_by
-from micah_plan.learn.channel_steps import command_of, fit_noise, noise_of, steps_of
+from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
+from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate, matrices, turned_by
+from micah_plan.learn.actions.channel_steps import command_of, fit_noise, noise_of, steps_of
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -12,10 +12,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse, rebased, shifted
-from micah_plan.learn.final_fit import FittedJoint, fit_joint
-from micah_plan.learn.likelihood import fit_likelihood, seen_with
-from micah_plan.learn.parametrization import chart_of, stepped
-from micah_plan.learn.tracker_noise import white_noise
+from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
+from micah_plan.learn.joints.likelihood import fit_likelihood, seen_with
+from micah_plan.learn.joints.parametrization import chart_of, stepped
+from micah_plan.learn.joints.tracker_noise import white_noise
 
 TRUTHS: dict[str, Joint] = {"rigid": rigid((0.5, 0.1, 0.3), JOINTS["revolute"].quaternion), **JOINTS}
 KINDS = tuple(TRUTHS)

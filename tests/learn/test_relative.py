@@ -14,7 +14,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
 from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.errors import InputError
-from micah_plan.learn.relative import RelativeRows, displacements_within, in_whole_recording, relative_rows
+from micah_plan.learn.parts.relative import RelativeRows, displacements_within, in_whole_recording, relative_rows
 from micah_plan.recording.value import Recording
 
 EXACT = {"position": 0.0, "rotation": 0.0}

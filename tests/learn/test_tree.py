@@ -15,11 +15,11 @@ from micah_plan.automaton.certainty import EdgeCertainty, Misfit, SegmentCertain
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
-from micah_plan.learn.branch_poses import branch_poses
-from micah_plan.learn.comotion import carriers, moves_far
 from micah_plan.learn.learn import learn_graph
-from micah_plan.learn.relative import relative_rows
-from micah_plan.learn.tree import learn_tree
+from micah_plan.learn.parts.branch_poses import branch_poses
+from micah_plan.learn.parts.comotion import carriers, moves_far
+from micah_plan.learn.parts.relative import relative_rows
+from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from micah_plan.learn.mixture import Sort, fit_mixtures
-from micah_plan.learn.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learn.joints.mixture import Sort, fit_mixtures
+from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 
 def uneven(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -11,9 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.learn.changepoints import Piece, Segmentation, most_probable
-from micah_plan.learn.evidence import EvidenceTable, ExactEvidence
-from micah_plan.learn.length_prior import LengthPrior
+from micah_plan.learn.segmenting.changepoints import Piece, Segmentation, most_probable
+from micah_plan.learn.segmenting.evidence import EvidenceTable, ExactEvidence
+from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.settings import LearnSettings
 
 ANOTHER_JOINT = 10.0  # nats: most parts have one moving joint; another one needs decisive evidence

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from micah_plan.learn.quaternions import rotation_vector
+from micah_plan.learn.joints.quaternions import rotation_vector
 
 Floats = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.comparison import Compared
-from micah_plan.learn.noise import NoiseModel
-from micah_plan.learn.pool import Pool
-from micah_plan.learn.pool_fits import parameter_design
+from micah_plan.learn.joints.comparison import Compared
+from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.pool import Pool
+from micah_plan.learn.segmenting.pool_fits import parameter_design
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

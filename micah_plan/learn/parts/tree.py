@@ -44,10 +44,10 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.automaton.misfit import misfit_of
 from micah_plan.errors import InputError, shown
-from micah_plan.learn.arborescence import Arc, Weight, maximum_arborescence
-from micah_plan.learn.branch_poses import branch_poses
-from micah_plan.learn.comotion import carriers, moves_far
-from micah_plan.learn.relative import RelativeRows, in_whole_recording, relative_rows
+from micah_plan.learn.parts.arborescence import Arc, Weight, maximum_arborescence
+from micah_plan.learn.parts.branch_poses import branch_poses
+from micah_plan.learn.parts.comotion import carriers, moves_far
+from micah_plan.learn.parts.relative import RelativeRows, in_whole_recording, relative_rows
 from micah_plan.recording.value import Recording
 
 PairLearner = Callable[[Recording], KinematicEdge]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.comparison import Compared, compare_arrays
-from micah_plan.learn.joint_arrays import JointArrays
-from micah_plan.learn.noise import NoiseModel
+from micah_plan.learn.joints.comparison import Compared, compare_arrays
+from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

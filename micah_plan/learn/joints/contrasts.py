@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.joint_frame import Seen
-from micah_plan.learn.parametrization import FRAME_NUMBERS
+from micah_plan.learn.joints.joint_frame import Seen
+from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
 
 Floats = NDArray[np.float64]
 

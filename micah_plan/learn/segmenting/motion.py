@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.pool import Pool
+from micah_plan.learn.segmenting.pool import Pool
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.channel_search import Posterior, Quadratic, climb, integrate, matrices, scan
-from micah_plan.learn.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
-from micah_plan.learn.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb, integrate, matrices, scan
+from micah_plan.learn.actions.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
+from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

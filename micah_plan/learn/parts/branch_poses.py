@@ -12,7 +12,7 @@ from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.automaton.misfit import misfit_of
-from micah_plan.learn.relative import RelativeRows
+from micah_plan.learn.parts.relative import RelativeRows
 
 Floats = NDArray[np.float64]
 

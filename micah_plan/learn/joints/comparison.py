@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.joint_arrays import JointArrays, arrays_of
-from micah_plan.learn.quaternions import conjugate, cross, rotated, rotation_vector, times
+from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
+from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vector, times
 
 Floats = NDArray[np.float64]
 

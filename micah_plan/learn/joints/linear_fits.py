@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joint_arrays import JointArrays
-from micah_plan.learn.quaternions import conjugate, rotated, rotation_vector, times
+from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_vector, times
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, ParameterCovariance
-from micah_plan.learn.contrasts import Contrasts, contrasts_of
-from micah_plan.learn.joint_frame import Seen, seen_by
-from micah_plan.learn.parametrization import Chart, chart_of, stepped
-from micah_plan.learn.tracker_noise import TrackerNoise
+from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
+from micah_plan.learn.joints.joint_frame import Seen, seen_by
+from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
+from micah_plan.learn.joints.tracker_noise import TrackerNoise
 
 Floats = NDArray[np.float64]
 

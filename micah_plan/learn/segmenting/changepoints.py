@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from micah_plan.learn.evidence import EvidenceColumn
-from micah_plan.learn.length_prior import LengthPrior
-from micah_plan.learn.resampling import resample
+from micah_plan.learn.segmenting.evidence import EvidenceColumn
+from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.resampling import resample
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

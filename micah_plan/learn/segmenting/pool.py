@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.comparison import Compared, compare_arrays, levers
-from micah_plan.learn.joint_arrays import JointArrays, concatenated
-from micah_plan.learn.linear_fits import linear_fits
-from micah_plan.learn.noise import NoiseModel
-from micah_plan.learn.pool_fits import fit_likelihood
+from micah_plan.learn.joints.comparison import Compared, compare_arrays, levers
+from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
+from micah_plan.learn.joints.linear_fits import linear_fits
+from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.pool_fits import fit_likelihood
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import reversed_direction
-from micah_plan.learn.comparison import compare_all
-from micah_plan.learn.joint_frame import seen_by
-from micah_plan.learn.likelihood import Fit, fit_likelihood, parameter_covariance, seen_with
-from micah_plan.learn.linear_fits import linear_fits
-from micah_plan.learn.minimal_sets import joints_through, minimal_rows
-from micah_plan.learn.mixture import Mixtures, Sort, fit_mixtures
-from micah_plan.learn.quaternions import times
-from micah_plan.learn.tracker_noise import likeliest, noise_of, white_noise
+from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.joints.joint_frame import seen_by
+from micah_plan.learn.joints.likelihood import Fit, fit_likelihood, parameter_covariance, seen_with
+from micah_plan.learn.joints.linear_fits import linear_fits
+from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
+from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
+from micah_plan.learn.joints.quaternions import times
+from micah_plan.learn.joints.tracker_noise import likeliest, noise_of, white_noise
 
 Floats = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.changepoints import Piece, Segmentation
-from micah_plan.learn.evidence import EvidenceTable, tabulated
-from micah_plan.learn.length_prior import LengthPrior
-from micah_plan.learn.noise import NoiseModel
-from micah_plan.learn.noise_fit import first_noise, misses, refitted_noise
-from micah_plan.learn.pool import refitted, window_hypotheses
-from micah_plan.learn.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learn.selection import ANOTHER_JOINT, selections, shared
+from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
+from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
+from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
+from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
+from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 

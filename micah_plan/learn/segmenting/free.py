@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.noise import NoiseModel, log_peak
-from micah_plan.learn.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid, screw
-from micah_plan.learn.quaternions import rotated, rotation_quaternion, times
+from micah_plan.learn.joints.quaternions import rotated, rotation_quaternion, times
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.contrasts import Contrasts
-from micah_plan.learn.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learn.joints.contrasts import Contrasts
+from micah_plan.learn.joints.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 Floats = NDArray[np.float64]
 

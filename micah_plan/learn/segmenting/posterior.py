@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from micah_plan.learn.evidence import EvidenceTable, segment_sums
-from micah_plan.learn.length_prior import LengthPrior
+from micah_plan.learn.segmenting.evidence import EvidenceTable, segment_sums
+from micah_plan.learn.segmenting.length_prior import LengthPrior
 
 Floats = NDArray[np.float64]
 

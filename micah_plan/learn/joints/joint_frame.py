@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, axis_basis
-from micah_plan.learn.quaternions import rotation_vector, times_matrix
+from micah_plan.learn.joints.quaternions import rotation_vector, times_matrix
 
 Floats = NDArray[np.float64]
 

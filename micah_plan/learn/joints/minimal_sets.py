@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import IDENTITY, Joint, JointKind
-from micah_plan.learn.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
 
 Floats = NDArray[np.float64]
 

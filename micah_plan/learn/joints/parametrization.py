@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, JointKind, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
-from micah_plan.learn.joint_frame import cross, frame_of
-from micah_plan.learn.quaternions import times
+from micah_plan.learn.joints.joint_frame import cross, frame_of
+from micah_plan.learn.joints.quaternions import times
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.evidence import tabulated
-from micah_plan.learn.joint_arrays import JointArrays
-from micah_plan.learn.noise_fit import first_noise, misses, refitted_noise
-from micah_plan.learn.pool import Hypotheses, pool_of
+from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.segmenting.evidence import tabulated
+from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
+from micah_plan.learn.segmenting.steps import averaged
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.steps import averaged
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

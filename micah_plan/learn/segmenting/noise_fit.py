@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.noise import MEMORY, NoiseModel, log_peak, predictors
-from micah_plan.learn.pool import Pool
+from micah_plan.learn.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
+from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 

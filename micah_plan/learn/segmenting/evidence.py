@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.motion import Motion, fit_motion
-from micah_plan.learn.noise import NoiseModel, log_peak
-from micah_plan.learn.occam import held_cost, parameter_cost, parameter_count
-from micah_plan.learn.pool import Hypotheses, Pool, pool_of
+from micah_plan.learn.segmenting.motion import Motion, fit_motion
+from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
+from micah_plan.learn.segmenting.occam import held_cost, parameter_cost, parameter_count
+from micah_plan.learn.segmenting.pool import Hypotheses, Pool, pool_of
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]

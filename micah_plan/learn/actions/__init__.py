@@ -1,0 +1,1 @@
+"""How recorded actions move a part: frame, gain and delay."""

@@ -1,0 +1,1 @@
+"""Joints fitted to rows: closed forms, batches, and the last robust fit with its covariance."""

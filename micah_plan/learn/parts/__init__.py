@@ -1,0 +1,1 @@
+"""Several parts: which one hangs on which."""
