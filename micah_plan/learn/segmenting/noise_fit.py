@@ -20,7 +20,8 @@ _MISS_VARIANCE = 1.5  # of a row from the middle of its neighbours, for white no
 _FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
 _FINEST_ROTATION = 1e-3  # rad
 _WHITE_SHARES = np.array([0.1, 0.3, 0.6, 1.0, 1.5])  # candidate stds, in those of the rows' roughness
-_FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
+# A smooth error that is large against the roughness of the rows is no tracker's: it is motion that a joint misses.
+_FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 _FAST_DURATIONS = np.array([1 / 100, 1 / 30])  # candidate correlation times of the fast wander, in runs
 _DOFS = (8.0, 30.0)
 _ITERATIONS = 3
