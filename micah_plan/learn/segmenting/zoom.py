@@ -20,7 +20,9 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _REACH = 12  # steps looked at on either side
-_CONTEXT = 2  # times as many, for what they tell of noise and motion
+# Times as many, for what they tell of noise and motion: of a time that does not shrink with the steps, as far as steps
+# do not get too many. Few rows, interpolated or close in time, tell neither from the other.
+_CONTEXT, _MOST_CONTEXT = 2, 200
 _FINER = 4  # times finer each time
 
 
@@ -58,11 +60,13 @@ def locate(
         track, inlier: all rows, and which count.
     """
     rows, score = np.array([row]), np.zeros(1)
+    context = _CONTEXT * _REACH * size
     while True:
         size = max(size / _FINER, 1.0)
         reach = int(np.ceil(_REACH * size))
+        beyond = int(np.ceil(min(context, _MOST_CONTEXT * size)))
         near = max(row - reach, limits[0] + 1), min(row + reach, limits[1] - 1)
-        wide = max(row - _CONTEXT * reach, limits[0]), min(row + _CONTEXT * reach, limits[1])
+        wide = max(row - beyond, limits[0]), min(row + beyond, limits[1])
         if near[1] <= near[0]:
             return Located(row, rows, score)
         starts = np.unique(
