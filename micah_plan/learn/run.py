@@ -32,6 +32,7 @@ Ints = NDArray[np.int64]
 
 _FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
 _BEYOND_NOISE = 2.0  # times the scatter of the rows
+_FEWEST_TO_DOUBT = 12  # rows; fewer lie on any smooth path, and tell no joint from free motion
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 
@@ -143,6 +144,8 @@ def _misfit(
     segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
 ) -> Misfit | None:
     """How far the best single joint misses the rows; None if not further than their noise lets them scatter."""
+    if inlier.sum() < _FEWEST_TO_DOUBT:
+        return None
     joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
