@@ -33,4 +33,5 @@ def find_inliers(track: PartTrack) -> Bools:
 
 
 def _running_median(values: Floats) -> Floats:
-    return np.asarray(median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
+    # Mirrored at the ends: repeated, the first row would be the median of its own neighbourhood.
+    return np.asarray(median_filter(values, size=(_NEIGHBOURS, 1), mode="mirror"))

@@ -32,7 +32,7 @@ Ints = NDArray[np.int64]
 
 _FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
 _BEYOND_NOISE = 2.0  # times the scatter of the rows
-_FEWEST_TO_DOUBT = 12  # rows; fewer lie on any smooth path, and tell no joint from free motion
+_FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 

@@ -1,0 +1,89 @@
+"""Motion that no single joint holds is called so, with the numbers; motion that a joint holds never is."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from planted import JOINTS, Noise, moving_then_held, recorded
+
+from micah_plan.automaton.certainty import Misfit
+from micah_plan.learn.learn import learn_graph
+from micah_plan.recording.read import read_recording
+from micah_plan.recording.value import Recording
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+MOTIONS = ("plane", "turning plane", "ball", "sliding door on a hinge", "deforming path", "free hand")
+
+
+@pytest.fixture(scope="module")
+def calibration() -> ModuleType:
+    """The benchmark's module, without leaving its folder on the path."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        return importlib.import_module("calibration")
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+def misfit_of(recording: Recording) -> Misfit | None:
+    segments = learn_graph(recording).edges[0].segments
+    return next((s.certainty.misfit for s in segments if s.certainty.misfit is not None), None)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) -> None:
+    recording = calibration.free_recording(motion, 0, orientation=True)
+    misfit = misfit_of(recording)
+    assert misfit is not None
+    # The numbers say by how much: far more than the noise, and no more than the part moved at all.
+    assert misfit.log_odds > 0
+    moved = np.sqrt(((recording.position - recording.position.mean(axis=0)) ** 2).sum(axis=1).mean())
+    off = misfit.position > 2 * misfit.position_noise or misfit.rotation > 2 * misfit.rotation_noise
+    assert off
+    assert misfit.position < 1.5 * moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("orientation", [True, False])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:
+    found = [misfit_of(calibration.free_recording(motion, seed, orientation)) for seed in range(10)]
+    # A plane in which a hand moves nearly straight is nearly a drawer.
+    assert sum(one is not None for one in found) >= (6 if motion == "plane" else 9)
+
+
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: ModuleType, kind: str) -> None:
+    assert misfit_of(calibration.joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [5.0, 15.0, 40.0])
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_trackers_raise_no_false_alarm(calibration: ModuleType, kind: str, memory: float) -> None:
+    for seed in range(5):
+        for wander in (1.0, 2.5):
+            assert misfit_of(calibration.joint_recording(kind, seed, wander, memory)) is None
+
+
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
+    recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(0), Noise(0.003, 0.02))
+    segments = learn_graph(recording).edges[0].segments
+    for segment in segments:
+        assert segment.certainty.misfit is None
+        assert sum(p for _, p in segment.certainty.kinds) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["demonstrations", "tracks"])
+def test_shared_recordings_fit_a_joint(shared_data, folder: str) -> None:
+    files = sorted((shared_data / folder).rglob("*.csv"))
+    assert files
+    for file in files:
+        assert misfit_of(read_recording(file)) is None, file.name

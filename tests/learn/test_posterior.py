@@ -1,0 +1,173 @@
+"""How sure learning says it is, is how often it is right: rows, numbers and kinds; and the laws of its sums."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
+from scipy.special import logsumexp
+from scipy.stats import binom
+
+from micah_plan.automaton.certainty import RowPosterior
+from micah_plan.automaton.graph import KinematicEdge
+from micah_plan.learn.learn import METHODS, Method, learn_graph
+from micah_plan.learn.segmenting.evidence import tabulated
+from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.pool import window_hypotheses
+from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import part_track
+
+RECORDINGS = 100
+RARELY = 1e-4
+
+
+def drawn(seed: int) -> tuple[str, int | None, KinematicEdge, KinematicEdge]:
+    """A random joint that moves at a random pace and then is held (or not): its kind, the row of the stop, what is
+    learned with and without actions."""
+    rng = np.random.default_rng([5, seed])
+    kind = list(JOINTS)[seed % 3]
+    moving, held = int(rng.integers(40, 90)), int(rng.integers(20, 60)) * (seed % 4 > 0)
+    pace = np.exp(0.25 * np.convolve(rng.standard_normal(moving + 7), np.full(8, 8**-0.5), mode="valid"))
+    c = TRAVEL[kind] * rng.uniform(0.6, 1.3) * np.cumsum(pace) / pace.sum()
+    c = np.concatenate([[0.0], c, np.full(held, c[-1])])
+    step = np.append(np.diff(c), 0.0)
+    step[step == 0] = step.max() / 2
+    asked = step * np.exp(0.2 * rng.standard_normal(len(step)))
+    recording = recorded([(JOINTS[kind], c)], rng, Noise(0.001, 0.006), commanded=[asked])
+    edges = [learn_graph(recording, method=method).edges[0] for method in METHODS]
+    return kind, moving if held else None, edges[0], edges[1]
+
+
+@pytest.fixture(scope="module")
+def many() -> list[tuple[str, int | None, KinematicEdge, KinematicEdge]]:
+    return [drawn(seed) for seed in range(RECORDINGS)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_intervals_hold_the_row_at_which_a_part_stops(many, method: Method) -> None:
+    """The first row at rest. Whether the row that arrives there still moves or already rests, no pose can tell."""
+    widths, hits = [], []
+    for _, stop, *edges in many:
+        segments = edges[METHODS.index(method)].segments
+        if stop is not None and len(segments) == 2:
+            low, high = segments[1].certainty.start.interval()
+            hits.append(low <= stop + 1 and stop <= high)
+            widths.append(high - low + 1)
+    assert len(hits) > 0.9 * RECORDINGS * 3 / 4
+    assert sum(hits) >= binom.ppf(RARELY, len(hits), 0.95)
+    # An interval that holds everything says nothing.
+    assert np.mean(widths) < 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) -> None:
+    given, right = [], []
+    for _, stop, *edges in many:
+        counts = np.array(edges[METHODS.index(method)].certainty.changepoint_counts[0])
+        given.append(counts[stop is not None])
+        right.append(int(counts.argmax()) == (stop is not None))
+    # Where the claimed certainty is high, it must be earned: no more misses than it leaves room for.
+    misses = len(right) - sum(right)
+    assert misses <= binom.ppf(1 - RARELY, len(right), max(1 - float(np.mean(given)), 0.03))
+    assert np.mean(given) > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
+    given, right = [], []
+    for kind, _, *edges in many:
+        chances = dict(edges[METHODS.index(method)].segments[0].certainty.kinds)
+        given.append(chances[kind])
+        right.append(max(chances, key=lambda name, own=chances: own[name]) == kind)
+    misses = len(right) - sum(right)
+    assert misses <= binom.ppf(1 - RARELY, len(right), max(1 - float(np.mean(given)), 0.03))
+    assert np.mean(given) > 0.9
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_probabilities_are_probabilities(kind: str, method: Method) -> None:
+    recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(0))
+    edge = learn_graph(recording, method=method).edges[0]
+    (counts,) = edge.certainty.changepoint_counts
+    assert sum(counts) == pytest.approx(1.0)
+    assert int(np.argmax(counts)) == len(edge.segments) - 1
+    assert np.isfinite(edge.certainty.log_evidence)
+    for segment in edge.segments:
+        chances = dict(segment.certainty.kinds)
+        assert sum(chances.values()) == pytest.approx(1.0)
+        assert segment.probability == chances[segment.joint.kind] == max(chances.values())
+    start = edge.segments[1].certainty.start
+    assert sum(start.probabilities) == pytest.approx(1.0)
+    assert list(start.rows) == sorted(set(start.rows))
+    assert start.rows[int(np.argmax(start.probabilities))] == edge.segments[1].start
+    low, high = start.interval()
+    inside = sum(p for row, p in zip(start.rows, start.probabilities, strict=True) if low <= row <= high)
+    assert inside >= 0.95 - 1e-12
+    assert start.interval(0.5)[1] - start.interval(0.5)[0] <= high - low
+
+
+def test_an_interval_is_the_narrowest_that_holds_enough() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        rows = np.cumsum(rng.integers(1, 4, 9))
+        chances = rng.dirichlet(np.full(9, 0.5))
+        low, high = RowPosterior(tuple(rows.tolist()), tuple(chances.tolist())).interval(0.8)
+        width = min(rows[j] - rows[i] for i in range(9) for j in range(i, 9) if chances[i : j + 1].sum() >= 0.8 - 1e-12)
+        assert high - low == width
+
+
+def enumerated(log_density, cost, apart, prior: LengthPrior, kinds: int, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Log weights (c, ...) of all segmentations with up to `most` segments: totals by count, and by count and row."""
+    order, n, h = log_density.shape[0] - 1, *log_density.shape[1:]
+    totals: list[list[float]] = [[] for _ in range(most)]
+    starts: dict[tuple[int, int, int], list[float]] = {}
+    for m in range(1, most + 1):
+        for cuts in itertools.combinations(range(1, n), m - 1):
+            edges = [0, *cuts, n]
+            for used in itertools.product(range(h), repeat=m):
+                weight = 0.0
+                for j, (start, stop) in enumerate(itertools.pairwise(edges)):
+                    length = stop - start
+                    weight += float(prior.log_survival(length - 1) if stop == n else prior.log_probability(length))
+                    weight += sum(log_density[min(t - start, order), t, used[j]] for t in range(start, stop))
+                    weight -= cost[used[j]] + np.log(kinds)
+                    weight -= apart[used[j - 1], used[j]] if j else 0.0
+                totals[m - 1].append(weight)
+                for j, cut in enumerate(cuts):
+                    starts.setdefault((m - 1, j, cut), []).append(weight)
+    rows = np.full((most, most, n), -np.inf)
+    for (count, j, cut), weights in starts.items():
+        rows[count, j, cut] = logsumexp(weights)
+    return np.array([logsumexp(one) for one in totals]), rows
+
+
+def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
+    """Every segmentation of a short track, written out one by one."""
+    recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 5, 3))], np.random.default_rng(1))
+    track = part_track(recording, 0, recording.parts[0])
+    settings = LearnSettings()
+    noise = first_noise(track, settings)
+    pool = window_hypotheses(track, settings.kinds, noise).take([0, 1, 2])
+    table = tabulated(pool, track, noise, False, settings.rest)
+    rng = np.random.default_rng(2)
+    cost, prior = rng.uniform(0, 3, 3), LengthPrior(4.0, 2.0)
+    apart = rng.uniform(0, 2, (3, 3))
+    np.fill_diagonal(apart, np.inf)
+    for changepoints in (0, 1, 2):
+        found: ChangepointPosterior = changepoint_posterior(table, cost, apart, prior, 4, changepoints)
+        most = len(found.counts)
+        totals, rows = enumerated(table.log_density, cost, apart, prior, 4, most)
+        assert found.log_evidence == pytest.approx(logsumexp(totals))
+        np.testing.assert_allclose(found.counts, np.exp(totals - logsumexp(totals)), atol=1e-10)
+        expected = np.exp(rows[changepoints, :changepoints] - totals[changepoints])
+        np.testing.assert_allclose(found.starts, expected, atol=1e-10)
+        any_count = np.exp(logsumexp(rows, axis=(0, 1)) - logsumexp(totals))
+        np.testing.assert_allclose(found.changepoint, any_count, atol=1e-10)

@@ -1,0 +1,143 @@
+"""The same motion at another sampling rate, in other units of time or another base frame gives the same segments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planted import JOINTS, TRAVEL, moving_then_held, recorded
+from scipy.spatial.transform import Rotation, Slerp
+
+from micah_plan.automaton.graph import Segment
+from micah_plan.learn.learn import METHODS, Method, learn_graph
+from micah_plan.recording.read import read_recording
+from micah_plan.recording.value import Recording
+
+TOLERANCE = 0.05  # of the run, between changepoints at different rates
+KNOWN = {"microwave_with_grasp": ["revolute", "rigid"], "stapler": ["revolute", "rigid"]}
+
+
+def interpolated(recording: Recording, factor: float) -> Recording:
+    """Rows at `factor` times the rate: linear and slerp; actions are steps of the path that they command."""
+    time = np.linspace(recording.time[0], recording.time[-1], round((len(recording) - 1) * factor) + 1)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(time, recording.time, column) for column in values.T], axis=1)
+
+    action = None
+    if recording.action is not None:
+        reached = np.concatenate([np.zeros((1, 3)), np.cumsum(np.nan_to_num(recording.action[:-1]), axis=0)])
+        action = np.concatenate([np.diff(between(reached), axis=0), np.full((1, 3), np.nan)])
+    quaternion = None
+    if recording.quaternion is not None:
+        quaternion = Slerp(recording.time, Rotation.from_quat(recording.quaternion))(time).as_quat()
+    return Recording(time=time, position=between(recording.position), quaternion=quaternion, action=action)
+
+
+def thinned(recording: Recording, step: int) -> Recording:
+    """Every step-th row; the actions between are summed."""
+    rows = np.arange(0, len(recording), step)
+    if recording.action is None:
+        return recording.rows(rows)
+    action = np.add.reduceat(np.nan_to_num(recording.action), rows, axis=0)
+    action[-1] = np.nan
+    return replace(recording.rows(rows), action=action)
+
+
+def planted(kind: str, seed: int = 0, rate: int = 1) -> Recording:
+    """A joint that moves and then stays though it is pressed on, measured `rate` times as often (fresh noise)."""
+    c = moving_then_held(kind, 70 * rate, 40 * rate)
+    step = np.append(np.diff(c), 0.0)
+    step[step == 0] = TRAVEL[kind] / (70 * rate)
+    recording = recorded([(JOINTS[kind], c)], np.random.default_rng(seed), commanded=[step])
+    return replace(recording, time=recording.time / rate)
+
+
+def learned(recording: Recording, method: Method) -> tuple[Segment, ...]:
+    return learn_graph(recording, method=method).edges[0].segments
+
+
+def summary(recording: Recording, method: Method) -> tuple[list[str], np.ndarray]:
+    """Kinds of the segments, and when those after the first begin, as shares of the run."""
+    segments = learned(recording, method)
+    span = recording.time[-1] - recording.time[0]
+    starts = np.array([(recording.time[s.start] - recording.time[0]) / span for s in segments[1:]])
+    return [s.joint.kind for s in segments], starts
+
+
+def assert_same(recordings: list[Recording], method: Method) -> None:
+    (kinds, starts), *others = (summary(one, method) for one in recordings)
+    for other_kinds, other_starts in others:
+        assert other_kinds == kinds
+        np.testing.assert_allclose(other_starts, starts, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_a_joint_measured_more_often_is_the_same(kind: str, method: Method) -> None:
+    original = planted(kind)
+    assert_same([original, interpolated(original, 4), planted(kind, rate=4)], method)
+    assert summary(original, method)[0] == [kind, "rigid"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_any_rate_gives_the_same_joints(kind: str, method: Method) -> None:
+    original = planted(kind, seed=1)
+    others = [interpolated(original, factor) for factor in (0.5, 2, 16)]
+    assert_same([original, thinned(original, 2), *others, planted(kind, rate=16)], method)
+
+
+@pytest.mark.parametrize("name", list(KNOWN))
+def test_a_demonstration_at_another_rate_has_the_same_segments(shared_data, name: str) -> None:
+    original = read_recording(shared_data / "demonstrations" / f"{name}.csv")
+    assert summary(original, "act-champ")[0] == KNOWN[name]
+    assert_same([original, interpolated(original, 4), thinned(original, 2)], "act-champ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", list(KNOWN))
+def test_a_demonstration_at_any_rate_has_the_same_segments(shared_data, name: str, method: Method) -> None:
+    original = read_recording(shared_data / "demonstrations" / f"{name}.csv")
+    assert_same([original, thinned(original, 2), *(interpolated(original, f) for f in (0.5, 2, 4, 16))], method)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("factor", [0.5, 1, 4, 16])
+def test_a_noisy_drawer_is_one_joint_at_any_rate(shared_data, factor: float, method: Method) -> None:
+    original = read_recording(shared_data / "demonstrations" / "drawer_no_grasp.csv")
+    assert summary(interpolated(original, factor), method)[0] == ["prismatic"]
+
+
+@pytest.mark.parametrize("scale", [1000.0, 18.0])
+def test_the_unit_of_time_does_not_matter(scale: float) -> None:
+    original = planted("screw")
+    for method in METHODS:
+        here, there = learned(original, method), learned(replace(original, time=scale * original.time), method)
+        assert [(s.joint.kind, s.start, s.end) for s in there] == [(s.joint.kind, s.start, s.end) for s in here]
+        for one, other in zip(here, there, strict=True):
+            np.testing.assert_allclose(other.joint.axis, one.joint.axis, atol=1e-6)
+            np.testing.assert_allclose(other.joint.position, one.joint.position, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_another_base_frame_moves_the_joints_with_it(kind: str) -> None:
+    original = planted(kind)
+    turn, shift = Rotation.from_rotvec([0.5, -1.1, 0.7]), np.array([1.5, -0.7, 0.4])
+    moved = replace(
+        original,
+        position=turn.apply(original.position.copy()) + shift,
+        quaternion=(turn * Rotation.from_quat(original.quaternion)).as_quat(),
+        action=turn.apply(original.action.copy()),
+    )
+    here, there = learned(original, "act-champ"), learned(moved, "act-champ")
+    assert [s.joint.kind for s in there] == [s.joint.kind for s in here]
+    assert abs(there[1].start - here[1].start) <= 1
+    found, expected = there[0].joint, here[0].joint
+    np.testing.assert_allclose(found.axis, turn.apply(expected.axis), atol=5e-3)
+    np.testing.assert_allclose(found.position, turn.apply(expected.position) + shift, atol=1e-3)
+    assert there[0].configuration_end == pytest.approx(here[0].configuration_end, rel=0.02)
