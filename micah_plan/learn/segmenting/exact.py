@@ -7,6 +7,7 @@ best for a segment does not depend on the others, so it is chosen for all of the
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +36,8 @@ def best_segmentation(
     """
     evidence, chosen = _best_models(table, members, paid)
     n = len(evidence)
-    every = np.arange(1, n + 1)
-    log_length, log_survival = prior.log_probability(every), prior.log_survival(every - 1)
-    lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None], 0)
-    joint = evidence - np.log(kinds) + log_length[lengths]
-    joint[:, -1] = evidence[:, -1] - np.log(kinds) + log_survival[lengths[:, -1]]
+    columns = np.ascontiguousarray((evidence + _length_terms(prior, n)).T) - np.log(kinds)
     best_before, last = np.zeros(n + 1), np.zeros(n + 1, dtype=np.int64)
-    columns = np.ascontiguousarray(joint.T)
     for row in range(n):
         score = best_before[: row + 1] + columns[row, : row + 1]
         start = int(score.argmax())
@@ -53,6 +49,17 @@ def best_segmentation(
         pieces.append(Piece(start, end - 1, int(chosen[start, end - 1]), float(evidence[start, end - 1])))
         end = start
     return Segmentation(tuple(reversed(pieces)), float(best_before[n]))
+
+
+@lru_cache(maxsize=4)
+def _length_terms(prior: LengthPrior, n: int) -> Floats:
+    """(n, n) ln prior of the length of a segment (first, last row); the last row leaves it open."""
+    every = np.arange(1, n + 1)
+    log_length, log_survival = prior.log_probability(every), prior.log_survival(every - 1)
+    lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None], 0)
+    terms = log_length[lengths]
+    terms[:, -1] = log_survival[lengths[:, -1]]
+    return np.asarray(terms)
 
 
 def _best_models(
