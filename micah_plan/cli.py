@@ -326,7 +326,7 @@ def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
             table.add_row(*row)
         out.print(table)
         if edge.certainty is not None and edge.certainty.channel is not None:
-            out.print(f"  {summaries.channel_line(edge.certainty.channel)}", markup=False)
+            out.print(summaries.channel_line(edge.certainty.channel), markup=False)
     if learned.automaton is None:
         out.print(f"no model: {learned.reason}", markup=False, style="yellow")
     else:

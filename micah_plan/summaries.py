@@ -144,18 +144,15 @@ def _start(segment: Segment) -> str:
 
 
 def channel_line(channel: ActionChannel) -> str:
-    """The line on the action channel that `learn` prints, with one standard deviation each."""
+    """The line on the action channel that `learn` prints, with one standard deviation each; it fits 80 columns."""
     *_, gain, delay = _stds(channel.covariance)
     vector, spread = np.array(channel.frame_rotation), np.array(channel.covariance)[:3, :3]
     angle = float(np.linalg.norm(vector))
     # Along the rotation's own axis its spread is that of the angle; without a rotation the widest direction counts.
     variance = float(vector @ spread @ vector) / angle**2 if angle else float(np.linalg.eigvalsh(spread)[-1])
     turned = f"turned {math.degrees(angle):.0f}° ± {math.degrees(math.sqrt(max(variance, 0.0))):.0f}°"
-    late = f"{abs(channel.delay):.2f} s ± {delay:.2f} s {'late' if channel.delay >= 0 else 'early'}"
-    return (
-        f"actions: gain {channel.gain:.2f} ± {gain:.2f}, {turned}, {late}, explain {100 * channel.explained:.0f} % of "
-        "the motion"
-    )
+    late = f"delay {_rounded(channel.delay, 2)} ± {delay:.2f} s"
+    return f"actions explain {100 * channel.explained:.0f} %: gain {channel.gain:.2f} ± {gain:.2f}, {turned}, {late}"
 
 
 def solved(plan: Plan) -> dict[str, Any]:

@@ -116,14 +116,14 @@ def test_the_table_stays_readable(run):
     assert lines[lines.index("radius start") + 1] == "mode rows configuration axis [m] sure 95 %"
     assert "revolute 0-99 0.000 → 1.200 rad 0.00 0.00 -1.00 0.310 98 %" in lines
     assert "rigid 100-130 1.200 >99 % 99-102" in lines
-    assert "actions: gain 0.94 ± 0.02, turned 11° ± 3°, 0.11 s ± 0.03 s late, explain 87 % of the motion" in lines
-    assert max(map(len, printed.out.splitlines()[:7])) <= 80
+    assert "actions explain 87 %: gain 0.94 ± 0.02, turned 11° ± 3°, delay 0.11 ± 0.03 s" in lines
+    assert max(map(len, printed.out.splitlines()[:8])) <= 80
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"delay": -0.04}, "0.04 s ± 0.03 s early"),
+        ({"delay": -0.04}, "delay -0.04 ± 0.03 s"),
         ({"frame_rotation": (0.0, 0.0, 0.0)}, "turned 0° ± 6°"),
         ({"frame_rotation": (0.3, 0.0, 0.0)}, "turned 17° ± 6°"),
     ],
