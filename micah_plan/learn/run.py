@@ -61,7 +61,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     """Segment a track and fit the joints of its segments to all of their rows."""
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, rng)
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
     log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
@@ -69,7 +69,10 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     misfit = _misfit(segmented, track, inlier, noise, log_odds) if log_odds > 0 else None
     if misfit is not None:
         pieces = (segmented.best_single(),)
-    located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
+    located: list[Located] = []
+    for a, b in pairwise(pieces):
+        since = located[-1].row if located else 0
+        located.append(_located(a, b, since, segmented, steps, track, inlier, settings, use_actions))
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
@@ -97,6 +100,7 @@ def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
 def _located(
     before: Piece,
     after: Piece,
+    since: int,
     segmented: Segmented,
     steps: Steps,
     track: PartTrack,
@@ -104,10 +108,10 @@ def _located(
     settings: LearnSettings,
     use_actions: bool,
 ) -> Located:
-    """The row at which one piece goes over into the next."""
+    """The row at which one piece, which begins at the row `since`, goes over into the next."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
-    limits = int(steps.first[before.start]), int(steps.first[after.end + 1])
-    row = int(steps.first[after.start])
+    limits = since, int(steps.first[after.end + 1])
+    row = max(int(steps.first[after.start]), since + 1)
     return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size), use_actions)
 
 
