@@ -19,7 +19,13 @@ from micah_plan.learn.segmenting.evidence import TRUST
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
-from micah_plan.learn.segmenting.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.segmenting.segmentation import (
+    Segmented,
+    best_single,
+    kind_probabilities,
+    posterior_of,
+    segment_track,
+)
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -47,6 +53,7 @@ class LearnedRun:
         certainties: (m,) how sure they are.
         posterior: over segmentations, in steps.
         trace: evidence over time.
+        segmented: the segments in steps, and what decided them.
     """
 
     track: PartTrack
@@ -56,21 +63,38 @@ class LearnedRun:
     certainties: tuple[SegmentCertainty, ...]
     posterior: ChangepointPosterior
     trace: EvidenceTrace
+    segmented: Segmented
 
 
-def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> LearnedRun:
-    """Segment a track and fit the joints of its segments to all of their rows."""
+def learn_run(
+    track: PartTrack,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+    known: LearnedRun | None = None,
+) -> LearnedRun:
+    """Segment a track and fit the joints of its segments to all of their rows.
+
+    Args:
+        known: what was learned from the same poses with other actions, to start from.
+    """
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, rng)
+    before = None if known is None else known.segmented
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
     log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
+    misfit = None
+    if log_odds > 0:
+        single = best_single(segmented, settings, use_actions)
+        misfit = _misfit(single, track, inlier, noise, log_odds)
+        segmented = segmented if misfit is None else single
     pieces = segmented.segmentation.pieces
-    misfit = _misfit(segmented, track, inlier, noise, log_odds) if log_odds > 0 else None
-    if misfit is not None:
-        pieces = (segmented.best_single(),)
-    located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
+    located: list[Located] = []
+    for a, b in pairwise(pieces):
+        since = located[-1].row if located else 0
+        located.append(_located(a, b, since, segmented, steps, track, inlier, settings, use_actions))
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
@@ -87,7 +111,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     places = [None, *(_row_posterior(one, track) for one in located)]
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
-    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace, segmented)
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -98,6 +122,7 @@ def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
 def _located(
     before: Piece,
     after: Piece,
+    since: int,
     segmented: Segmented,
     steps: Steps,
     track: PartTrack,
@@ -105,10 +130,10 @@ def _located(
     settings: LearnSettings,
     use_actions: bool,
 ) -> Located:
-    """The row at which one piece goes over into the next."""
+    """The row at which one piece, which begins at the row `since`, goes over into the next."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
-    limits = int(steps.first[before.start]), int(steps.first[after.end + 1])
-    row = int(steps.first[after.start])
+    limits = since, int(steps.first[after.end + 1])
+    row = max(int(steps.first[after.start]), since + 1)
     return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size), use_actions)
 
 
@@ -143,10 +168,10 @@ def _joints(
 def _misfit(
     segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
 ) -> Misfit | None:
-    """How far the best single joint misses the rows; None if not further than their noise lets them scatter."""
+    """How far the single joint of a segment misses its rows; None if not further than their noise lets them scatter."""
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
+    joint = segmented.table.pool.hypotheses.joints.joint(segmented.segmentation.pieces[0].hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
     turned = track.quaternion is not None

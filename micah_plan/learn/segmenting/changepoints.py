@@ -38,18 +38,14 @@ class Piece:
 
     Attributes:
         start, end: first and last row (inclusive), within the track.
-        kind: index of its model among the candidate kinds.
         hypothesis: index of its joint in the pool.
         log_evidence: of that model.
-        probability: of that model among the candidates for these rows.
     """
 
     start: int
     end: int
-    kind: int
     hypothesis: int
     log_evidence: float
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -70,9 +66,7 @@ class _Choice:
 
     def piece(self, end: int) -> Piece:
         kind = int(np.argmax(self.evidence))
-        best = float(self.evidence[kind])
-        share = float(np.exp(best - logsumexp(self.evidence)))
-        return Piece(self.start, end, kind, int(self.hypothesis[kind]), best, share)
+        return Piece(self.start, end, int(self.hypothesis[kind]), float(self.evidence[kind]))
 
 
 def most_probable(

@@ -15,6 +15,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _GAUGE = 1e-9  # directions of less relative information are redundant
+_CONVERGED = 0.02  # nats
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
 
@@ -40,12 +41,13 @@ def fit_likelihood(
         design = parameter_design(joints, seen, track.position)
         size = design.shape[2]
         columns = _whitened(design, coefficients[..., None], scale[..., None])
-        columns = np.einsum("ij,htjk->htik", noise.decorrelation, columns)
+        # Channels first: then one product of matrices per joint makes them independent.
+        columns = noise.decorrelation @ columns.transpose(0, 2, 1, 3).reshape(len(joints), size, -1)
         weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=2))
         rows = columns.reshape(len(joints), -1, design.shape[3])
-        weighted = (columns * weight[..., None, None]).reshape(rows.shape)
-        information = weighted.transpose(0, 2, 1) @ rows
-        pull = weighted.transpose(0, 2, 1) @ innovation.reshape(len(joints), -1, 1)
+        weighted = (rows * np.tile(weight, (1, size))[..., None]).transpose(0, 2, 1)
+        information = weighted @ rows
+        pull = weighted @ innovation.transpose(0, 2, 1).reshape(len(joints), -1, 1)
         diagonal = np.einsum("hii->hi", information)
         damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(design.shape[3])
         step = (np.linalg.pinv(damped, rcond=_GAUGE, hermitian=True) @ pull)[..., 0]
@@ -54,10 +56,13 @@ def fit_likelihood(
         after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
         trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
         better = trial_cost < cost
+        gained = float(np.maximum(cost - trial_cost, 0.0).max())
         joints, seen = trial.where(better, joints), _chosen(better, after, seen)
         innovation = np.where(better[:, None, None], trial_innovation, innovation)
         cost = np.where(better, trial_cost, cost)
         damping = np.where(better, damping / 10, np.maximum(damping, 1e-6) * 100)
+        if better.all() and gained < _CONVERGED:
+            break
     return joints
 
 
