@@ -70,7 +70,7 @@ def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) 
     given, right = [], []
     for _, stop, *edges in many:
         counts = np.array(edges[METHODS.index(method)].certainty.changepoint_counts[0])
-        given.append(counts[stop is not None])
+        given.append(counts[int(stop is not None)])
         right.append(int(counts.argmax()) == (stop is not None))
     # Where the claimed certainty is high, it must be earned: no more misses than it leaves room for.
     misses = len(right) - sum(right)
