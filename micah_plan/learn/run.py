@@ -19,7 +19,13 @@ from micah_plan.learn.segmenting.evidence import TRUST
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
-from micah_plan.learn.segmenting.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.segmenting.segmentation import (
+    Segmented,
+    best_single,
+    kind_probabilities,
+    posterior_of,
+    segment_track,
+)
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -46,6 +52,7 @@ class LearnedRun:
         certainties: (m,) how sure they are.
         posterior: over segmentations, in steps.
         trace: evidence over time.
+        segmented: the segments in steps, and what decided them.
     """
 
     track: PartTrack
@@ -55,20 +62,34 @@ class LearnedRun:
     certainties: tuple[SegmentCertainty, ...]
     posterior: ChangepointPosterior
     trace: EvidenceTrace
+    segmented: Segmented
 
 
-def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> LearnedRun:
-    """Segment a track and fit the joints of its segments to all of their rows."""
+def learn_run(
+    track: PartTrack,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+    known: LearnedRun | None = None,
+) -> LearnedRun:
+    """Segment a track and fit the joints of its segments to all of their rows.
+
+    Args:
+        known: what was learned from the same poses with other actions, to start from.
+    """
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions)
+    before = None if known is None else known.segmented
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
     log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
+    misfit = None
+    if log_odds > 0:
+        single = best_single(segmented, settings, use_actions)
+        misfit = _misfit(single, track, inlier, noise, log_odds)
+        segmented = segmented if misfit is None else single
     pieces = segmented.segmentation.pieces
-    misfit = _misfit(segmented, track, inlier, noise, log_odds) if log_odds > 0 else None
-    if misfit is not None:
-        pieces = (segmented.best_single(),)
     located: list[Located] = []
     for a, b in pairwise(pieces):
         since = located[-1].row if located else 0
@@ -89,7 +110,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     places = [None, *(_row_posterior(one, track) for one in located)]
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
-    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace, segmented)
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -146,8 +167,8 @@ def _joints(
 def _misfit(
     segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
 ) -> Misfit | None:
-    """How far the best single joint misses the rows; None if not further than their noise lets them scatter."""
-    joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
+    """How far the single joint of a segment misses its rows; None if not further than their noise lets them scatter."""
+    joint = segmented.table.pool.hypotheses.joints.joint(segmented.segmentation.pieces[0].hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
     turned = track.quaternion is not None
