@@ -28,6 +28,8 @@ from micah_plan.outputs import FIGURE, MODEL, PAGE, PLAN, RUNS, Output, check_ou
 HONEST_NEGATIVE = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
+# Brackets are markup unless they are escaped.
+_LEARNED_COLUMNS = ("mode", "rows", "configuration", "axis", "radius\n\\[m]", "sure", "start\n95 %")
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
@@ -315,25 +317,16 @@ def _report(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -
 
 def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
     for edge in learned.graph.edges:
-        table = Table(
-            "mode",
-            "rows",
-            "from",
-            "to",
-            "axis",
-            "radius",
-            "sure",
-            "start 95 %",
-            box=SIMPLE,
-            title_justify="left",
-            title=f"{edge.child} relative to {edge.parent}",
-        )
+        table = Table(*_LEARNED_COLUMNS, box=SIMPLE, padding=(0, 1, 0, 0), title_justify="left")
+        table.title = f"{edge.child} relative to {edge.parent}"
+        for name in ("mode", "rows", "sure"):
+            table.columns[_LEARNED_COLUMNS.index(name)].no_wrap = True
         for segment in edge.segments:
             row = summaries.segment_row(segment)
             table.add_row(*row)
         out.print(table)
         if edge.certainty is not None and edge.certainty.channel is not None:
-            out.print(f"  {summaries.channel_line(edge.certainty.channel)}", markup=False)
+            out.print(summaries.channel_line(edge.certainty.channel), markup=False)
     if learned.automaton is None:
         out.print(f"no model: {learned.reason}", markup=False, style="yellow")
     else:
@@ -361,7 +354,7 @@ def _print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> 
 
 
 def _print_predicted(summary: dict[str, Any]) -> None:
-    table = Table("", "position [m]", "rotation [rad]", "configuration", box=SIMPLE)
+    table = Table("", "position \\[m]", "rotation \\[rad]", "configuration", box=SIMPLE)
     for name in ("one_step", "rollout"):
         values = summary[name]
         rotation = values["rotation_rmse_rad"]

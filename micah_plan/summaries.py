@@ -113,18 +113,26 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 
 def segment_row(segment: Segment) -> tuple[str, ...]:
-    """One line of the table that `learn` prints: mode, rows, from, to, axis, radius, how sure, first row at 95 %."""
+    """One line of the table that `learn` prints, short enough for 80 columns.
+
+    Mode, rows, configuration, axis, radius [m], how sure, first row at 95 %.
+    """
     joint, rows, misfit = segment.joint, f"{segment.start}-{segment.end}", misfit_of(segment)
     if misfit is not None:
-        return ("none", rows, "", "", "", "", f"misses by {1e3 * misfit.position:.3g} mm", _start(segment))
-    unit = {"rigid": "", "prismatic": " m"}.get(joint.kind, " rad")
-    axis = "" if joint.kind == "rigid" else " ".join(f"{value:+.2f}" for value in joint.axis)
-    arm = f"{radius(joint):.3f} m" if joint.kind in ("revolute", "screw") else ""
-    ends = (f"{segment.configuration_start:+.3f}{unit}", f"{segment.configuration_end:+.3f}{unit}")
+        return ("none", rows, f"misses by {1e3 * misfit.position:.3g} mm", "", "", "", _start(segment))
+    axis = "" if joint.kind == "rigid" else " ".join(_rounded(value, 2) for value in joint.axis)
+    arm = f"{radius(joint):.3f}" if joint.kind in ("revolute", "screw") else ""
+    first, last = _rounded(segment.configuration_start, 3), _rounded(segment.configuration_end, 3)
+    way = last if joint.kind == "rigid" else f"{first} → {last} {'m' if joint.kind == 'prismatic' else 'rad'}"
     sure = segment.certainty
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
-    percent = "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
-    return (joint.kind, rows, *ends, axis, arm, percent, _start(segment))
+    percent = ">99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
+    return (joint.kind, rows, way, axis, arm, percent, _start(segment))
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Without a sign where nothing but 0 is left."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def _start(segment: Segment) -> str:
@@ -136,18 +144,15 @@ def _start(segment: Segment) -> str:
 
 
 def channel_line(channel: ActionChannel) -> str:
-    """The line on the action channel that `learn` prints, with one standard deviation each."""
+    """The line on the action channel that `learn` prints, with one standard deviation each; it fits 80 columns."""
     *_, gain, delay = _stds(channel.covariance)
     vector, spread = np.array(channel.frame_rotation), np.array(channel.covariance)[:3, :3]
     angle = float(np.linalg.norm(vector))
     # Along the rotation's own axis its spread is that of the angle; without a rotation the widest direction counts.
     variance = float(vector @ spread @ vector) / angle**2 if angle else float(np.linalg.eigvalsh(spread)[-1])
     turned = f"turned {math.degrees(angle):.0f}° ± {math.degrees(math.sqrt(max(variance, 0.0))):.0f}°"
-    late = f"{abs(channel.delay):.2f} s ± {delay:.2f} s {'late' if channel.delay >= 0 else 'early'}"
-    return (
-        f"actions: gain {channel.gain:.2f} ± {gain:.2f}, {turned}, {late}, explain {100 * channel.explained:.0f} % of "
-        "the motion"
-    )
+    late = f"delay {_rounded(channel.delay, 2)} ± {delay:.2f} s"
+    return f"actions explain {100 * channel.explained:.0f} %: gain {channel.gain:.2f} ± {gain:.2f}, {turned}, {late}"
 
 
 def solved(plan: Plan) -> dict[str, Any]:

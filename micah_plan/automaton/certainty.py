@@ -62,8 +62,9 @@ class ActionChannel:
         frame_rotation: rotation vector from the frame in which the actions were given to the base frame [rad].
         gain: displacement made per displacement recorded.
         delay: time from the recorded action to the motion [s]; negative if the motion comes first.
-        covariance: (5, 5) of CHANNEL_NAMES, in the units above. What the recording cannot tell (a rotation about the
-            joint's direction of motion) keeps its prior spread.
+        covariance: (5, 5) of CHANNEL_NAMES, in the units above; a rotation's is that of a small turn of the base frame
+            after it. What the recording cannot tell (a rotation about the joint's direction of motion) keeps its
+            prior spread.
         explained: share of the variance of the part's steps that the actions explain, 0 to 1.
     """
 

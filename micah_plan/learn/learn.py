@@ -12,11 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from micah_plan.automaton.certainty import EdgeCertainty
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
+from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
@@ -66,11 +67,17 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
     part = recording.parts[0]
     segments: list[Segment] = []
     reference: Joint | None = None
-    learned = []
+    learned: list[LearnedRun] = []
+    channels: list[ActionChannel | None] = []
     for i, run in enumerate(recording.runs):
         rng = np.random.default_rng([seed, i])
-        one = learn_run(part_track(recording, run, part), settings, method == "act-champ", rng)
+        track = part_track(recording, run, part)
+        if method == "act-champ":
+            one, channel = learn_acted_run(track, settings, rng)
+        else:
+            one, channel = learn_run(track, settings, False, rng), None
         learned.append(one)
+        channels.append(channel)
         chain = list(one.pieces)
         longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)
         if reference is not None:
@@ -84,6 +91,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
     certainty = EdgeCertainty(
         log_evidence=sum(one.posterior.log_evidence for one in learned),
         changepoint_counts=tuple(tuple(float(p) for p in one.posterior.counts) for one in learned),
+        channel=max((one for one in channels if one is not None), key=lambda one: one.explained, default=None),
         trace=learned[0].trace,
     )
     return KinematicEdge(BASE, part, tuple(segments), certainty)

@@ -61,7 +61,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     """Segment a track and fit the joints of its segments to all of their rows."""
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, rng)
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
     log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability

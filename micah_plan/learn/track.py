@@ -58,14 +58,34 @@ class PartTrack:
             None if self.action is None else self.action[index],
         )
 
-    def thinned(self, step: int) -> PartTrack:
-        """Every step-th row; the actions of the rows between are summed."""
-        index = np.arange(0, len(self), step)
-        part = self.take(index)
-        if self.action is None:
-            return part
-        summed = np.add.reduceat(self.action, index, axis=0)
-        return PartTrack(part.rows, part.time, part.position, part.quaternion, summed)
+    def coarsened(self, size: int) -> PartTrack:
+        """Means of `size` rows each, named after their first row; their actions are summed."""
+        begins = np.arange(0, len(self), size)
+        counts = np.diff(np.append(begins, len(self)))[:, None]
+        quaternion = None
+        if self.quaternion is not None:
+            quaternion = np.add.reduceat(self.quaternion, begins, axis=0)
+            quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        return PartTrack(
+            self.rows[begins],
+            np.add.reduceat(self.time, begins) / counts[:, 0],
+            np.add.reduceat(self.position, begins, axis=0) / counts,
+            quaternion,
+            None if self.action is None else np.add.reduceat(self.action, begins, axis=0),
+        )
+
+    def followed_by(self, other: PartTrack) -> PartTrack:
+        """These rows and later ones of the same part; both have the same columns."""
+        def both(first: Floats | None, second: Floats | None) -> Floats | None:
+            return None if first is None or second is None else np.concatenate([first, second])
+
+        return PartTrack(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.time, other.time]),
+            np.concatenate([self.position, other.position]),
+            both(self.quaternion, other.quaternion),
+            both(self.action, other.action),
+        )
 
 
 def part_track(recording: Recording, run: int, part: str) -> PartTrack:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from micah_plan.view.segments import is_misfit
 
 LEVELS = 2
 _AT_FLOOR = 0.5
+_LINE_OF_NAMES = 17  # letters
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,19 @@ def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float,
     ending = [(float(line.values[-1]), model_name(line.model), line.color is not None) for line in lines]
     wanted = [label for label in ending if label[0] > FLOOR + _AT_FLOOR]
     names = [name for value, name, _ in ending if value <= FLOOR + _AT_FLOOR]
-    out = ["ruled out:", *(", ".join(names[i : i + 2]) for i in range(0, len(names), 2))] if names else []
+    out = ["ruled out:", *_lines(names)] if names else []
     placed = [(FLOOR - step * i, text, False) for i, text in enumerate(out)]
     below = FLOOR if placed else -float("inf")
     for value, text, used in sorted(wanted):
         below = max(value, below + step)
         placed.append((below, text, used))
     return placed
+
+
+def _lines(names: Sequence[str]) -> list[str]:
+    """Names with commas, in short lines; a name that has a space stays in one."""
+    listed = ", ".join(name.replace(" ", "\N{NO-BREAK SPACE}") for name in names)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(listed, _LINE_OF_NAMES)]
 
 
 def model_name(model: str) -> str:

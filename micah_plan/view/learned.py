@@ -33,6 +33,8 @@ FLOOR = -10.0
 """Where a model counts as ruled out [nats]: odds of 1 to 22,000 against the best single one."""
 
 _IMPOSSIBLE = -1e6
+_REPLACED = 2.0
+"""Traced rows this many of their distances around a start that is known to the row say the same, less exactly."""
 _NEARLY_A_TURN = 0.9 * np.pi
 
 
@@ -72,6 +74,15 @@ class EvidenceLine:
     values: Floats
 
 
+@dataclass(frozen=True)
+class ChangeBar:
+    """The posterior probability that a segment starts at a row, or at one of the `width` rows around it."""
+
+    row: float
+    probability: float
+    width: float
+
+
 @dataclass(frozen=True, eq=False)
 class LearnedRun:
     """One run of one part: everything that its picture shows.
@@ -83,7 +94,7 @@ class LearnedRun:
         stretches: its segments.
         quantity, unit: what `measured` counts: ``"configuration"`` or ``"displacement"``, in rad, m, "rad or m".
         evidence_rows, evidence: (k,) rows and the models; empty if not traced.
-        changepoint: (k,) posterior probability that a segment starts at an evidence row; empty if not traced.
+        changepoints: where a segment may start; empty if not traced.
         counts: probabilities of 0, 1, 2, ... changepoints; empty if not known.
         channel: how the actions move the part.
         assessed: whether learning said how sure it is.
@@ -98,7 +109,7 @@ class LearnedRun:
     unit: str
     evidence_rows: Ints
     evidence: tuple[EvidenceLine, ...]
-    changepoint: Floats
+    changepoints: tuple[ChangeBar, ...]
     counts: tuple[float, ...]
     channel: ActionChannel | None
     assessed: bool
@@ -107,11 +118,6 @@ class LearnedRun:
     def in_base(self) -> bool:
         """Whether positions are in the base frame."""
         return self.edge.parent == BASE
-
-    @property
-    def rows_apart(self) -> float:
-        """How far apart the rows of the evidence lie: 1, or more where only every so many rows were looked at."""
-        return float(np.median(np.diff(self.evidence_rows))) if len(self.evidence_rows) > 1 else 1.0
 
 
 def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRun, ...]:
@@ -145,13 +151,13 @@ def _learned_run(
         start = None if colored.segment.certainty is None else colored.segment.certainty.start
         stretches.append(Stretch(colored, rows[chosen], measured, None if start is None else start.interval()))
     certainty = edge.certainty
-    trace_rows, lines, changepoint = _traced(None if certainty is None else certainty.trace, rows, stretches)
+    trace_rows, lines, changes = _traced(None if certainty is None else certainty.trace, rows, stretches)
     counts = certainty.changepoint_counts if certainty is not None else ()
     units = dict.fromkeys(UNITS[s.joint.kind] for s in moving)
     return LearnedRun(
         edge, run, rows, poses.translation, tuple(stretches),
         "configuration" if moving else "displacement", " or ".join(units) if moving else "m",
-        trace_rows, lines, changepoint, counts[number] if number < len(counts) else (),
+        trace_rows, lines, changes, counts[number] if number < len(counts) else (),
         None if certainty is None else certainty.channel, certainty is not None,
     )  # fmt: skip
 
@@ -173,11 +179,11 @@ def _configuration(segment: Segment, position: Floats, rotation: Rotation | None
 
 def _traced(
     trace: EvidenceTrace | None, rows: Ints, stretches: list[Stretch]
-) -> tuple[Ints, tuple[EvidenceLine, ...], Floats]:
+) -> tuple[Ints, tuple[EvidenceLine, ...], tuple[ChangeBar, ...]]:
     traced = np.array(() if trace is None else trace.rows, dtype=np.int64)
     own = np.isin(traced, rows)
     if trace is None or not own.any():
-        return traced[own], (), np.zeros(0)
+        return traced[own], (), ()
     density = np.nan_to_num(np.array(trace.log_density, dtype=float)[own], nan=_IMPOSSIBLE, neginf=_IMPOSSIBLE)
     lines = tuple(
         EvidenceLine(model, color, values)
@@ -186,7 +192,26 @@ def _traced(
             strict=True,
         )
     )  # fmt: skip
-    return traced[own], lines, np.array(trace.changepoint, dtype=float)[own]
+    return traced[own], lines, _change_bars(traced[own], np.array(trace.changepoint, dtype=float)[own], rows, stretches)
+
+
+def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[Stretch]) -> tuple[ChangeBar, ...]:
+    """Bars of the traced rows; where a start is known to the row, the finer bars of its posterior in their place."""
+    apart, fine = _apart(traced), _apart(rows)
+    bars = [ChangeBar(float(row), float(p), apart) for row, p in zip(traced, posterior, strict=True)]
+    for stretch in stretches:
+        start = None if stretch.segment.certainty is None else stretch.segment.certainty.start
+        if start is None or apart <= fine:
+            continue
+        low, high = start.rows[0] - _REPLACED * apart, start.rows[-1] + _REPLACED * apart
+        bars = [bar for bar in bars if not low <= bar.row <= high]
+        bars += [ChangeBar(float(row), p, fine) for row, p in zip(start.rows, start.probabilities, strict=True)]
+    return tuple(sorted(bars, key=lambda bar: bar.row))
+
+
+def _apart(rows: Ints) -> float:
+    """How far apart rows lie."""
+    return float(np.median(np.diff(rows))) if len(rows) > 1 else 1.0
 
 
 def relative_evidence(log_density: Floats) -> Floats:

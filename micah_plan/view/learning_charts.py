@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 MOST_BLOCKS = 40
 
-_WIDTH, _LEFT, _RIGHT = 420.0, 58.0, 8.0
+_WIDTH, _LEFT, _RIGHT = 420.0, 62.0, 8.0
 _NAMES = 106.0
 _TOP, _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 18.0 + 15.0 * (LEVELS - 1), 150.0, 104.0, 56.0
 _GAP, _AXIS = 14.0, 38.0
@@ -77,7 +77,7 @@ def _drawing(learned: LearnedRun) -> tuple[str, Panel]:
         top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
         extra = 0.08 * (top - FLOOR)
         second = Panel(_LEFT, panel.bottom + _GAP, width, _EVIDENCE, first, last, FLOOR - extra, top + extra)
-        highest = 1.08 * max(0.05, float(learned.changepoint.max(initial=0.0)))
+        highest = 1.08 * max([0.05, *(bar.probability for bar in learned.changepoints)])
         third = Panel(_LEFT, second.bottom + _GAP, width, _CHANGEPOINT, first, last, 0.0, highest)
         panels += [second, third]
         parts += [_evidence(second, learned), _changepoint(third, learned)]
@@ -131,11 +131,11 @@ def _evidence(panel: Panel, learned: LearnedRun) -> str:
 
 def _changepoint(panel: Panel, learned: LearnedRun) -> str:
     parts = [panel.y_axis("P(change\nat row)", 2)]
-    width = max(learned.rows_apart * panel.width / (panel.x1 - panel.x0), 1.0)
-    for row, probability in zip(learned.evidence_rows, learned.changepoint, strict=True):
-        if probability >= 1e-4:
-            top = panel.y(float(probability))
-            parts.append(rectangle(panel.x(float(row)) - width / 2, top, width, panel.bottom - top, "bar"))
+    for bar in learned.changepoints:
+        if bar.probability >= 1e-4:
+            top = panel.y(bar.probability)
+            width = max(bar.width * panel.width / (panel.x1 - panel.x0), 1.0)
+            parts.append(rectangle(panel.x(bar.row) - width / 2, top, width, panel.bottom - top, "bar"))
     for stretch in learned.stretches[1:]:
         if stretch.interval is not None:
             low, high = stretch.interval

@@ -85,8 +85,10 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
 
 def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
     """The posterior probability of every row to be the first of a segment."""
-    axes.bar(learned.evidence_rows, learned.changepoint, width=learned.rows_apart, color=INK, lw=0, zorder=3)
-    axes.set_ylim(0.0, 1.08 * max(0.05, float(learned.changepoint.max(initial=0.0))))
+    bars = learned.changepoints
+    heights = [bar.probability for bar in bars]
+    axes.bar([bar.row for bar in bars], heights, width=[bar.width for bar in bars], color=INK, lw=0, zorder=3)
+    axes.set_ylim(0.0, 1.08 * max([0.05, *heights]))
     axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
     axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
     for stretch in learned.stretches[1:]:

@@ -12,7 +12,14 @@ from planted import JOINTS, moving_then_held, recorded
 
 from micah_plan.errors import InputError
 from micah_plan.learn.segmenting.changepoints import most_probable
-from micah_plan.learn.segmenting.evidence import EvidenceColumn, ExactEvidence, segment_sums, tabulated
+from micah_plan.learn.segmenting.evidence import (
+    EvidenceColumn,
+    EvidenceTable,
+    ExactEvidence,
+    segment_sums,
+    tabulated,
+)
+from micah_plan.learn.segmenting.exact import best_segmentation
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses
@@ -34,7 +41,7 @@ class Table:
         self.row += 1
         self.starts = np.append(self.starts, self.row)
         chosen = self.values[self.starts, self.row]
-        return EvidenceColumn(self.starts.copy(), chosen, np.zeros(chosen.shape, dtype=np.int64))
+        return EvidenceColumn(self.starts.copy(), chosen, np.tile(np.arange(chosen.shape[1]), (len(chosen), 1)))
 
     def keep(self, index: np.ndarray) -> None:
         self.starts = self.starts[index]
@@ -105,10 +112,10 @@ def test_the_recursion_finds_the_best_of_all_segmentations() -> None:
     found = most_probable(Table(values), prior, np.random.default_rng(0))
     assert tuple(piece.start for piece in found.pieces[1:]) == best
     assert found.log_probability == pytest.approx(score(best))
-    assert [p.kind for p in found.pieces] == [int(values[p.start, p.end].argmax()) for p in found.pieces]
+    assert [p.hypothesis for p in found.pieces] == [int(values[p.start, p.end].argmax()) for p in found.pieces]
 
 
-def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, ExactEvidence, int]:
+def planted_table(positions_only: bool = False) -> EvidenceTable:
     recording = recorded(
         [(JOINTS["revolute"], moving_then_held("revolute", 40, 30))],
         np.random.default_rng(2),
@@ -117,8 +124,12 @@ def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, Exact
     track = part_track(recording, 0, recording.parts[0])
     chosen = LearnSettings()
     noise = first_noise(track, chosen)
-    table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, False, chosen.rest)
-    return ExactEvidence(table, chosen.kinds), ExactEvidence(table, chosen.kinds), len(track)
+    return tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, False, chosen.rest)
+
+
+def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, ExactEvidence, int]:
+    table, kinds = planted_table(positions_only), LearnSettings().kinds
+    return ExactEvidence(table, kinds), ExactEvidence(table, kinds), len(table.charged)
 
 
 def test_particles_agree_with_the_exact_recursion() -> None:
@@ -154,9 +165,19 @@ def test_evidence_prefers_the_planted_models() -> None:
 
 def test_the_evidence_of_a_segment_is_the_sum_over_its_rows() -> None:
     rng = np.random.default_rng(3)
-    density = rng.normal(0, 2, (4, 11))
+    density = rng.normal(0, 2, (4, 11, 3))
     sums = segment_sums(density)
     for start in range(11):
         for end in range(start, 11):
             total = sum(density[min(row - start, 3), row] for row in range(start, end + 1))
             assert sums[start, end] == pytest.approx(total)
+
+
+@pytest.mark.parametrize("positions_only", [False, True])
+def test_the_recursion_over_all_segments_at_once_is_the_one_over_columns(positions_only: bool) -> None:
+    table = planted_table(positions_only)
+    prior = LengthPrior(35.0, 2.0)
+    kinds = LearnSettings().kinds
+    assert best_segmentation(table, prior, len(kinds)) == most_probable(
+        ExactEvidence(table, kinds), prior, np.random.default_rng(0)
+    )

@@ -231,7 +231,7 @@ def test_certainty_without_a_trace_still_shows_what_it_has() -> None:
     assert not any(axes.get_ylabel().startswith("evidence") for axes in figure.axes)
 
 
-def test_a_trace_of_every_third_row_has_bars_three_rows_wide() -> None:
+def test_a_coarse_trace_has_wide_bars_but_where_a_start_is_known_to_the_row() -> None:
     recording, graph = assessed_door()
     edge = graph.edges[0]
     trace = edge.certainty.trace
@@ -240,7 +240,12 @@ def test_a_trace_of_every_third_row_has_bars_three_rows_wide() -> None:
     )
     changed = dataclasses.replace(edge, certainty=dataclasses.replace(edge.certainty, trace=thin))
     axes = labelled(learning_figure(recording, KinematicGraph((changed,))), "P(change")
-    assert {bar.get_width() for bar in axes.containers[0]} == {3.0}
+    bars = {bar.get_x() + bar.get_width() / 2: bar for bar in axes.containers[0]}
+    start = edge.segments[1].certainty.start
+    for row, probability in zip(start.rows, start.probabilities, strict=True):
+        assert bars[row].get_height() == pytest.approx(probability)
+        assert bars[row].get_width() == 1.0
+    assert {bar.get_width() for row, bar in bars.items() if row < start.rows[0]} == {3.0}
 
 
 def test_a_trace_of_other_rows_has_no_panels() -> None:

@@ -78,8 +78,9 @@ def compare_arrays(
     angle = np.arctan2(imaginary, real)
     weight = np.hypot(real, imaginary)
     angle = np.where(weight > _TINY, angle, 0.0)
-    if (np.abs(joints.pitch) > 1e-7).any():
-        angle = _balanced(angle, weight, along, pitch)
+    pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
+    if len(pitched):
+        angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], pitch[pitched])
     turned = np.where(turning, angle, 0.0)
     if n:
         turned = np.unwrap(turned, axis=1)
@@ -117,9 +118,7 @@ def levers(joints: JointArrays, in_part: bool) -> Floats:
 
 def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: Floats) -> Floats:
     """Minimise -2 weight cos(c - angle) + (along - pitch c)² by parabolas from above, whole turns by the pitch."""
-    has = np.abs(pitch) > 1e-7
-    safe = np.where(has, pitch, 1.0)
-    turns = np.where(has, np.round((along / safe - angle) / (2 * np.pi)), 0.0)
+    turns = np.round((along / pitch - angle) / (2 * np.pi))
     # Whole turns only where the pitch is large against noise; a small one is left to continuity.
     c = angle + 2 * np.pi * np.where(np.abs(pitch) * 2 * np.pi > 0.05, turns, 0.0)
     target = c

@@ -1,4 +1,4 @@
-"""The most probable changepoints: the MAP recursion of CHAMP, exact or with particles, and its back-tracking.
+"""The most probable changepoints of a stream: the MAP recursion of CHAMP with particles, and its back-tracking.
 
 Sources: MICAH, equation for P_t and P_t^MAP; Fearnhead and Liu, JRSS B 2007. In logarithms, with segments s..t-1:
 P_t(s, M) = survival(t - s - 1) L(s, t, M) p(M) P_s^MAP and
@@ -38,18 +38,14 @@ class Piece:
 
     Attributes:
         start, end: first and last row (inclusive), within the track.
-        kind: index of its model among the candidate kinds.
         hypothesis: index of its joint in the pool.
         log_evidence: of that model.
-        probability: of that model among the candidates for these rows.
     """
 
     start: int
     end: int
-    kind: int
     hypothesis: int
     log_evidence: float
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -75,9 +71,7 @@ class _Link:
 
     def piece(self) -> Piece:
         kind = int(np.argmax(self.evidence))
-        best = float(self.evidence[kind])
-        share = float(np.exp(best - logsumexp(self.evidence)))
-        return Piece(self.start, self.end, kind, int(self.hypothesis[kind]), best, share)
+        return Piece(self.start, self.end, int(self.hypothesis[kind]), float(self.evidence[kind]))
 
 
 class MapRecursion:

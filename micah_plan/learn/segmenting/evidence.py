@@ -10,8 +10,8 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,19 @@ class EvidenceTable:
     occam: Floats
     held: Floats
     rows: Floats
+
+    @cached_property
+    def sums(self) -> Floats:
+        """(n, n, h) evidence of every segment (first, last row), its joint's parameters paid for by someone else."""
+        return segment_sums(self.log_density)
+
+    @cached_property
+    def charged(self) -> Floats:
+        """(n, n, h) the same, less what a segment pays for a joint of its own."""
+        n, h = self.log_density.shape[1:]
+        costs = self.cost(np.arange(h), np.arange(1.0, n + 1)[:, None])
+        lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None], 0)
+        return np.asarray(self.sums - costs[lengths])
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""
@@ -128,35 +141,24 @@ class EvidenceColumn:
 
 
 class ExactEvidence:
-    """Evidence of all segments of a track, computed at once and given out row by row.
+    """Evidence of all segments of a track, given out row by row as a stream's is.
 
     Args:
-        table: densities.
+        table: densities; every segment pays for the parameters of its joint.
         kinds: candidate kinds, in the order of the evidence's columns.
-        members: hypotheses to choose among; None: all.
-        paid: those whose parameters cost a segment nothing (whoever chose them pays).
     """
 
-    def __init__(
-        self,
-        table: EvidenceTable,
-        kinds: tuple[JointKind, ...],
-        members: Sequence[int] | None = None,
-        paid: Collection[int] = (),
-    ) -> None:
-        n = table.log_density.shape[1]
+    def __init__(self, table: EvidenceTable, kinds: tuple[JointKind, ...]) -> None:
+        names = table.pool.hypotheses.joints.kinds
+        members = [np.flatnonzero([name == kind for name in names]) for kind in kinds]
+        n = len(table.charged)
         self._best = np.full((n, n, len(kinds)), -np.inf)
         self._which = np.zeros((n, n, len(kinds)), dtype=np.int64)
-        lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None] + 1.0, 1.0)
-        names = table.pool.hypotheses.joints.kinds
-        for i in range(len(names)) if members is None else members:
-            column = kinds.index(names[i])
-            sums = segment_sums(table.log_density[:, :, i])
-            if i not in paid:
-                sums = sums - table.cost(np.array(i), lengths)
-            better = sums > self._best[:, :, column]
-            np.copyto(self._best[:, :, column], sums, where=better)
-            self._which[:, :, column][better] = i
+        for column, of_kind in enumerate(members):
+            if len(of_kind):
+                evidence = table.charged[:, :, of_kind]
+                self._best[:, :, column] = evidence.max(axis=2)
+                self._which[:, :, column] = of_kind[np.argmax(evidence, axis=2)]
         self.starts: Ints = np.zeros(0, dtype=np.int64)
         self.row = -1
 
@@ -175,18 +177,18 @@ class ExactEvidence:
 
 
 def segment_sums(log_density: Floats) -> Floats:
-    """(n, n) evidence of rows s to t (s <= t) under one hypothesis, from its densities (p + 1, n).
+    """(n, n, h) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
 
     The first p rows of a segment have their own densities; those after them are differences of one running sum.
     """
-    p, n = len(log_density) - 1, log_density.shape[1]
-    running = np.concatenate([[0.0], np.cumsum(log_density[p])])
-    # Known-before k at row s + k: (n, p) with zeros beyond the end.
-    begin = np.zeros((n, p + 1))
-    for k in range(p):
+    p, n, h = len(log_density) - 1, log_density.shape[1], log_density.shape[2]
+    running = np.concatenate([np.zeros((1, h)), np.cumsum(log_density[p], axis=0)])
+    # Of the row s + k with k rows known before it; 0 beyond the end.
+    begin = np.zeros((n, p + 1, h))
+    for k in range(min(p, n)):
         begin[: n - k, k + 1] = log_density[k, k:]
     begin = np.cumsum(begin, axis=1)
     s, t = np.arange(n)[:, None], np.arange(n)[None]
-    inside = np.clip(t - s + 1, 0, p)
-    rest = np.maximum(t + 1, np.minimum(s + p, n))
-    return np.asarray(np.take_along_axis(begin, inside, axis=1) + running[rest] - running[np.minimum(s + p, n)])
+    known = np.minimum(s + p, n)
+    later = running[np.maximum(t + 1, known)] - running[known]
+    return np.asarray(begin[s, np.clip(t - s + 1, 0, p)] + later)

@@ -40,12 +40,13 @@ def fit_likelihood(
         design = parameter_design(joints, seen, track.position)
         size = design.shape[2]
         columns = _whitened(design, coefficients[..., None], scale[..., None])
-        columns = np.einsum("ij,htjk->htik", noise.decorrelation, columns)
+        # Channels first: then one product of matrices per joint makes them independent.
+        columns = noise.decorrelation @ columns.transpose(0, 2, 1, 3).reshape(len(joints), size, -1)
         weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=2))
         rows = columns.reshape(len(joints), -1, design.shape[3])
-        weighted = (columns * weight[..., None, None]).reshape(rows.shape)
-        information = weighted.transpose(0, 2, 1) @ rows
-        pull = weighted.transpose(0, 2, 1) @ innovation.reshape(len(joints), -1, 1)
+        weighted = (rows * np.tile(weight, (1, size))[..., None]).transpose(0, 2, 1)
+        information = weighted @ rows
+        pull = weighted @ innovation.transpose(0, 2, 1).reshape(len(joints), -1, 1)
         diagonal = np.einsum("hii->hi", information)
         damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(design.shape[3])
         step = (np.linalg.pinv(damped, rcond=_GAUGE, hermitian=True) @ pull)[..., 0]

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from micah_plan.learn.segmenting.evidence import EvidenceTable, segment_sums
+from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 
 Floats = NDArray[np.float64]
@@ -51,23 +50,23 @@ def changepoint_posterior(
         kinds: number of candidate kinds.
         changepoints: c, of the most probable segmentation.
     """
-    n, h = table.log_density.shape[1:]
+    n = table.log_density.shape[1]
     most = min(max(changepoints + 1 + _MORE_SEGMENTS, 2), max(_MOST_SEGMENTS, changepoints + 1), n)
     lengths = np.arange(n)[None] - np.arange(n)[:, None] + 1
-    sums = np.stack([segment_sums(table.log_density[:, :, i]) for i in range(h)]) - cost[:, None, None] - np.log(kinds)
+    sums = np.ascontiguousarray(table.sums.transpose(2, 0, 1)) - cost[:, None, None] - np.log(kinds)
     valid = np.maximum(lengths, 1)
     inner = np.where(lengths > 0, sums + prior.log_probability(valid), -np.inf)
     last = sums[:, :, -1] + prior.log_survival(valid[:, -1] - 1)
     ahead = _forward(inner, apart, most)
     behind = _backward(inner, last, apart, most)
-    totals = np.array([logsumexp(ahead[m] + behind[0].T) for m in range(most)])
-    log_evidence = float(logsumexp(totals))
+    totals = np.array([_log_sum(ahead[m] + behind[0].T) for m in range(most)])
+    log_evidence = float(_log_sum(totals))
     counts = np.exp(totals - log_evidence)
     changepoint = np.zeros(n)
     starts = np.zeros((changepoints, n))
     for m in range(1, most):
         for j in range(1, m + 1):
-            share = _normalised(logsumexp(ahead[j] + behind[m - j].T, axis=1))
+            share = _normalised(_log_sum(ahead[j] + behind[m - j].T, axis=1))
             changepoint += counts[m] * share
             if m == changepoints:
                 starts[j - 1] = share
@@ -82,9 +81,9 @@ def _forward(inner: Floats, apart: Floats, most: int) -> list[Floats]:
     found = [first]
     for _ in range(1, most):
         # Rows up to t explained, the last segment of hypothesis h; then what may follow it at t + 1.
-        ended = np.stack([logsumexp(found[-1][:, i, None] + inner[i], axis=0) for i in range(h)], axis=1)
+        ended = np.stack([_log_sum(found[-1][:, i, None] + inner[i], axis=0) for i in range(h)], axis=1)
         follows = np.full((n, h), -np.inf)
-        follows[1:] = logsumexp(ended[:-1, :, None] - apart[None], axis=1)
+        follows[1:] = _log_sum(ended[:-1, :, None] - apart[None], axis=1)
         found.append(follows)
     return found
 
@@ -95,8 +94,8 @@ def _backward(inner: Floats, last: Floats, apart: Floats, most: int) -> list[Flo
     found = [last]
     for _ in range(1, most):
         after = np.full((h, n), -np.inf)
-        after[:, :-1] = logsumexp(found[-1][None, :, 1:] - apart[:, :, None], axis=1)
-        found.append(np.stack([logsumexp(inner[i] + after[i][None], axis=1) for i in range(h)]))
+        after[:, :-1] = _log_sum(found[-1][None, :, 1:] - apart[:, :, None], axis=1)
+        found.append(np.stack([_log_sum(inner[i] + after[i][None], axis=1) for i in range(h)]))
     return found
 
 
@@ -106,3 +105,12 @@ def _normalised(log_weights: Floats) -> Floats:
         return np.zeros(len(log_weights))
     weights = np.exp(log_weights - top)
     return np.asarray(weights / weights.sum())
+
+
+def _log_sum(values: Floats, axis: int | None = None) -> Floats:
+    """ln of the sum of exponentials, -inf where all are; without the general one's overhead on small arrays."""
+    top = values.max(axis=axis, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.exp(values - top).sum(axis=axis))
+    return np.asarray(total + (top.squeeze(axis) if axis is not None else top.ravel()[0]))

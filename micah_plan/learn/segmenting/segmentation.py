@@ -14,7 +14,7 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
-from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
 from micah_plan.learn.settings import LearnSettings
@@ -58,10 +58,10 @@ class Segmented:
         best = int(
             np.argmax(np.where(self.table.pool.moving, totals, -np.inf if self.table.pool.moving.any() else totals))
         )
-        return Piece(0, last, 0, best, float(totals[best]), 1.0)
+        return Piece(0, last, best, float(totals[best]))
 
 
-def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> Segmented:
+def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool) -> Segmented:
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
@@ -74,9 +74,9 @@ def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool, 
     for noise in (fine, _single(track, fine, prior, settings, use_actions)):
         if noise is not None:
             table = tabulated(windows, track, noise, use_actions, settings.rest)
-            proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings, rng)]
+            proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    settled = [_settled(one, prior, settings, use_actions, rng) for one in proposals]
+    settled = [_settled(one, prior, settings, use_actions) for one in proposals]
     return _with_rivals(max(settled, key=lambda one: one.log_probability), settings, use_actions)
 
 
@@ -91,10 +91,9 @@ def _single(
     best: tuple[float, NoiseModel] | None = None
     for i in range(len(whole)):
         one = whole.take([i])
-        table = tabulated(one, track, noise, use_actions, settings.rest)
-        left = refitted_noise(*misses(table.pool, np.zeros(len(track), dtype=np.int64)), settings)
+        left = refitted_noise(*misses(pool_of(one, track, noise), np.zeros(len(track), dtype=np.int64)), settings)
         table = tabulated(one, track, left, use_actions, settings.rest)
-        total = shared(table, [0], prior, settings, np.random.default_rng(0)).log_probability
+        total = shared(table, [0], prior, settings).log_probability
         if best is None or total > best[0]:
             best = total, left
     return None if best is None else best[1]
@@ -111,9 +110,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def _settled(
-    start: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
-) -> Segmented:
+def _settled(start: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool) -> Segmented:
     """Alternate between segments, their joints and the noise until the probability does not grow."""
     best, now = start, start
     track = start.track
@@ -124,7 +121,7 @@ def _settled(
         rivals = refitted(kinds, np.repeat(rows, len(settings.kinds), axis=0), track, noise)
         pool = now.table.pool.hypotheses.take(used).joined(rivals)
         table = tabulated(pool, track, noise, use_actions, settings.rest)
-        now = Segmented(track, noise, selections(table, prior, settings, rng)[0], table)
+        now = Segmented(track, noise, selections(table, prior, settings)[0], table)
         if now.log_probability <= best.log_probability + _CONVERGED:
             break
         best = now

@@ -11,8 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.learn.segmenting.changepoints import Piece, Segmentation, most_probable
-from micah_plan.learn.segmenting.evidence import EvidenceTable, ExactEvidence
+from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
+from micah_plan.learn.segmenting.evidence import EvidenceTable
+from micah_plan.learn.segmenting.exact import best_segmentation
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.settings import LearnSettings
 
@@ -20,29 +21,24 @@ ANOTHER_JOINT = 10.0  # nats: most parts have one moving joint; another one need
 _PROMISING = 3
 
 
-def selections(
-    table: EvidenceTable, prior: LengthPrior, settings: LearnSettings, rng: np.random.Generator
-) -> list[Segmentation]:
+def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings) -> list[Segmentation]:
     """Segmentations that may be the most probable one, each with its log probability, the best first."""
-    apart = most_probable(ExactEvidence(table, settings.kinds), prior, rng, settings.particles)
-    found = [_fewest(table, apart, prior, settings, rng)]
+    apart = best_segmentation(table, prior, len(settings.kinds))
+    found = [_fewest(table, apart, prior, settings)]
     moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
     rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
     for joint in _promising(table):
-        evidence = ExactEvidence(table, settings.kinds, [joint, *(i for i in rests if i != joint)], {joint})
-        with_rests = most_probable(evidence, prior, rng, settings.particles)
+        members = [joint, *(i for i in rests if i != joint)]
+        with_rests = best_segmentation(table, prior, len(settings.kinds), members, {joint})
         used = sorted({piece.hypothesis for piece in with_rests.pieces})
-        found += [shared(table, members, prior, settings, rng) for members in ([joint], used)]
+        found += [shared(table, some, prior, settings) for some in ([joint], used)]
     unique = {tuple((p.start, names[p.hypothesis], p.hypothesis) for p in one.pieces): one for one in found}
     return sorted(unique.values(), key=lambda one: -one.log_probability)
 
 
-def shared(
-    table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings, rng: np.random.Generator
-) -> Segmentation:
+def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
     """The most probable segments under few joints, whose parameters are paid once."""
-    evidence = ExactEvidence(table, settings.kinds, members, members)
-    found = most_probable(evidence, prior, rng, settings.particles)
+    found = best_segmentation(table, prior, len(settings.kinds), members, members)
     used: dict[int, int] = {}
     for piece in found.pieces:
         used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
@@ -60,14 +56,13 @@ def _fewest(
     apart: Segmentation,
     prior: LengthPrior,
     settings: LearnSettings,
-    rng: np.random.Generator,
 ) -> Segmentation:
     """Segments of the joints of a segmentation, of which some are dropped while that pays."""
     members = sorted({piece.hypothesis for piece in apart.pieces})
-    best = shared(table, members, prior, settings, rng)
+    best = shared(table, members, prior, settings)
     while len(members) > 1:
         fewer = [[m for m in members if m != dropped] for dropped in members]
-        tried = [shared(table, some, prior, settings, rng) for some in fewer]
+        tried = [shared(table, some, prior, settings) for some in fewer]
         i = max(range(len(tried)), key=lambda k: tried[k].log_probability)
         if tried[i].log_probability <= best.log_probability:
             break

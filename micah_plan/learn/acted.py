@@ -1,0 +1,69 @@
+"""Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
+
+Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
+is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to
+when they acted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel
+from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
+from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.segments import FittedPiece
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import PartTrack
+
+_SURE = 3.0  # stds by which a delay differs from none
+_STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
+
+
+def learn_acted_run(
+    track: PartTrack, settings: LearnSettings, rng: np.random.Generator
+) -> tuple[LearnedRun, ActionChannel | None]:
+    """What a run tells, with its actions, and the channel that they came through.
+
+    Args:
+        track: with or without actions.
+        rng: for MLESAC.
+
+    Returns:
+        the run, whose track has the actions where they acted if that explains it better; None where there are no
+        actions or they say nothing.
+    """
+    learned = learn_run(track, settings, True, rng)
+    channel = _channel(learned, track)
+    if channel is None:
+        return learned, None
+    std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
+    step = track.duration / settings.resolution
+    if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
+        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng)
+        if again.posterior.log_evidence > learned.posterior.log_evidence:
+            return again, _channel(again, track) or channel
+    return learned, channel
+
+
+def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
+    """The channel of the joint that governs the most rows."""
+    moving = [piece for piece in learned.pieces if piece.joint.kind != "rigid"]
+    if not moving or track.action is None or any(sure.misfit for sure in learned.certainties):
+        return None
+    longest = max(moving, key=lambda piece: piece.end - piece.start)
+    pieces = [(piece.start, piece.end) for piece in moving if piece.leader == longest.leader]
+    return estimate_channel(longest.joint, pieces, track, _white_std(longest, learned, track), learned.inlier)
+
+
+def _white_std(piece: FittedPiece, learned: LearnedRun, track: PartTrack) -> float:
+    """White noise of one measured configuration [rad or m]."""
+    row = slice(piece.start, piece.start + 1)
+    quaternion = None if track.quaternion is None else track.quaternion[row]
+    direction = compare_all([piece.joint], track.position[row], quaternion, 1.0).direction[0, 0]
+    noise = learned.noise
+    information = float(direction[-3:] @ direction[-3:]) / noise.position_white**2
+    if quaternion is not None:
+        information += float(direction[:3] @ direction[:3]) / noise.rotation_white**2
+    return float(information**-0.5)
