@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
-
 import numpy as np
 
 from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty
@@ -18,6 +16,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
+from micah_plan.learn.online import METHODS, Method, OnlineLearner, is_long
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
@@ -25,8 +24,6 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 from micah_plan.recording.value import Recording
 
-Method = Literal["champ", "act-champ"]
-METHODS: tuple[Method, ...] = ("champ", "act-champ")
 Progress = Callable[[str, float], None]
 
 
@@ -41,7 +38,8 @@ def learn_graph(
 
     Every part hangs on the base or on another part, whichever explains the poses best (see `learn.tree`). Every run is
     segmented on its own; the first one defines the configuration coordinate, the segments of the others are counted
-    along it and follow in the order of the runs.
+    along it and follow in the order of the runs. A run in which a part moves to and fro more often than is learned at
+    once is learned as `OnlineLearner` would.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.

@@ -44,6 +44,8 @@ class LearnedRun:
         noise: of single rows.
         pieces: (m,) stretches of rows with their joints, on one coordinate.
         certainties: (m,) how sure they are.
+        hypotheses: (m,) equal for pieces that share a joint.
+        segmented: steps, and what decided.
         posterior: over segmentations, in steps.
         trace: evidence over time.
     """
@@ -53,6 +55,8 @@ class LearnedRun:
     noise: MeasurementNoise
     pieces: tuple[FittedPiece, ...]
     certainties: tuple[SegmentCertainty, ...]
+    hypotheses: tuple[int, ...]
+    segmented: Segmented
     posterior: ChangepointPosterior
     trace: EvidenceTrace
 
@@ -64,29 +68,53 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
-    log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
-    pieces = segmented.segmentation.pieces
-    misfit = _misfit(segmented, track, inlier, noise, log_odds) if log_odds > 0 else None
-    if misfit is not None:
-        pieces = (segmented.best_single(),)
+    log_odds, misfit = free_motion_misfit(segmented, track, inlier, noise)
+    pieces = segmented.segmentation.pieces if misfit is None else (segmented.best_single(),)
+    fitted, places = fitted_pieces(pieces, segmented, steps, track, inlier, settings, use_actions, rng)
+    chain = chained(fitted, track, inlier, noise)
+    free = -np.inf if misfit is None else log_odds
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
+    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
+    trace = _trace(segmented, posterior, settings)
+    hypotheses = tuple(piece.hypothesis for piece in pieces)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, segmented, posterior, trace)
+
+
+def fitted_pieces(
+    pieces: Sequence[Piece],
+    segmented: Segmented,
+    steps: Steps,
+    track: PartTrack,
+    inlier: Bools,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+    settled: Sequence[Joint] = (),
+) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
+    """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start.
+
+    Args:
+        settled: joints of the first hypotheses of the pool, which are not fitted again.
+    """
     located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
-    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
+    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng, settled)
+    gain = segmented.table.motion.gain
     fitted = [
         FittedPiece(
-            a, b, joints[p.hypothesis], segmented.table.motion.gain[p.hypothesis], _leader(p, segmented), p.log_evidence
+            start=a,
+            end=b,
+            joint=joints[p.hypothesis],
+            gain=gain[p.hypothesis],
+            leader=_leader(p, segmented),
+            log_evidence=p.log_evidence,
+            settled=p.hypothesis < len(settled),
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
-    chain = chained(fitted, track, inlier, noise)
-    free = -np.inf if misfit is None else log_odds
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
-    places = [None, *(_row_posterior(one, track) for one in located)]
-    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
-    trace = _trace(segmented, posterior, settings)
-    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace)
+    return fitted, [None, *(_row_posterior(one, track) for one in located)]
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -119,10 +147,11 @@ def _joints(
     inlier: Bools,
     settings: LearnSettings,
     rng: np.random.Generator,
+    settled: Sequence[Joint],
 ) -> dict[int, Joint]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won."""
-    found = {}
-    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
+    found = dict(enumerate(settled))
+    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces if piece.hypothesis >= len(settled)):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
         )
@@ -139,10 +168,17 @@ def _joints(
     return found
 
 
-def _misfit(
-    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
-) -> Misfit | None:
-    """How far the best single joint misses the rows; None if not further than their noise lets them scatter."""
+def free_motion_misfit(
+    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise
+) -> tuple[float, Misfit | None]:
+    """Log odds of free motion, and how far the best single joint misses the rows if they favour it.
+
+    None as well if it does not miss them further than their noise lets them scatter.
+    """
+    free = free_log_probability(segmented.track, segmented.noise, TRUST)
+    log_odds = free - _FREE_IS_RARE - segmented.log_probability
+    if log_odds <= 0:
+        return log_odds, None
     joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
@@ -150,8 +186,8 @@ def _misfit(
     missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
     scatter = np.sqrt(3) * np.array([noise.position_white, noise.rotation_white])
     if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
-        return None
-    return Misfit(
+        return log_odds, None
+    return log_odds, Misfit(
         position=float(missed[0]),
         rotation=float(missed[1]) if turned else None,
         position_noise=float(scatter[0]),

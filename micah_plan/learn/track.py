@@ -103,19 +103,28 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     if len(rows) < FEWEST_ROWS:
         problem = f"learning needs at least {FEWEST_ROWS} rows, found {len(rows)}"
         raise InputError(problem, where=where, remedy="record a longer motion or leave these rows out")
-    position = recording.position[rows]
-    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[rows])
+    return measured_track(recording, rows, rows, where)
+
+
+def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:
+    """Some rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
+
+    Raises:
+        InputError: if a pose is not finite.
+    """
+    position = recording.position[index]
+    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[index])
     if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
         raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")
-    action = None if recording.action is None else recording.action[rows]
-    known = np.zeros(len(rows), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
+    action = None if recording.action is None else recording.action[index]
+    known = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
     if action is not None and known.any():
         action = np.where(known[:, None], action, 0.0)
         if quaternion is not None:
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:
         action = None
-    return PartTrack(rows, recording.time[rows], position, quaternion, action)
+    return PartTrack(rows, recording.time[index], position, quaternion, action)
 
 
 def _continuous(quaternion: Floats) -> Floats:

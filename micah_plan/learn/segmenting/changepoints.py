@@ -8,11 +8,11 @@ P_t^MAP = max_{s, M} β(t - s) / survival(t - s - 1) P_t(s, M).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
@@ -103,12 +103,13 @@ class MapRecursion:
         self._best_before = np.append(self._best_before, self._closed)
         self._links.append(self._last)
         self._extend_prior(self._row - int(column.starts[0]) + 1)
-        joint = column.log_evidence.max(axis=1) + self._best_before - np.log(column.log_evidence.shape[1])
+        best = column.log_evidence.max(axis=1)
+        joint = best + self._best_before - log(column.log_evidence.shape[1])
         self._open = column, joint, self._links
         self._last, self._closed = self._best(*self._open, self._log_length)
         if self._particles is not None and len(column.starts) > self._particles:
             # The weight of a start sums over the models of its segment.
-            of_kinds = logsumexp(column.log_evidence, axis=1) - column.log_evidence.max(axis=1)
+            of_kinds = np.log(np.exp(column.log_evidence - best[:, None]).sum(axis=1))
             filtering = joint + of_kinds + self._log_survival[self._row - column.starts]
             kept = resample(np.exp(filtering - filtering.max()), self._particles, self._rng)[0]
             self._stream.keep(kept)

@@ -1,0 +1,239 @@
+"""Segmenting a window of steps that goes on from earlier ones, whose joints are known and paid for.
+
+First the known joints, and rests on them, are asked whether they explain the window; only if not, it is searched for
+new ones as a whole recording would be. Page's test decides: the steps' surprise under the known joints, beyond what is
+usual for them, is summed from where it begins; a sum worth more than the parameters of a new joint calls for the search.
+So a door that is opened and closed for hours costs a fraction of learning it.
+
+Source: Page, "Continuous inspection schemes", Biometrika 1954.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.segmenting.changepoints import Piece, Segmentation, most_probable
+from micah_plan.learn.segmenting.evidence import TRUST, EvidenceTable, tabulated
+from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.occam import parameter_count
+from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses
+from micah_plan.learn.segmenting.running_evidence import RunningEvidence
+from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
+from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import PartTrack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_ROUNDS = 2
+_DOF = 8.0
+_SLACK = 0.5  # nats per step by which surprise may exceed the usual: joints fitted elsewhere, a tracker that wanders
+
+
+@dataclass(frozen=True, eq=False)
+class Usual:
+    """How well joints explain the steps that they were found in.
+
+    Attributes:
+        scale: (d,) root mean square errors of the steps [rad, m].
+        surprise: mean of a step's, with this scale [nats].
+    """
+
+    scale: Floats
+    surprise: float
+
+
+@dataclass(frozen=True, eq=False)
+class KnownJoints:
+    """What earlier steps leave to later ones.
+
+    Attributes:
+        joints: k joints on their coordinates.
+        last: index of the one that the window starts on; -1 if that is none of them.
+        usual: how well they explain steps.
+    """
+
+    joints: JointArrays
+    last: int
+    usual: Usual
+
+
+def usual_of(found: Segmented) -> Usual:
+    """How well the joints of a segmentation explain its steps."""
+    errors = _errors(found.segmentation, found.table)
+    groups = errors.reshape(len(errors), -1, 3)
+    scale = np.repeat(np.sqrt((groups**2).mean(axis=(0, 2))), 3)
+    return Usual(scale, float(_surprise(errors, scale).mean()))
+
+
+def segment_onward(
+    track: PartTrack,
+    known: KnownJoints,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+) -> tuple[Segmented, Segmented | None]:
+    """The most probable segments of a window; the first hypotheses of its pool are the known joints.
+
+    Args:
+        track: steps of the window without outliers.
+        rng: resamples the particles.
+
+    Returns:
+        the segments, and the search for new joints; None where the known ones are enough.
+    """
+    if known.joints.moving.any():
+        found = _with_rests(track, known, settings, use_actions, rng)
+        if _is_usual(found, known.usual):
+            return found, None
+    fresh = segment_track(track, settings, use_actions)
+    used = list(dict.fromkeys(piece.hypothesis for piece in fresh.segmentation.pieces))
+    everywhere = np.ones((len(known.joints), len(track)), dtype=bool)
+    pool = Hypotheses(known.joints, everywhere).joined(fresh.table.pool.hypotheses.take(used))
+    return _selected(pool, track, fresh.noise, known, settings, use_actions, rng), fresh
+
+
+def _with_rests(
+    track: PartTrack, known: KnownJoints, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
+) -> Segmented:
+    """The segments of known joints and of rests, which need to be found anew."""
+    noise = first_noise(track, settings)
+    everywhere = np.ones((len(known.joints), len(track)), dtype=bool)
+    pool = Hypotheses(known.joints, everywhere)
+    if "rigid" in settings.kinds:
+        pool = pool.joined(window_hypotheses(track, ("rigid",), noise))
+    found = _selected(pool, track, noise, known, settings, use_actions, rng)
+    for _ in range(_ROUNDS):
+        noise = refitted_noise(*misses(found.table.pool, _which(found.segmentation)), settings)
+        rows = {p.hypothesis: np.zeros(len(track), dtype=bool) for p in found.segmentation.pieces}
+        for piece in found.segmentation.pieces:
+            rows[piece.hypothesis][piece.start : piece.end + 1] = True
+        used = everywhere.copy()
+        for i in set(rows) & set(range(len(used))):
+            used[i] = rows[i]
+        new = [rows[i] for i in sorted(rows) if i >= len(used)]
+        pool = Hypotheses(known.joints, used)
+        if new:
+            pool = pool.joined(refitted(("rigid",) * len(new), np.array(new), track, noise))
+        before, found = found, _selected(pool, track, noise, known, settings, use_actions, rng)
+        if [piece.start for piece in found.segmentation.pieces] == [p.start for p in before.segmentation.pieces]:
+            break
+    return found
+
+
+def _selected(
+    pool: Hypotheses,
+    track: PartTrack,
+    noise: NoiseModel,
+    known: KnownJoints,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+) -> Segmented:
+    """The most probable segments under the known joints and those of the others that are worth their parameters."""
+    prior = LengthPrior.of_rows(track, settings)
+    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest), known, prior)
+    k = len(known.joints)
+    every = range(len(pool))
+    apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)
+    new = sorted({piece.hypothesis for piece in apart.pieces if piece.hypothesis >= k})
+    best = _charged(apart, table, k) if not new else _shared(table, k, new, prior, settings, rng)
+    while new:
+        fewer = [[i for i in new if i != dropped] for dropped in new]
+        tried = [_shared(table, k, some, prior, settings, rng) for some in fewer]
+        i = max(range(len(tried)), key=lambda j: tried[j].log_probability)
+        if tried[i].log_probability <= best.log_probability:
+            break
+        new, best = fewer[i], tried[i]
+    return Segmented(track, noise, best, table)
+
+
+def _shared(
+    table: EvidenceTable,
+    known: int,
+    new: list[int],
+    prior: LengthPrior,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+) -> Segmentation:
+    """The most probable segments under the known joints and new ones, whose parameters are paid once."""
+    members = [*range(known), *new]
+    found = most_probable(RunningEvidence(table, settings.kinds, members, members), prior, rng, settings.particles)
+    return _charged(found, table, known)
+
+
+def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentation:
+    """Segments under free joints, less what the new ones among them cost."""
+    rows: dict[int, int] = {}
+    for piece in found.pieces:
+        rows[piece.hypothesis] = rows.get(piece.hypothesis, 0) + piece.end - piece.start + 1
+    moving = table.pool.moving
+    held = bool(moving[list(rows)].any() or moving[:known].any())
+    cost = table.cost(np.array(list(rows)), np.array(list(rows.values()), dtype=float), held).sum()
+    further = sum(bool(moving[i]) for i in rows if i >= known)
+    further -= not moving[:known].any() and further > 0
+    # A part does not get from one rest to another without a motion.
+    rigid = [not moving[piece.hypothesis] for piece in found.pieces]
+    jumps = sum(a and b for a, b in pairwise(rigid))
+    log_probability = found.log_probability - float(cost) - (further + jumps) * ANOTHER_JOINT
+    return Segmentation(_merged(found.pieces), log_probability)
+
+
+def _paid(table: EvidenceTable, known: KnownJoints, prior: LengthPrior) -> EvidenceTable:
+    """The same densities, with the known joints free of cost.
+
+    Where the window begins there is no changepoint unless another joint than the last one holds there: that pays for it.
+    """
+    k = len(known.joints)
+    costs = {name: getattr(table, name).copy() for name in ("parameters", "occam", "held")}
+    for values in costs.values():
+        values[:k] = 0.0
+    density = table.log_density.copy()
+    if known.last >= 0:
+        other = np.arange(density.shape[2]) != known.last
+        density[0, 0, other] -= np.log(max(prior.mean, 1.0))
+    return replace(table, log_density=density, **costs)
+
+
+def _is_usual(found: Segmented, usual: Usual) -> bool:
+    """Page's test: nowhere do steps surprise more than a new joint would cost."""
+    excess = _surprise(_errors(found.segmentation, found.table), usual.scale) - usual.surprise - _SLACK
+    total = np.concatenate([[0.0], np.cumsum(TRUST * excess)])
+    worst = float((total - np.minimum.accumulate(total)).max())
+    parameters = parameter_count("revolute", found.track.quaternion is not None)
+    return worst < ANOTHER_JOINT + 0.5 * parameters * np.log(len(found.track))
+
+
+def _surprise(errors: Floats, scale: Floats) -> Floats:
+    """(n,) of errors (n, d): minus ln of Student's density, up to a constant."""
+    size = _DOF + errors.shape[1]
+    return np.asarray(0.5 * size * np.log1p(((errors / scale) ** 2).sum(axis=1) / size))
+
+
+def _errors(segmentation: Segmentation, table: EvidenceTable) -> Floats:
+    """(n, d) errors of the steps under the joints that explain them."""
+    return misses(table.pool, _which(segmentation))[0]
+
+
+def _which(segmentation: Segmentation) -> NDArray[np.int64]:
+    """(n,) hypothesis that explains each step."""
+    return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in segmentation.pieces])
+
+
+def _merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
+    """Neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
+    merged: list[Piece] = []
+    for piece in pieces:
+        if merged and merged[-1].hypothesis == piece.hypothesis:
+            before = merged.pop()
+            piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
+        merged.append(piece)
+    return tuple(merged)
