@@ -339,7 +339,9 @@ def _print_solved(plan: Any, files: tuple[Path | None, ...]) -> None:
     if plan.trajectory is not None:
         out.print(f"  modes                {' > '.join(plan.mode_sequence)}", markup=False)
         out.print(f"  goal error, std      {plan.goal_error:.4g}, {plan.goal_std:.4g}")
-        out.print(f"  success probability  {plan.success_probability:.3f} of {plan.verification_trials} roll-outs")
+        low, high = plan.success_interval or (0.0, 1.0)
+        share = f"{plan.success_probability:.3f} ({low:.3f} to {high:.3f} with 95 %)"
+        out.print(f"  success probability  {share} of {plan.verification_trials} roll-outs")
     out.print("  seconds              " + ", ".join(f"{k} {v:.2f}" for k, v in plan.timings.items()))
     _print_files(files)
 

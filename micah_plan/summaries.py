@@ -165,6 +165,8 @@ def solved(plan: Plan) -> dict[str, Any]:
         "goal_error": plan.goal_error,
         "goal_std": plan.goal_std,
         "success_probability": plan.success_probability,
+        "success_interval": None if plan.success_interval is None else list(plan.success_interval),
+        "verification_trials": plan.verification_trials,
         "seconds": dict(plan.timings),
         "seed": plan.seed,
     }

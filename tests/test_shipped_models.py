@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from micah_plan import workflow
 from micah_plan.spec.model_file import load_model
 from micah_plan.spec.parts_file import load_parts
+from micah_plan.spec.problem_file import load_problem
 
-OBJECTS = ("microwave", "drawer")
+OBJECTS = ("microwave", "drawer", "cabinet")
+PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))
 
 
 def thresholds(automaton):
@@ -47,3 +51,36 @@ def test_the_learned_door_is_the_true_door(repository):
 def test_the_learned_drawer_is_the_true_drawer(repository):
     drawer = load_model(repository / "models" / "drawer.yaml").mode("prismatic").joints[0]
     assert np.dot(drawer.axis, (0.0, 1.0, 0.0)) > np.cos(0.01)
+
+
+def test_the_learned_cabinet_is_the_true_cabinet(repository):
+    """Door, drawer and the door's handle: what hangs on what, hinge, rail, and where the door shuts."""
+    cabinet = load_model(repository / "models" / "cabinet.yaml")
+    assert [(link.parent, link.child) for link in cabinet.links] == [
+        ("base", "door"), ("base", "drawer"), ("door", "handle"),
+    ]  # fmt: skip
+    assert [(c.name, c.unit) for c in cabinet.coordinates] == [("door", "rad"), ("drawer", "m")]
+    door, drawer, handle = cabinet.mode("revolute/prismatic").joints
+    assert np.dot(door.axis, (0.0, 0.0, -1.0)) > np.cos(0.01)
+    assert np.array(door.center)[:2] == pytest.approx((-0.2, 0.01), abs=0.003)
+    assert np.dot(drawer.axis, (0.0, 1.0, 0.0)) > np.cos(0.01)
+    assert handle.kind == "rigid"
+    assert handle.position == pytest.approx((0.15, 0.045, 0.05), abs=0.002)
+    (shut,) = [edge.guard.half_spaces[0].c for edge in cabinet.edges
+               if edge.name == "revolute/prismatic -> rigid/prismatic"]  # fmt: skip
+    assert shut == pytest.approx(1.2, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_physics(repository, name):
+    pytest.importorskip("mujoco", reason="plans are executed in MuJoCo (extra 'sim')")
+    problem = load_problem(repository / "problems" / name)
+    plan = workflow.solve(problem)
+    assert plan.outcome == "solved", plan.reason
+    physics = workflow.execute(problem, plan, plant="mujoco", trials=5)
+    assert physics.successes == 5, physics.failures
+    nominal = workflow.execute(problem, plan, trials=20)
+    # As often as the confidence lets expect, within two and a half standard errors.
+    p = problem.settings.confidence
+    assert nominal.successes >= 20 * (p - 2.5 * np.sqrt(p * (1 - p) / 20)), nominal.failures

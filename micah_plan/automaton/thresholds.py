@@ -11,9 +11,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace, Region
+
+Floats = NDArray[np.float64]
 
 _DIGITS = 9
 _Boundary = tuple[float, ...]
@@ -25,14 +28,21 @@ def with_drawn_thresholds(automaton: HybridAutomaton, rng: np.random.Generator) 
 
     The automaton itself, without a draw from `rng`, where all thresholds are certain.
     """
-    stds = _boundary_stds(automaton)
-    if not stds:
-        return automaton
-    shifts = {boundary: std * float(rng.standard_normal()) for boundary, std in stds.items()}
+    stds = threshold_stds(automaton)
+    return with_shifted_thresholds(automaton, stds * rng.standard_normal(stds.size)) if stds.size else automaton
+
+
+def threshold_stds(automaton: HybridAutomaton) -> Floats:
+    """(b,) std of each boundary that is not certain, in the unit of its scaled threshold, in the order of the edges."""
+    return np.array(list(_boundary_stds(automaton).values()))
+
+
+def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAutomaton:
+    """The automaton with its uncertain boundaries moved by (b,) amounts, in the order of `threshold_stds`."""
+    shifts = {boundary: float(shift) for boundary, shift in zip(_boundary_stds(automaton), by, strict=True)}
     edges = tuple(replace(edge, guard=_moved(edge.guard, shifts)) for edge in automaton.edges)
-    return replace(
-        automaton, modes=tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes), edges=edges
-    )
+    modes = tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes)
+    return replace(automaton, modes=modes, edges=edges)
 
 
 def _boundary_stds(automaton: HybridAutomaton) -> dict[_Boundary, float]:

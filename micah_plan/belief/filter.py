@@ -30,7 +30,7 @@ NEGLIGIBLE = 1e-10
 _LEAST_CHANCE = 1e-3
 _EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
-_MOST_EVENTS = 16
+MOST_EVENTS = 16
 
 
 def initial_belief(
@@ -94,7 +94,7 @@ def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> Hy
     for index, mode in enumerate(automaton.modes):
         before = belief.means[index], belief.factors[index]
         mean, factor, score = gaussian.update(*before, measured, automaton.noise.observation_std)
-        for weights, offset in _limits(automaton.edges_from(mode.name)):
+        for weights, offset in guard_limits(automaton.edges_from(mode.name)):
             score -= truncate(*before, weights, offset)[0]
             outside, inward, narrowed = truncate(mean, factor, weights, offset)
             score += outside
@@ -109,7 +109,7 @@ def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> Hy
 
 def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travelling: list[Piece]) -> list[Piece]:
     """The share of a piece that stays in its mode to the end of the step; what leaves is put on `travelling`."""
-    if piece.events >= _MOST_EVENTS:
+    if piece.events >= MOST_EVENTS:
         return [piece]
     for edge in sorted(automaton.edges_from(piece.mode), key=lambda edge: edge.is_self_transition):
         crossed, left = cross(automaton, piece, edge, u)
@@ -121,7 +121,7 @@ def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travell
     return [piece]
 
 
-def _limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
+def guard_limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
     """The guards of one half-space on the state alone, turned round: weights @ x >= offset is outside the guard."""
     single = [edge.guard.half_spaces[0] for edge in edges if len(edge.guard.half_spaces) == 1]
     return [(-np.array(h.a), -h.c) for h in single if any(h.a) and not any(h.b)]

@@ -28,6 +28,7 @@ from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.onward_run import KnownJoint, LearnedWindow, OpenState, first_window, learn_onward
 from micah_plan.learn.row_window import RowWindow, WindowRows
 from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import Usual
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, sweeps_of
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
@@ -102,10 +103,9 @@ class OnlineLearner:
             InputError: shapes that do not fit, or poses that are not finite.
         """
         stamps = np.atleast_1d(np.asarray(time, dtype=float))
-        columns = [np.atleast_2d(np.asarray(position, dtype=float))]
-        columns += [None if c is None else np.atleast_2d(np.asarray(c, dtype=float)) for c in (quaternion, action)]
-        recording = Recording(stamps, columns[0], columns[1], columns[2])
-        self.extend(recording)
+        at = np.atleast_2d(np.asarray(position, dtype=float))
+        turned, acted = (None if c is None else np.atleast_2d(np.asarray(c, dtype=float)) for c in (quaternion, action))
+        self.extend(Recording(stamps, at, turned, acted))
 
     def extend(self, recording: Recording) -> None:
         """Take in the rows of a recording of one run of one part."""
@@ -158,6 +158,14 @@ class OnlineLearner:
         """The committed segments, which are forgotten: for streams without an end."""
         found, self._committed = tuple(self._committed), []
         return found
+
+    @property
+    def noise(self) -> MeasurementNoise:
+        """Of single rows, as the window shows it."""
+        window = self._learned()
+        if window is None:
+            raise InputError(f"learning needs at least {FEWEST_ROWS} rows", remedy="push more rows")
+        return window.noise
 
     def edge(self) -> KinematicEdge:
         """How the part moves, as it is most probable now; without committed segments it is what `learn_graph` finds."""

@@ -96,7 +96,10 @@ def fitted_pieces(
     Args:
         settled: joints of the first hypotheses of the pool, which are not fitted again.
     """
-    located = [_located(a, b, segmented, steps, track, inlier, settings, use_actions) for a, b in pairwise(pieces)]
+    located: list[Located] = []
+    for a, b in pairwise(pieces):
+        since = located[-1].row if located else 0
+        located.append(_located(a, b, since, segmented, steps, track, inlier, settings, use_actions))
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
@@ -125,6 +128,7 @@ def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
 def _located(
     before: Piece,
     after: Piece,
+    since: int,
     segmented: Segmented,
     steps: Steps,
     track: PartTrack,
@@ -132,10 +136,10 @@ def _located(
     settings: LearnSettings,
     use_actions: bool,
 ) -> Located:
-    """The row at which one piece goes over into the next."""
+    """The row at which one piece, which begins at the row `since`, goes over into the next."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
-    limits = int(steps.first[before.start]), int(steps.first[after.end + 1])
-    row = int(steps.first[after.start])
+    limits = since, int(steps.first[after.end + 1])
+    row = max(int(steps.first[after.start]), since + 1)
     return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size), use_actions)
 
 

@@ -76,6 +76,7 @@ class PartTrack:
 
     def followed_by(self, other: PartTrack) -> PartTrack:
         """These rows and later ones of the same part; both have the same columns."""
+
         def both(first: Floats | None, second: Floats | None) -> Floats | None:
             return None if first is None or second is None else np.concatenate([first, second])
 

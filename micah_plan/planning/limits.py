@@ -47,16 +47,16 @@ def limits_of(problem: Problem) -> Limits:
 
 
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
-    """(m,) the input cut to |u| <= max_step and to the half-spaces of the mode's admissible inputs, one by one.
+    """(..., m) inputs cut to |u| <= max_step and to the half-spaces of the mode's admissible inputs at x (..., n).
 
-    A half-space that the input violates is met by the shortest change of u; one without input weights is left alone.
+    A half-space that an input violates is met by the shortest change of u; one without input weights is left alone.
     """
     cut = np.clip(u, -max_step, max_step)
     for half_space in mode.inputs.half_spaces:
         b = np.array(half_space.b)
-        shortage = -float(half_space.margin(x, cut))
-        if shortage > 0 and b.any():
-            cut = cut + b * shortage / float(b @ b)
+        if b.any():
+            shortage = np.maximum(0.0, -half_space.margin(x, cut))
+            cut = cut + b * (shortage[..., None] / float(b @ b))
     return np.asarray(np.clip(cut, -max_step, max_step))
 
 

@@ -68,6 +68,7 @@ class Plan:
         verification_trials: how many roll-outs that share is of.
         seed: the seed of search and verification.
         timings: seconds by stage; kept out of the plan file.
+        success_interval: 95 % interval of the probability of success, given that share; None if it was not verified.
     """
 
     outcome: Outcome
@@ -81,6 +82,7 @@ class Plan:
     verification_trials: int = 0
     seed: int = 0
     timings: dict[str, float] = field(default_factory=dict)
+    success_interval: tuple[float, float] | None = None
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

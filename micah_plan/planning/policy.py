@@ -17,5 +17,5 @@ def time_knots(trajectory: Trajectory) -> Ints:
 
 
 def feedback_input(trajectory: Trajectory, knot: int, estimate: Floats) -> Floats:
-    """(m,) planned displacement corrected for the estimate (n,) of the state; limits are the caller's."""
-    return np.asarray(trajectory.inputs[knot] + trajectory.gains[knot] @ (estimate - trajectory.means[knot]))
+    """(..., m) planned displacement corrected for the estimate (..., n) of the state; limits are the caller's."""
+    return np.asarray(trajectory.inputs[knot] + (estimate - trajectory.means[knot]) @ trajectory.gains[knot].T)

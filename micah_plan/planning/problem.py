@@ -62,7 +62,7 @@ class PlannerSettings:
     weight_covariance: float = 1.0
     weight_effort: float = 0.05
     time_limit_s: float = 20.0
-    verification_trials: int = 200
+    verification_trials: int = 1000
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,11 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
     name, reason = start_mode(automaton, start)
     if name is None:
         raise InputError(reason)
-    mode = automaton.mode(name)
+    return name, draw_state(automaton, automaton.mode(name), start, rng)
+
+
+def draw_state(automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator) -> Floats:
+    """A true state (n,) in a mode, as `sample_start` draws it, without asking whether the start is in that mode."""
     mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
     at_rest, regions = np.zeros(automaton.m), start_regions(automaton, mode)
     chosen = mean.copy()
@@ -71,7 +75,7 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
             break
     for pin in mode.pins:
         chosen[pin.coordinate] = pin.value
-    return name, chosen
+    return chosen
 
 
 def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:

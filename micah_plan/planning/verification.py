@@ -1,30 +1,24 @@
-"""Whether a plan works: roll-outs of the real hybrid system from sampled true states, closed loop.
-
-Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps and
-with thresholds drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid filter with
-noisy measurements, and the inputs are those of the policy.
-"""
+"""Whether a plan works: how many roll-outs of the real hybrid system end in the goal, and how sure that share is."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from micah_plan.automaton.thresholds import with_drawn_thresholds
-from micah_plan.automaton.transition import step
-from micah_plan.belief import filter as belief_filter
-from micah_plan.planning.limits import Limits, limited_input, limits_of
-from micah_plan.planning.plan import Plan, Trajectory
-from micah_plan.planning.policy import feedback_input, time_knots
+from micah_plan.planning.plan import Plan
 from micah_plan.planning.problem import Goal, Problem
-from micah_plan.planning.start_state import sample_start
+from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 
 Floats = NDArray[np.float64]
 
 # The share of successes may fall short of the confidence by that many of its standard errors.
 _STANDARD_ERRORS = 2.0
+# Coverage of the interval of the success probability.
+INTERVAL = 0.95
 
 
 def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 0) -> Plan:
@@ -39,14 +33,15 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
-    limits, rng = limits_of(problem), np.random.default_rng(seed)
-    ends = [roll_out(problem, plan.trajectory, limits, child) for child in rng.spawn(count)]
-    successes = sum(is_in_goal(problem.goal, mode, x) for mode, x in ends)
+    ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, count, seed))
+    successes = int(are_in_goal(problem, ends).sum())
     share = successes / count
-    answer = replace(plan, success_probability=share, verification_trials=count)
+    answer = replace(
+        plan, success_probability=share, success_interval=wilson_interval(successes, count), verification_trials=count
+    )
     confidence = problem.settings.confidence
     # The standard error at the asked confidence: that of the observed share vanishes where nothing succeeds.
-    error = float(np.sqrt(confidence * (1.0 - confidence) / count))
+    error = math.sqrt(confidence * (1.0 - confidence) / count)
     if share + _STANDARD_ERRORS * error >= confidence:
         return answer
     reason = (
@@ -56,23 +51,18 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
     return replace(answer, outcome="not_verified", reason=reason)
 
 
-def roll_out(problem: Problem, trajectory: Trajectory, limits: Limits, rng: np.random.Generator) -> tuple[str, Floats]:
-    """One closed-loop execution: the true mode and state (n,) at its end."""
-    automaton = problem.automaton
-    process, observation = (np.array(s) for s in (automaton.noise.process_std, automaton.noise.observation_std))
-    truth = with_drawn_thresholds(automaton, rng)
-    mode, x = sample_start(truth, replace(problem.start, mode=trajectory.modes[0]), rng)
-    belief = belief_filter.initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
-    for knot in time_knots(trajectory):
-        believed, estimate = automaton.modes[belief.most_likely], belief.means[belief.most_likely]
-        wanted = feedback_input(trajectory, int(knot), estimate)
-        u = limited_input(believed, estimate, wanted, limits.max_step)
-        moved = step(truth, mode, x, u, process * rng.standard_normal(automaton.n))
-        mode, x = moved.mode, moved.x
-        measured = x + observation * rng.standard_normal(automaton.n)
-        measured[~np.isfinite(observation)] = np.nan
-        belief = belief_filter.update(automaton, belief_filter.predict(automaton, belief, u), measured)
-    return mode, x
+def wilson_interval(successes: int, trials: int, coverage: float = INTERVAL) -> tuple[float, float]:
+    """The probabilities that `successes` of `trials` do not contradict.
+
+    Source: Wilson, "Probable inference, the law of succession, and statistical inference", JASA 1927. Unlike the normal
+    approximation it has a width also where all or none succeed.
+    """
+    z, share = float(ndtri(0.5 + 0.5 * coverage)), successes / trials
+    center = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
+    half = z / (1 + z**2 / trials) * math.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2))
+    # The ends are exact where all or none succeed, whatever the rounding.
+    low = 0.0 if successes == 0 else max(0.0, center - half)
+    return low, 1.0 if successes == trials else min(1.0, center + half)
 
 
 def is_in_goal(goal: Goal, mode: str, x: Floats) -> bool:

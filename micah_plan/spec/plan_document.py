@@ -42,6 +42,9 @@ class PlanDocument(Document):
     goal_error: NonNegative | None = Field(description="Largest predicted distance from the goal [rad or m].")
     goal_std: NonNegative | None = Field(description="Largest predicted std at the goal [rad or m].")
     success_probability: Probability | None = Field(description="Share of roll-outs that ended in the goal set.")
+    success_interval: Annotated[list[Probability], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="95 % interval of the probability of success, given that share."
+    )
     verification_trials: Annotated[int, Field(ge=0)] = Field(description="Number of roll-outs.")
     seed: int = Field(description="Seed of search and verification.")
     candidates: list[CandidateDocument] = Field(description="Mode sequences tried, cheapest search cost first.")

@@ -136,6 +136,7 @@ def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
         "goal_error": _number(plan.goal_error),
         "goal_std": _number(plan.goal_std),
         "success_probability": _number(plan.success_probability),
+        "success_interval": None if plan.success_interval is None else [float(end) for end in plan.success_interval],
         "verification_trials": int(plan.verification_trials),
         "seed": int(plan.seed),
         "candidates": [
@@ -234,6 +235,9 @@ def _stored(located: Located) -> StoredPlan:
         goal_error=document.goal_error,
         goal_std=document.goal_std,
         success_probability=document.success_probability,
+        success_interval=None
+        if document.success_interval is None
+        else (document.success_interval[0], document.success_interval[1]),
         verification_trials=document.verification_trials,
         seed=document.seed,
     )

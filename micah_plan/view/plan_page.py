@@ -218,6 +218,8 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
         facts.append(("Predicted σ", quantity(plan.goal_std, unit)))
     if plan.success_probability is not None:
         facts.append(("Success probability", percent(plan.success_probability)))
+        if plan.success_interval is not None:
+            facts.append(("Its 95 % interval", " to ".join(percent(end) for end in plan.success_interval)))
         facts.append(("Verified with", f"{plan.verification_trials} roll-outs"))
     if plan.cost is not None:
         facts.append(("Cost", f"{plan.cost:.4g}"))

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem
-from scipy.stats import binom, norm
+from scipy.stats import binom, binomtest, norm
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.problem import Goal
-from micah_plan.planning.verification import is_in_goal, verify
+from micah_plan.planning.verification import is_in_goal, verify, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -102,3 +102,18 @@ def test_the_goal_asks_for_tolerance_and_mode() -> None:
     assert not is_in_goal(goal, "a", np.array([0.5, 0.61]))
     assert not is_in_goal(goal, "b", np.array([0.5, 0.5]))
     assert is_in_goal(Goal(((1, 0.5, 0.1),)), "b", np.array([0.5, 0.5]))
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 20), (20, 20), (19, 20), (950, 1000), (1, 1)])
+def test_the_interval_is_wilsons(successes: int, trials: int) -> None:
+    expected = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    assert wilson_interval(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_a_verified_plan_tells_how_sure_its_success_is() -> None:
+    problem = door_problem(0.2, 0.5)
+    found = plan(problem)
+    few, many = (verify(problem, found, trials=count).success_interval for count in (20, 400))
+    assert few is not None
+    assert many is not None
+    assert few[0] < many[0] < many[1] <= few[1] == 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from dataclasses import fields, replace
@@ -68,6 +69,7 @@ def plan() -> Plan:
         200,
         7,
         {"total": 1.25, "search": 0.5},
+        (0.957, 0.995),
     )
 
 
@@ -120,6 +122,14 @@ def test_times_are_beside_the_plan_and_not_in_it(plan: Plan, problem: Problem, t
 
 def test_the_folder_of_the_problem_file_does_not_matter(plan: Plan, problem: Problem) -> None:
     assert plan_text(plan, replace(problem, source="/elsewhere/p.yaml")) == plan_text(plan, problem)
+
+
+def test_a_plan_of_a_version_that_knew_no_interval_is_read(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+    data = json.loads(plan_text(plan, problem))
+    del data["success_interval"], data["digest"]
+    digest = hashlib.sha256(json.dumps(data, separators=(",", ":")).encode()).hexdigest()
+    (tmp_path / "old.json").write_text(json.dumps({**data, "digest": digest}))
+    assert_same(load_plan(tmp_path / "old.json"), replace(plan, success_interval=None), problem)
 
 
 @pytest.mark.parametrize("outcome", ["no_plan", "not_verified"])

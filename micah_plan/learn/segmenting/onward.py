@@ -2,8 +2,8 @@
 
 First the known joints, and rests on them, are asked whether they explain the window; only if not, it is searched for
 new ones as a whole recording would be. Page's test decides: the steps' surprise under the known joints, beyond what is
-usual for them, is summed from where it begins; a sum worth more than the parameters of a new joint calls for the search.
-So a door that is opened and closed for hours costs a fraction of learning it.
+usual for them, is summed from where it begins; a sum worth more than a new joint's parameters calls for the search. So
+a door that is opened and closed for hours costs a fraction of learning it.
 
 Source: Page, "Continuous inspection schemes", Biometrika 1954.
 """
@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation, most_probable
 from micah_plan.learn.segmenting.evidence import TRUST, EvidenceTable, tabulated
@@ -122,7 +123,8 @@ def _with_rests(
         new = [rows[i] for i in sorted(rows) if i >= len(used)]
         pool = Hypotheses(known.joints, used)
         if new:
-            pool = pool.joined(refitted(("rigid",) * len(new), np.array(new), track, noise))
+            kinds: list[JointKind] = ["rigid"] * len(new)
+            pool = pool.joined(refitted(kinds, np.array(new), track, noise))
         before, found = found, _selected(pool, track, noise, known, settings, use_actions, rng)
         if [piece.start for piece in found.segmentation.pieces] == [p.start for p in before.segmentation.pieces]:
             break
@@ -190,7 +192,7 @@ def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentat
 def _paid(table: EvidenceTable, known: KnownJoints, prior: LengthPrior) -> EvidenceTable:
     """The same densities, with the known joints free of cost.
 
-    Where the window begins there is no changepoint unless another joint than the last one holds there: that pays for it.
+    Where the window begins is no changepoint, unless another joint than the last one holds there: that pays for it.
     """
     k = len(known.joints)
     costs = {name: getattr(table, name).copy() for name in ("parameters", "occam", "held")}
@@ -209,7 +211,7 @@ def _is_usual(found: Segmented, usual: Usual) -> bool:
     total = np.concatenate([[0.0], np.cumsum(TRUST * excess)])
     worst = float((total - np.minimum.accumulate(total)).max())
     parameters = parameter_count("revolute", found.track.quaternion is not None)
-    return worst < ANOTHER_JOINT + 0.5 * parameters * np.log(len(found.track))
+    return bool(worst < ANOTHER_JOINT + 0.5 * parameters * np.log(len(found.track)))
 
 
 def _surprise(errors: Floats, scale: Floats) -> Floats:

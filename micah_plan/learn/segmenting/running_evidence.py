@@ -40,7 +40,7 @@ class RunningEvidence:
         self.row = -1
 
     def __len__(self) -> int:
-        return self._density.shape[1]
+        return int(self._density.shape[1])
 
     def advance(self) -> EvidenceColumn:
         """Open a segment at the next row and take that row into all open segments."""
@@ -50,7 +50,7 @@ class RunningEvidence:
         self._sums = np.concatenate([self._sums, np.zeros((1, len(self._members)))]) + self._density[known, self.row]
         total = self._sums
         if not self._paid.all():
-            rows = (self.row - self.starts + 1.0)[:, None]
+            rows: Floats = (self.row - self.starts + 1.0)[:, None].astype(np.float64)
             total = total - np.where(self._paid, 0.0, self._table.cost(self._members, rows))
         best = np.full((len(self.starts), len(self._of_kind)), -np.inf)
         which = np.zeros(best.shape, dtype=np.int64)

@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
-MOST_SWEEPS = 6.0
+MOST_SWEEPS = 4.0
 _STD_PER_MAD = 1.4826
 _FINE_STRIDE = 0.02  # of the extent
 

@@ -1,0 +1,143 @@
+"""Steps of many roll-outs at once: straight motion in arrays, and `transition.step` where a guard fires.
+
+In most steps no guard fires, and then a step is one addition. Whether one does is asked of all roll-outs at once with
+the arithmetic of `guard_table.entry`; the few steps with an event are left to the scalar transition, so that the rules
+for events exist once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_tables
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.transition import step
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Mode:
+    """A mode of t objects: what it pins where, its flow, and the half-spaces of all its exits one after the other.
+
+    Attributes:
+        pinned: (p,) coordinates; pins: (t, p) where [rad or m].
+        B: (n, m) input matrix, rows of pinned coordinates zero; moved: (n,) 0 for those, else 1.
+        states, inputs: (r, n), (r, m) scaled weights; thresholds, tolerances: (t, r); strict: (r,).
+        first: (e,) first half-space of each exit.
+    """
+
+    pinned: Ints
+    pins: Floats
+    B: Floats
+    moved: Floats
+    states: Floats
+    inputs: Floats
+    thresholds: Floats
+    tolerances: Floats
+    strict: Booleans
+    first: Ints
+
+
+class TransitionBatch:
+    """t objects of one model, each with its own thresholds."""
+
+    def __init__(self, automaton: HybridAutomaton, shifts: Floats) -> None:
+        """Args: the model, and (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`)."""
+        self._automaton = automaton
+        self._shifts = shifts
+        self._objects: dict[int, HybridAutomaton] = {}
+        unit = np.eye(threshold_stds(automaton).size)
+        moved = [mode_tables(with_shifted_thresholds(automaton, by)) for by in unit]
+        self._modes = [
+            _mode(automaton, mode_tables(automaton)[mode.name], [tables[mode.name] for tables in moved], shifts)
+            for mode in automaton.modes
+        ]
+
+    def object(self, number: int) -> HybridAutomaton:
+        """The automaton of one object."""
+        if not self._shifts.shape[1]:
+            return self._automaton
+        if number not in self._objects:
+            self._objects[number] = with_shifted_thresholds(self._automaton, self._shifts[number])
+        return self._objects[number]
+
+    def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:
+        """Modes (t,), by index, and states (t, n) after one step with inputs (t, m) and disturbances (t, n)."""
+        modes, x = modes.copy(), x.copy()
+        eventful: list[int] = []
+        for index in np.unique(modes):
+            mode, chosen = self._modes[index], np.flatnonzero(modes == index)
+            start = x[chosen]
+            start[:, mode.pinned] = mode.pins[chosen]
+            d = u[chosen] @ mode.B.T + disturbance[chosen] * mode.moved
+            fires = _fires(mode, chosen, start, d, u[chosen])
+            quiet = chosen[~fires]
+            x[quiet] = (start + d)[~fires]
+            eventful += chosen[fires].tolist()
+        names = [mode.name for mode in self._automaton.modes]
+        for i in eventful:
+            after = step(self.object(i), names[modes[i]], x[i], u[i], disturbance[i])
+            modes[i], x[i] = names.index(after.mode), after.x
+        return modes, x
+
+
+def _fires(mode: _Mode, chosen: Ints, x: Floats, d: Floats, u: Floats) -> Booleans:
+    """(k,) whether any guard fires on the way from x to x + d; `guard_table.entry` for arrays."""
+    if not mode.first.size:
+        return np.zeros(len(x), dtype=bool)
+    margin = x @ mode.states.T + u @ mode.inputs.T - mode.thresholds[chosen]
+    rate, tolerance = d @ mode.states.T, mode.tolerances[chosen]
+    grows, falls = rate > tolerance, rate < -tolerance
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enter = np.where(grows & (margin < -tolerance), np.minimum(-margin / rate, 1.0), 0.0)
+        leave = np.where(falls, (tolerance - margin) / rate, np.inf)
+    never = grows & (margin < -tolerance) & (margin + rate < -tolerance)
+    still = ~grows & ~falls
+    never |= still & ((margin < -tolerance) | (mode.strict & (margin <= tolerance)))
+    first = np.maximum.reduceat(np.where(never, np.inf, enter), mode.first, axis=1)
+    last = np.minimum.reduceat(leave, mode.first, axis=1)
+    return np.asarray((first < last).any(axis=1))
+
+
+def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], shifts: Floats) -> _Mode:
+    """Everything is affine in the shifts, so tables with one boundary moved by one unit give the slopes."""
+    n, m = automaton.n, automaton.m
+    rows = [row for e in table.exits for row in e.rows]
+    sizes = [len(e.rows) for e in table.exits]
+    thresholds = _affine([row.c for row in rows], [[r.c for e in t.exits for r in e.rows] for t in moved], shifts)
+    pins = _affine([value for _, value in table.pins], [[value for _, value in t.pins] for t in moved], shifts)
+    free = np.array([flow is not None for flow in table.flow], dtype=float)
+    return _Mode(
+        pinned=np.array([i for i, _ in table.pins], dtype=np.int64),
+        pins=pins,
+        B=automaton.mode(table.name).B * free[:, None],
+        moved=free,
+        states=_matrix(rows, [row.states for row in rows], n),
+        inputs=_matrix(rows, [row.inputs for row in rows], m),
+        thresholds=thresholds,
+        tolerances=TOLERANCE * np.maximum(1.0, np.abs(thresholds)),
+        strict=np.array([row.strict for row in rows], dtype=bool),
+        first=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64),
+    )
+
+
+def _affine(values: list[float], moved: list[list[float]], shifts: Floats) -> Floats:
+    """(t, r) values at each object's shifts (t, b)."""
+    base = np.array(values)
+    slopes = np.array(moved).reshape(len(moved), base.size) - base
+    return np.asarray(base + shifts @ slopes)
+
+
+def _matrix(rows: list[Row], terms: list[Terms], width: int) -> Floats:
+    matrix = np.zeros((len(rows), width))
+    for weights, entries in zip(matrix, terms, strict=True):
+        for i, w in entries:
+            weights[i] = w
+    return matrix

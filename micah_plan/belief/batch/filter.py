@@ -1,0 +1,138 @@
+"""The hybrid filter over many roll-outs at once. Twin of `belief.filter`, compared by a test.
+
+One roll-out's filter spends its time in the calls of NumPy rather than in arithmetic; here each call serves all of
+them. Modes without weight are left out: their means and factors say nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.belief.batch import gaussian
+from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
+from micah_plan.belief.batch.truncation import truncate
+from micah_plan.belief.filter import MOST_EVENTS, NEGLIGIBLE, guard_limits
+from micah_plan.belief.hybrid_belief import HybridBelief
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class BeliefBatch:
+    """t hybrid beliefs: weights (t, q), means (t, q, n), factors (t, q, n, n)."""
+
+    weights: Floats
+    means: Floats
+    factors: Floats
+
+    @property
+    def most_likely(self) -> Ints:
+        """(t,) index of the most probable mode (the first of equals)."""
+        return np.asarray(np.argmax(self.weights, axis=1))
+
+
+def repeated(belief: HybridBelief, count: int) -> BeliefBatch:
+    """The same belief `count` times."""
+    weights, means, factors = (
+        np.repeat(values[None], count, axis=0) for values in (belief.weights, belief.means, belief.factors)
+    )
+    return BeliefBatch(weights, means, factors)
+
+
+def predict(automaton: HybridAutomaton, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
+    """The beliefs after one step with inputs u (t, m)."""
+    arrived: list[list[Pieces]] = [[] for _ in automaton.modes]
+    travelling = []
+    for index in range(len(automaton.modes)):
+        owner = np.flatnonzero(beliefs.weights[:, index] >= NEGLIGIBLE)
+        if owner.size:
+            mean, factor = beliefs.means[owner, index], beliefs.factors[owner, index]
+            travelling.append(
+                whole_step(automaton, index, owner, beliefs.weights[owner, index], mean, factor, u[owner])
+            )
+    while travelling:
+        pieces = travelling.pop()
+        arrived[pieces.mode] += _through_guards(automaton, pieces, u, travelling)
+    return _assembled(automaton, beliefs, arrived)
+
+
+def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> BeliefBatch:
+    """The beliefs after measuring z (t, n); columns that are not measured are NaN for all."""
+    if not np.isfinite(z).any():
+        return beliefs
+    means, factors = beliefs.means.copy(), beliefs.factors.copy()
+    scores = np.full(beliefs.weights.shape, -np.inf)
+    for index, mode in enumerate(automaton.modes):
+        owner = np.flatnonzero(beliefs.weights[:, index] > 0)
+        if not owner.size:
+            continue
+        before = beliefs.means[owner, index], beliefs.factors[owner, index]
+        mean, factor, score = gaussian.update(*before, z[owner], automaton.noise.observation_std)
+        for weights, offset in guard_limits(automaton.edges_from(mode.name)):
+            score = score - truncate(*before, weights, offset)[0]
+            outside, inward, narrowed = truncate(mean, factor, weights, offset)
+            score = score + outside
+            behind = mean @ weights < offset
+            mean = np.where(behind[:, None], inward, mean)
+            factor = np.where(behind[:, None, None], narrowed, factor)
+        means[owner, index], factors[owner, index] = mean, factor
+        scores[owner, index] = score + np.log(beliefs.weights[owner, index])
+    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors)
+
+
+def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, travelling: list[Pieces]) -> list[Pieces]:
+    """The shares that stay in their mode to the end of the step; what leaves is put on `travelling`."""
+    tired = pieces.events >= MOST_EVENTS
+    ended = [pieces.where(tired)] if tired.any() else []
+    pieces = pieces.where(~tired)
+    name = automaton.modes[pieces.mode].name
+    for edge in sorted(automaton.edges_from(name), key=lambda edge: edge.is_self_transition):
+        if not len(pieces):
+            break
+        crossed, left = cross(automaton, pieces, edge, u[pieces.owner])
+        crossed = crossed.where(crossed.probability >= NEGLIGIBLE)
+        if len(crossed):
+            travelling.append(crossed)
+        pieces = left.where(left.probability >= NEGLIGIBLE)
+    return [*ended, pieces] if len(pieces) else ended
+
+
+def _assembled(automaton: HybridAutomaton, before: BeliefBatch, arrived: list[list[Pieces]]) -> BeliefBatch:
+    """One Gaussian per belief and mode from its pieces."""
+    weights = np.zeros_like(before.weights)
+    means, factors = np.zeros_like(before.means), np.zeros_like(before.factors)
+    for index in range(len(automaton.modes)):
+        if arrived[index]:
+            owners, weight, mean, factor = _merged(arrived[index])
+            weights[owners, index], means[owners, index], factors[owners, index] = weight, mean, factor
+    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors)
+
+
+def _merged(parts: list[Pieces]) -> tuple[Ints, Floats, Floats, Floats]:
+    """Per owner (o,): weight, mean (o, n) and factor (o, n, n) of its pieces in one mode (moment matching)."""
+    n, widest = parts[0].n, max(part.factor.shape[2] for part in parts)
+    owner = np.concatenate([part.owner for part in parts])
+    probability = np.concatenate([part.probability for part in parts])
+    mean = np.concatenate([part.mean[:, n:] for part in parts])
+    factor = np.concatenate([widened(part.factor[:, n:], widest) for part in parts])
+    owners, place, counts = np.unique(owner, return_inverse=True, return_counts=True)
+    weight = np.zeros(owners.size)
+    np.add.at(weight, place, probability)
+    share = probability / weight[place]
+    center = np.zeros((owners.size, n))
+    np.add.at(center, place, share[:, None] * mean)
+    columns = np.concatenate([factor, (mean - center[place])[:, :, None]], axis=2) * np.sqrt(share)[:, None, None]
+    # The pieces of one owner side by side: piece number r of it takes the r-th block of columns.
+    order = np.argsort(place, kind="stable")
+    rank = np.empty(owner.size, dtype=np.int64)
+    rank[order] = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    blocks = np.zeros((owners.size, counts.max(), n, widest + 1))
+    blocks[place, rank] = columns
+    stacked = blocks.transpose(0, 2, 1, 3).reshape(owners.size, n, -1)
+    return owners, weight, center, gaussian.lower_factors(stacked)

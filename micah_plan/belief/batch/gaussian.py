@@ -1,0 +1,64 @@
+"""Many Gaussians at once: means (p, n) and factors (p, n, n). Twin of `belief.gaussian`, compared by a test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from micah_plan.automaton.hybrid import Pin
+from micah_plan.belief.gaussian import SMALLEST_STD
+
+Floats = NDArray[np.float64]
+
+
+def lower_factors(matrices: Floats) -> Floats:
+    """Lower triangular L (p, n, n) with non-negative diagonals and L L' = M M', for M (p, n, k)."""
+    _, n, k = matrices.shape
+    if n == 1:
+        return np.asarray(np.sqrt(np.einsum("pik,pik->p", matrices, matrices))[:, None, None])
+    padded = matrices if k >= n else np.concatenate([matrices, np.zeros((len(matrices), n, n - k))], axis=2)
+    roots: Floats = np.asarray(np.linalg.qr(padded.transpose(0, 2, 1), mode="r"))
+    factors = roots.transpose(0, 2, 1)
+    signs = np.where(np.diagonal(factors, axis1=1, axis2=2) < 0, -1.0, 1.0)
+    return np.asarray(np.tril(factors * signs[:, None, :]))
+
+
+def update(means: Floats, factors: Floats, z: Floats, observation_std: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    """Means, factors and log likelihoods (p,) after measuring z (p, n), columns NaN where there is no measurement."""
+    std = np.asarray(observation_std, dtype=float)
+    seen = np.flatnonzero(np.isfinite(z).all(axis=0) & np.isfinite(std))
+    if not seen.size:
+        return means, factors, np.zeros(len(means))
+    count, n, k = *means.shape, seen.size
+    joint = np.zeros((count, k + n, k + n))
+    joint[:, :k, :k] = np.diag(np.maximum(std[seen], SMALLEST_STD))
+    joint[:, :k, k:], joint[:, k:, k:] = factors[:, seen], factors
+    array = lower_factors(joint)
+    root, gain_root, posterior = array[:, :k, :k], array[:, k:, :k], array[:, k:, k:]
+    whitened = np.linalg.solve(root, (z - means)[:, seen, None])
+    logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    log_likelihood = -0.5 * np.square(whitened).sum(axis=(1, 2)) - logs - 0.5 * k * np.log(2 * np.pi)
+    return means + (gain_root @ whitened)[:, :, 0], posterior, np.asarray(log_likelihood)
+
+
+def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Means and factors given that a mode holds its pins: each pin is one measurement of its coordinate."""
+    for pin in pins:
+        z, std = np.full(means.shape, np.nan), np.full(means.shape[1], np.inf)
+        z[:, pin.coordinate], std[pin.coordinate] = pin.value, pin.std
+        means, factors, _ = update(means, factors, z, std)
+    return means, factors
+
+
+def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Means and factors once a mode holds its pins at places that its guard defines."""
+    if not pins:
+        return means, factors
+    count, n = means.shape
+    means, factors = means.copy(), np.concatenate([factors, np.zeros((count, n, len(pins)))], axis=2)
+    for column, pin in enumerate(pins, start=factors.shape[2] - len(pins)):
+        means[:, pin.coordinate], factors[:, pin.coordinate] = pin.value, 0.0
+        factors[:, pin.coordinate, column] = pin.std
+    return means, lower_factors(factors)

@@ -1,0 +1,176 @@
+"""Many Gaussians split by half-spaces at once. Twin of `belief.truncation`, where the mathematics is explained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfcx, log_ndtr, ndtr
+
+from micah_plan.belief.batch.gaussian import lower_factors
+from micah_plan.belief.gaussian import SMALLEST_STD
+from micah_plan.belief.truncation import REACH
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Affine = tuple[Floats, Floats]
+"""(p, N) weights and (p,) offsets of margins."""
+
+_NOTHING = 1e-30
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """A share of each Gaussian: probabilities (p,), means (p, N) and square roots (p, N, K) of the covariances."""
+
+    probability: Floats
+    mean: Floats
+    factor: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """Masses (p,), first (p, 2) and second moments (p, 2, 2) of the whitened coordinates; not normalised."""
+
+    mass: Floats
+    first: Floats
+    second: Floats
+
+
+def split(mean: Floats, factor: Floats, before: Affine, after: Affine) -> tuple[Parts, Parts]:
+    """What crosses into each half-space and what stays; factors may get two more columns.
+
+    Args:
+        mean, factor: (p, N) and (p, N, K).
+        before, after: the margins m0 and m1; positive inside the half-space.
+    """
+    m0, m1 = _dot(before[0], mean) - before[1], _dot(after[0], mean) - after[1]
+    basis, s0, k, t = _whitened(_rows(before[0], factor), _rows(after[0], factor))
+    near = ~((m1 < -REACH * np.hypot(k, t) - SMALLEST_STD) & (m0 <= SMALLEST_STD))
+    if not near.any():
+        return Parts(np.zeros(len(mean)), mean, factor), Parts(np.ones(len(mean)), mean, factor)
+    padded = np.concatenate([np.zeros((*mean.shape, 2)), factor], axis=2)
+    crossing = Parts(np.zeros(len(mean)), mean.copy(), padded)
+    staying = Parts(np.ones(len(mean)), mean.copy(), padded.copy())
+    margins = (m0[near] - SMALLEST_STD, s0[near], m1[near] - SMALLEST_STD, k[near], t[near])
+    inside = m0[near] > SMALLEST_STD
+    crossed, stayed, tail = _integrate(*margins, inside)
+    # Without any mass to fit moments to, nothing crosses.
+    some = crossed.mass >= _NOTHING
+    share = np.where(some, np.minimum(1.0, crossed.mass + tail), 0.0)
+    chosen = np.flatnonzero(near)
+    _fill(crossing, chosen, share, crossed, some, basis[near])
+    _fill(staying, chosen, 1.0 - share, stayed, some, basis[near])
+    return crossing, staying
+
+
+def truncate(mean: Floats, factor: Floats, weights: Floats, offset: Floats | float) -> tuple[Floats, Floats, Floats]:
+    """log P(m > 0) (p,), means and factors given m > 0, with m = weights @ x - offset; weights (n,)."""
+    row = weights @ factor
+    std = np.sqrt(np.einsum("pk,pk->p", row, row) + SMALLEST_STD**2)
+    z = (mean @ weights - offset) / std
+    mills = np.sqrt(2 / np.pi) / erfcx(-z / np.sqrt(2))
+    direction = row / std[:, None]
+    with np.errstate(divide="ignore"):
+        variance = np.where(z > -100.0, 1.0 - mills * (mills + z), 1.0 / z**2)
+    shrink = 1.0 - np.sqrt(variance)
+    along = (factor @ direction[:, :, None])[:, :, 0]
+    narrowed = factor - (shrink[:, None] * along)[:, :, None] * direction[:, None, :]
+    return np.asarray(log_ndtr(z)), mean + along * mills[:, None], lower_factors(narrowed)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("pi,pi->p", a, b))
+
+
+def _rows(weights: Floats, factor: Floats) -> Floats:
+    return np.asarray((weights[:, None, :] @ factor)[:, 0])
+
+
+def _whitened(row0: Floats, row1: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Orthonormal bases (p, 2, K): about their means m0 = s0 ζ0, m1 = k ζ0 + t ζ1."""
+    s0 = np.linalg.norm(row0, axis=1)
+    known = s0 < SMALLEST_STD
+    first = np.where(known[:, None], row1, row0)
+    q0 = _normalised(first, np.linalg.norm(first, axis=1))
+    k = _dot(row1, q0)
+    rest = row1 - k[:, None] * q0
+    t = np.linalg.norm(rest, axis=1)
+    t = np.where(t > 1e-9 * (np.abs(k) + SMALLEST_STD), t, 0.0)
+    q1 = _normalised(rest, t)
+    return np.stack([q0, q1], axis=1), np.where(known, 0.0, s0), k, t
+
+
+def _normalised(rows: Floats, lengths: Floats) -> Floats:
+    return np.where(lengths[:, None] > 0, rows / np.where(lengths > 0, lengths, 1.0)[:, None], 0.0)
+
+
+def _breaks(m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats) -> Floats:
+    """(p, 18) sorted ends of the intervals of quadrature; those that are not needed are empty."""
+    fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
+    columns = [np.broadcast_to(fixed, (len(k), fixed.size))]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        columns.append(np.where(s0 > 0, -m0 / s0, REACH)[:, None])
+        for offset, slope in ((m1, k), (m1 - 2 * m0, k - 2 * s0)):
+            ends = (np.array([-6.0, -2.0, 0.0, 2.0, 6.0]) * t[:, None] - offset[:, None]) / slope[:, None]
+            columns.append(np.where(np.abs(slope)[:, None] * REACH > SMALLEST_STD, ends, REACH))
+    return np.sort(np.clip(np.concatenate(columns, axis=1), -REACH, REACH), axis=1)
+
+
+def _integrate(
+    m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats, inside: Booleans
+) -> tuple[_Moments, _Moments, Floats]:
+    """Moments of what crosses and of what stays, and the mass of the tail that crosses (p,)."""
+    edges = _breaks(m0, s0, m1, k, t)
+    half = np.diff(edges, axis=1)[:, :, None] / 2
+    count = len(m0)
+    zeta = ((edges[:, :-1, None] + edges[:, 1:, None]) / 2 + half * _NODES).reshape(count, -1)
+    mass = (half * _WEIGHTS).reshape(count, -1) * np.exp(-0.5 * zeta**2) / np.sqrt(2 * np.pi)
+    m0, s0, m1, k, t = (value[:, None] for value in (m0, s0, m1, k, t))
+    start, end = m0 + s0 * zeta, m1 + k * zeta
+    behind = start > 0
+    reach = np.where(behind, np.where(inside[:, None], np.inf, end - 2 * start), end)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.clip(-reach / t, -40.0, 40.0)
+    limit = np.where(t > 0, spread, np.where(reach > 0, -40.0, 40.0))
+    above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
+    counted = np.where(inside[:, None] | ~behind, mass, 0.0)
+    crossing = _moments(counted, zeta, above, density, above + limit * density)
+    staying = _moments(mass, zeta, 1 - above, -density, 1 - above - limit * density)
+    return crossing, staying, _dot(mass - counted, above)
+
+
+def _moments(mass: Floats, zeta: Floats, zeroth: Floats, first: Floats, second: Floats) -> _Moments:
+    once = mass * zeta
+    cross = _dot(once, first)
+    along = np.stack([_dot(once * zeta, zeroth), cross], axis=1)
+    across = np.stack([cross, _dot(mass, second)], axis=1)
+    return _Moments(
+        _dot(mass, zeroth),
+        np.stack([_dot(once, zeroth), _dot(mass, first)], axis=1),
+        np.stack([along, across], axis=1),
+    )
+
+
+def _fill(
+    parts: Parts, chosen: NDArray[np.int64], share: Floats, moments: _Moments, some: Booleans, basis: Floats
+) -> None:
+    """Write shares and moments of the chosen Gaussians; one without mass keeps the moments of the whole."""
+    parts.probability[chosen] = share
+    has = some & (share > 0.0) & (moments.mass >= _NOTHING)
+    parts.probability[chosen[some & ~has]] = 0.0
+    rows = chosen[has]
+    if not rows.size:
+        return
+    mass, inner_basis = moments.mass[has], basis[has]
+    center = moments.first[has] / mass[:, None]
+    second = moments.second[has] / mass[:, None, None] - center[:, :, None] * center[:, None, :]
+    values, vectors = np.linalg.eigh(second)
+    factor = parts.factor[rows, :, 2:]
+    inner = factor @ inner_basis.transpose(0, 2, 1)
+    parts.mean[rows] += (inner @ center[:, :, None])[:, :, 0]
+    parts.factor[rows, :, :2] = inner @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    parts.factor[rows, :, 2:] = factor - inner @ inner_basis

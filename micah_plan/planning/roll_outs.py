@@ -1,0 +1,102 @@
+"""Closed-loop roll-outs of a trajectory, all trials at once: true states, filters with noisy measurements, feedback.
+
+Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps and
+with thresholds drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid filter with
+noisy measurements, and the inputs are those of the policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.thresholds import threshold_stds
+from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
+from micah_plan.belief.filter import initial_belief
+from micah_plan.planning.limits import limited_input, limits_of
+from micah_plan.planning.plan import Trajectory
+from micah_plan.planning.policy import feedback_input, time_knots
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import draw_state
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Chances:
+    """All that is random in t roll-outs of T steps.
+
+    Attributes:
+        shifts: (t, b) by how much boundaries truly lie elsewhere, in the order of `thresholds.threshold_stds`.
+        starts: (t, n) true states at first [rad or m].
+        process, observation: (T, t, n) noise of the steps and of the measurements [rad or m]; NaN: not measured.
+    """
+
+    shifts: Floats
+    starts: Floats
+    process: Floats
+    observation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class RollOuts:
+    """Where t roll-outs ended.
+
+    Attributes:
+        modes: (t,) indices of the true modes.
+        states: (t, n) true states [rad or m].
+        beliefs: of the filters, after the last measurement.
+    """
+
+    modes: Ints
+    states: Floats
+    beliefs: BeliefBatch
+
+
+def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int) -> Chances:
+    """The random part of that many roll-outs; the same for the same seed."""
+    automaton, rng = problem.automaton, np.random.default_rng(seed)
+    stds = threshold_stds(automaton)
+    shifts = stds * rng.standard_normal((trials, stds.size))
+    objects, name = TransitionBatch(automaton, shifts), trajectory.modes[0]
+    drawn = [draw_state(one := objects.object(i), one.mode(name), problem.start, rng) for i in range(trials)]
+    shape = (time_knots(trajectory).size, trials, automaton.n)
+    process = np.array(automaton.noise.process_std) * rng.standard_normal(shape)
+    seen = np.where(np.isfinite(automaton.noise.observation_std), automaton.noise.observation_std, np.nan)
+    return Chances(shifts, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
+
+
+def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> RollOuts:
+    """Carry a trajectory out once per row of chances."""
+    automaton, limits = problem.automaton, limits_of(problem)
+    objects = TransitionBatch(automaton, chances.shifts)
+    trials, everyone = len(chances.starts), np.arange(len(chances.starts))
+    index = [mode.name for mode in automaton.modes].index(trajectory.modes[0])
+    modes, x = np.full(trials, index), chances.starts
+    start = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
+    beliefs = repeated(start, trials)
+    for step, knot in enumerate(time_knots(trajectory)):
+        believed = beliefs.most_likely
+        estimate = beliefs.means[everyone, believed]
+        u = feedback_input(trajectory, int(knot), estimate)
+        for number in np.unique(believed):
+            rows = believed == number
+            u[rows] = limited_input(automaton.modes[number], estimate[rows], u[rows], limits.max_step)
+        modes, x = objects.step(modes, x, u, chances.process[step])
+        beliefs = update(automaton, predict(automaton, beliefs, u), x + chances.observation[step])
+    return RollOuts(modes, x, beliefs)
+
+
+def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
+    """(t,) whether each true end lies in the goal set."""
+    goal, names = problem.goal, [mode.name for mode in problem.automaton.modes]
+    wanted = np.array([not goal.modes or name in goal.modes for name in names])
+    inside = wanted[ends.modes]
+    for i, value, tolerance in goal.target:
+        inside &= np.abs(ends.states[:, i] - value) <= tolerance
+    return inside
