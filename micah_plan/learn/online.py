@@ -190,7 +190,7 @@ class OnlineLearner:
         """A window's segments after the open one, and whether the first is its continuation."""
         if self._open is None or self._state is None or not found:
             return found, False
-        if self._state.last is not None and window.known[0] is self._state.last:
+        if self._state.before is not None and window.known[0] is self._state.before:
             return [joined(self._open, found[0]), *found[1:]], True
         return [self._open, *found], False
 
@@ -252,16 +252,16 @@ class OnlineLearner:
         if crowded and unknown and middle == len(window.pieces) - 1 and window.steps < fine:
             self._window.coarsen()
             return
-        cut = piece.start if piece.start >= n // 4 else n // 2
+        middle, cut = _cut(window, middle)
         found = window.segments(self.run, cut)
-        joints = self._known_after(window, len(found))
+        joints = self._known_after(window, middle + 1)
         row = int(window.rows.track.rows[cut])
-        start = sure.start if cut == piece.start else RowPosterior((row,), (1.0,))
+        start = window.certainties[middle].start if cut == window.pieces[middle].start else RowPosterior((row,), (1.0,))
         segments, _ = self._continued(window, found)
         self._committed += segments[:-1]
         self._log_evidence += sum(segment.log_evidence for segment in segments[:-1])
         self._open = segments[-1]
-        self._state = self._state_after(window, joints, start)
+        self._state = self._state_after(window, joints, len(found), start)
         self._first, self._seen = None, None
         self._windows += 1
         self._window.drop(cut)
@@ -278,25 +278,46 @@ class OnlineLearner:
         return found
 
     def _state_after(
-        self, window: LearnedWindow, joints: list[KnownJoint | None], start: RowPosterior | None
+        self,
+        window: LearnedWindow,
+        joints: list[KnownJoint | None],
+        count: int,
+        start: RowPosterior | None,
     ) -> OpenState:
-        before = self._state
-        known = [] if before is None else list(before.known)
+        state = self._state
+        mover = None if state is None else state.last_moving
+        for one in joints[:count]:
+            if one is not None and one.joint.kind != "rigid":
+                mover = one
+        known = [] if state is None else list(state.known)
         for one in joints:
             if one is not None:
                 known = [other for other in known if other is not one] + [one]
         rests = [one for one in known if one.joint.kind == "rigid"][-_MOST_RESTS:]
         moving = [one for one in known if one.joint.kind != "rigid"][-_MOST_MOVING:]
-        usual = window.usual if before is None else _looser(before.usual, window.usual)
+        usual = window.usual if state is None else _looser(state.usual, window.usual)
         reached = 0.0 if self._open is None else self._open.configuration_end
         return OpenState(
             known=tuple(one for one in known if one in rests or one in moving),
-            last=joints[-1],
-            last_moving=moving[-1] if moving else None,
+            before=joints[count - 1],
+            first=joints[-1],
+            last_moving=mover,
             reached=reached,
             start=start,
             usual=usual or Usual(np.ones(3 if window.rows.track.quaternion is None else 6), 0.0),
         )
+
+
+def _cut(window: LearnedWindow, middle: int) -> tuple[int, int]:
+    """The piece from which the next window goes on, and its first row there.
+
+    At best a motion begins there: the rows of a part that rests do not tell whether its joint has moved before.
+    """
+    n = len(window.rows)
+    begins = [i for i, piece in enumerate(window.pieces) if n // 4 <= piece.start <= n // 2]
+    moving = [i for i in begins if window.pieces[i].joint.kind != "rigid"]
+    chosen = max(moving or begins, default=None)
+    return (middle, n // 2) if chosen is None else (chosen, window.pieces[chosen].start)
 
 
 def is_long(track: PartTrack) -> bool:

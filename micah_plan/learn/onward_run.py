@@ -45,7 +45,8 @@ class OpenState:
 
     Attributes:
         known: joints of committed segments, at least one.
-        last: what holds before the window's first row; None if that is no known joint.
+        before: what holds before the window's first row; None if that is no known joint.
+        first: what was found to hold from that row on, with the rows before it in view; None if that is no known joint.
         last_moving: the latest known joint that is not rigid.
         reached: configuration there.
         start: posterior of the row at which a segment starts that begins where the window does.
@@ -53,7 +54,8 @@ class OpenState:
     """
 
     known: tuple[KnownJoint, ...]
-    last: KnownJoint | None
+    before: KnownJoint | None
+    first: KnownJoint | None
     last_moving: KnownJoint | None
     reached: float
     start: RowPosterior | None
@@ -61,7 +63,7 @@ class OpenState:
 
     def pieces(self) -> list[FittedPiece]:
         """The joints before the window, for the joints of the window to be chained to."""
-        found = [one for one in (self.last_moving, self.last) if one is not None]
+        found = [one for one in (self.last_moving, self.before) if one is not None]
         joints = [one.joint for one in dict.fromkeys(found)]
         return [FittedPiece(-1, -1, joint, np.zeros(3), None, 0.0, settled=True) for joint in joints]
 
@@ -131,8 +133,8 @@ def learn_onward(
     track = rows.track
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    last = -1 if state.last is None else state.known.index(state.last)
-    known = KnownJoints(arrays_of([one.joint for one in state.known]), last, state.usual)
+    first = -1 if state.first is None else state.known.index(state.first)
+    known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
     found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), use_actions, rng)
     noise = found.noise.of_rows(steps.size)
     settled: Sequence[KnownJoint] = state.known

@@ -24,7 +24,7 @@ from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
 from micah_plan.learn.segmenting.occam import parameter_count
-from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses, windows
 from micah_plan.learn.segmenting.running_evidence import RunningEvidence
 from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
@@ -33,6 +33,7 @@ from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 _ROUNDS = 2
 _DOF = 8.0
@@ -58,12 +59,12 @@ class KnownJoints:
 
     Attributes:
         joints: k joints on their coordinates.
-        last: index of the one that the window starts on; -1 if that is none of them.
+        first: index of the one that was found to hold where the window begins; -1 if that is none of them.
         usual: how well they explain steps.
     """
 
     joints: JointArrays
-    last: int
+    first: int
     usual: Usual
 
 
@@ -97,9 +98,11 @@ def segment_onward(
             return found, None
     fresh = segment_track(track, settings, use_actions)
     used = list(dict.fromkeys(piece.hypothesis for piece in fresh.segmentation.pieces))
-    everywhere = np.ones((len(known.joints), len(track)), dtype=bool)
-    pool = Hypotheses(known.joints, everywhere).joined(fresh.table.pool.hypotheses.take(used))
-    return _selected(pool, track, fresh.noise, known, settings, use_actions, rng), fresh
+    moves = fresh.table.pool.moving[_which(fresh.segmentation)]
+    rows = np.tile(moves if moves.any() else ~moves, (len(known.joints), 1))
+    pool = Hypotheses(known.joints, rows).joined(fresh.table.pool.hypotheses.take(used))
+    owner = np.arange(len(known.joints))
+    return _selected(pool, owner, track, fresh.noise, known, settings, use_actions, rng), fresh
 
 
 def _with_rests(
@@ -107,32 +110,44 @@ def _with_rests(
 ) -> Segmented:
     """The segments of known joints and of rests, which need to be found anew."""
     noise = first_noise(track, settings)
-    everywhere = np.ones((len(known.joints), len(track)), dtype=bool)
-    pool = Hypotheses(known.joints, everywhere)
+    owner, rows = _where_known(known, len(track))
+    pool = Hypotheses(known.joints.take(owner), rows)
     if "rigid" in settings.kinds:
         pool = pool.joined(window_hypotheses(track, ("rigid",), noise))
-    found = _selected(pool, track, noise, known, settings, use_actions, rng)
+    found = _selected(pool, owner, track, noise, known, settings, use_actions, rng)
     for _ in range(_ROUNDS):
         noise = refitted_noise(*misses(found.table.pool, _which(found.segmentation)), settings)
-        rows = {p.hypothesis: np.zeros(len(track), dtype=bool) for p in found.segmentation.pieces}
-        for piece in found.segmentation.pieces:
-            rows[piece.hypothesis][piece.start : piece.end + 1] = True
-        used = everywhere.copy()
-        for i in set(rows) & set(range(len(used))):
-            used[i] = rows[i]
-        new = [rows[i] for i in sorted(rows) if i >= len(used)]
-        pool = Hypotheses(known.joints, used)
+        which = _which(found.segmentation)
+        new = [which == i for i in np.unique(which) if i >= len(owner)]
+        own = [np.isin(which, np.flatnonzero(owner == i)) for i in range(len(known.joints))]
+        owner = np.arange(len(known.joints))
+        pool = Hypotheses(known.joints, np.array([one if one.any() else ~one for one in own]))
         if new:
             kinds: list[JointKind] = ["rigid"] * len(new)
             pool = pool.joined(refitted(kinds, np.array(new), track, noise))
-        before, found = found, _selected(pool, track, noise, known, settings, use_actions, rng)
+        before, found = found, _selected(pool, owner, track, noise, known, settings, use_actions, rng)
         if [piece.start for piece in found.segmentation.pieces] == [p.start for p in before.segmentation.pieces]:
             break
     return found
 
 
+def _where_known(known: KnownJoints, rows: int) -> tuple[Ints, Bools]:
+    """Known joints, each once for every stretch of the window in which it may hold, and these rows.
+
+    How fast a part moves, and what actions say of it, is learned where its joint holds and not where the part rests.
+    """
+    spans = [(a, b) for a, b in windows(rows) if 4 * (b - a + 1) >= rows - 4]
+    owner = [i for i, moves in enumerate(known.joints.moving) for _ in (spans if moves else spans[:1])]
+    inside = np.zeros((len(owner), rows), dtype=bool)
+    stretches = [span for moves in known.joints.moving for span in (spans if moves else spans[:1])]
+    for one, (start, end) in zip(inside, stretches, strict=True):
+        one[start : end + 1] = True
+    return np.array(owner, dtype=np.int64), inside
+
+
 def _selected(
     pool: Hypotheses,
+    owner: Ints,
     track: PartTrack,
     noise: NoiseModel,
     known: KnownJoints,
@@ -140,10 +155,14 @@ def _selected(
     use_actions: bool,
     rng: np.random.Generator,
 ) -> Segmented:
-    """The most probable segments under the known joints and those of the others that are worth their parameters."""
+    """The most probable segments under the known joints and those of the others that are worth their parameters.
+
+    Args:
+        owner: which known joint each of the first hypotheses is.
+    """
     prior = LengthPrior.of_rows(track, settings)
-    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest), known, prior)
-    k = len(known.joints)
+    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest), owner, known.first, prior)
+    k = len(owner)
     every = range(len(pool))
     apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)
     new = sorted({piece.hypothesis for piece in apart.pieces if piece.hypothesis >= k})
@@ -189,19 +208,21 @@ def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentat
     return Segmentation(_merged(found.pieces), log_probability)
 
 
-def _paid(table: EvidenceTable, known: KnownJoints, prior: LengthPrior) -> EvidenceTable:
+def _paid(table: EvidenceTable, owner: Ints, first: int, prior: LengthPrior) -> EvidenceTable:
     """The same densities, with the known joints free of cost.
 
-    Where the window begins is no changepoint, unless another joint than the last one holds there: that pays for it.
+    What holds where the window begins was found with the rows before it in view, which tell a rest from a motion that
+    has not begun. Another joint pays for the changepoint and for being overlooked.
     """
-    k = len(known.joints)
+    k = len(owner)
     costs = {name: getattr(table, name).copy() for name in ("parameters", "occam", "held")}
     for values in costs.values():
         values[:k] = 0.0
     density = table.log_density.copy()
-    if known.last >= 0:
-        other = np.arange(density.shape[2]) != known.last
-        density[0, 0, other] -= np.log(max(prior.mean, 1.0))
+    if first >= 0:
+        other = np.ones(density.shape[2], dtype=bool)
+        other[:k] = owner != first
+        density[0, 0, other] -= np.log(max(prior.mean, 1.0)) + ANOTHER_JOINT
     return replace(table, log_density=density, **costs)
 
 
@@ -225,7 +246,7 @@ def _errors(segmentation: Segmentation, table: EvidenceTable) -> Floats:
     return misses(table.pool, _which(segmentation))[0]
 
 
-def _which(segmentation: Segmentation) -> NDArray[np.int64]:
+def _which(segmentation: Segmentation) -> Ints:
     """(n,) hypothesis that explains each step."""
     return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in segmentation.pieces])
 
