@@ -120,7 +120,9 @@ def online(most: int) -> None:
         half = float(np.sum(spent[len(spent) // 2 :])) / (rows / 2)
         total = float(np.sum(spent))
         count = len(learner.segments())
-        print(f"{rows:>8}{total:>9.1f}{1e3 * total / rows:>12.3f}{1e3 * half:>23.3f}{peak:>9.1f}{count:>10}", flush=True)
+        print(
+            f"{rows:>8}{total:>9.1f}{1e3 * total / rows:>12.3f}{1e3 * half:>23.3f}{peak:>9.1f}{count:>10}", flush=True
+        )
 
 
 def _pushed(recording: Recording) -> tuple[OnlineLearner, list[float]]:
