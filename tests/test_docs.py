@@ -165,7 +165,7 @@ def test_outputs_are_compared_by_words_and_roughly_by_numbers() -> None:
 @pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_commands_work_one_after_the_other_and_print_what_is_shown(page: str, workplace: Path) -> None:
     pytest.importorskip("mujoco", reason="the pages execute plans in MuJoCo (extra 'sim')")
-    environment = {**os.environ, "COLUMNS": "100"}
+    environment = {**os.environ, "COLUMNS": "80"}
     for command in commands(page):
         arguments = [sys.executable, "-m", "micah_plan", *shlex.split(command.line)[1:]]
         done = subprocess.run(

@@ -41,7 +41,7 @@ def learn_acted_run(
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = track.duration / settings.resolution
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
-        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng)
+        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng, learned)
         if again.posterior.log_evidence > learned.posterior.log_evidence:
             return again, _channel(again, track) or channel
     return learned, channel

@@ -14,7 +14,7 @@ from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.joint_arrays import arrays_of
 from micah_plan.learn.row_window import WindowRows
-from micah_plan.learn.run import LearnedRun, fitted_pieces, free_motion_misfit
+from micah_plan.learn.run import LearnedRun, fitted_pieces, unless_free
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import KnownJoints, Usual, segment_onward, usual_of
 from micah_plan.learn.segmenting.segmentation import kind_probabilities
@@ -138,11 +138,12 @@ def learn_onward(
     found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), use_actions, rng)
     noise = found.noise.of_rows(steps.size)
     settled: Sequence[KnownJoint] = state.known
-    pieces, free, misfit = found.segmentation.pieces, -np.inf, None
+    free, misfit = -np.inf, None
     if fresh is not None:
-        log_odds, misfit = free_motion_misfit(fresh, track, inlier, noise)
+        fresh, log_odds, misfit = unless_free(fresh, track, inlier, noise, settings, use_actions)
         if misfit is not None:
-            found, settled, pieces, free = fresh, (), (fresh.best_single(),), log_odds
+            found, settled, free = fresh, (), log_odds
+    pieces = found.segmentation.pieces
     joints = [one.joint for one in settled]
     fitted, places = fitted_pieces(pieces, found, steps, track, inlier, settings, use_actions, rng, joints)
     before = state.pieces()

@@ -19,7 +19,13 @@ from micah_plan.learn.segmenting.evidence import TRUST
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
-from micah_plan.learn.segmenting.segmentation import Segmented, kind_probabilities, posterior_of, segment_track
+from micah_plan.learn.segmenting.segmentation import (
+    Segmented,
+    best_single,
+    kind_probabilities,
+    posterior_of,
+    segment_track,
+)
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -45,9 +51,9 @@ class LearnedRun:
         pieces: (m,) stretches of rows with their joints, on one coordinate.
         certainties: (m,) how sure they are.
         hypotheses: (m,) equal for pieces that share a joint.
-        segmented: steps, and what decided.
         posterior: over segmentations, in steps.
         trace: evidence over time.
+        segmented: the segments in steps, and what decided them.
     """
 
     track: PartTrack
@@ -56,20 +62,31 @@ class LearnedRun:
     pieces: tuple[FittedPiece, ...]
     certainties: tuple[SegmentCertainty, ...]
     hypotheses: tuple[int, ...]
-    segmented: Segmented
     posterior: ChangepointPosterior
     trace: EvidenceTrace
+    segmented: Segmented
 
 
-def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng: np.random.Generator) -> LearnedRun:
-    """Segment a track and fit the joints of its segments to all of their rows."""
+def learn_run(
+    track: PartTrack,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+    known: LearnedRun | None = None,
+) -> LearnedRun:
+    """Segment a track and fit the joints of its segments to all of their rows.
+
+    Args:
+        known: what was learned from the same poses with other actions, to start from.
+    """
     inlier = find_inliers(track)
     steps = steps_of(track, inlier, settings.resolution)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions)
+    before = None if known is None else known.segmented
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
-    log_odds, misfit = free_motion_misfit(segmented, track, inlier, noise)
-    pieces = segmented.segmentation.pieces if misfit is None else (segmented.best_single(),)
+    segmented, log_odds, misfit = unless_free(segmented, track, inlier, noise, settings, use_actions)
+    pieces = segmented.segmentation.pieces
     fitted, places = fitted_pieces(pieces, segmented, steps, track, inlier, settings, use_actions, rng)
     chain = chained(fitted, track, inlier, noise)
     free = -np.inf if misfit is None else log_odds
@@ -77,7 +94,7 @@ def learn_run(track: PartTrack, settings: LearnSettings, use_actions: bool, rng:
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
-    return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, segmented, posterior, trace)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, posterior, trace, segmented)
 
 
 def fitted_pieces(
@@ -172,26 +189,41 @@ def _joints(
     return found
 
 
-def free_motion_misfit(
-    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise
-) -> tuple[float, Misfit | None]:
-    """Log odds of free motion, and how far the best single joint misses the rows if they favour it.
+def unless_free(
+    segmented: Segmented,
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> tuple[Segmented, float, Misfit | None]:
+    """The segments; or, where free motion is likelier, one of the best single joint and how far that misses the rows.
 
-    None as well if it does not miss them further than their noise lets them scatter.
+    The number is the log odds of free motion. It counts only if the joint misses the rows further than their noise lets
+    them scatter.
     """
     free = free_log_probability(segmented.track, segmented.noise, TRUST)
     log_odds = free - _FREE_IS_RARE - segmented.log_probability
     if log_odds <= 0:
-        return log_odds, None
-    joint = segmented.table.pool.hypotheses.joints.joint(segmented.best_single().hypothesis)
+        return segmented, log_odds, None
+    single = best_single(segmented, settings, use_actions)
+    misfit = _misfit(single, track, inlier, noise, log_odds)
+    return (segmented if misfit is None else single), log_odds, misfit
+
+
+def _misfit(
+    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
+) -> Misfit | None:
+    """How far the single joint of a segment misses its rows; None if not further than their noise lets them scatter."""
+    joint = segmented.table.pool.hypotheses.joints.joint(segmented.segmentation.pieces[0].hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
     error = seen.error[0, inlier]
     turned = track.quaternion is not None
     missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
     scatter = np.sqrt(3) * np.array([noise.position_white, noise.rotation_white])
     if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
-        return log_odds, None
-    return log_odds, Misfit(
+        return None
+    return Misfit(
         position=float(missed[0]),
         rotation=float(missed[1]) if turned else None,
         position_noise=float(scatter[0]),

@@ -74,6 +74,8 @@ def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
         return "actions: they say nothing about the motion"
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
     delay = f"{abs(channel.delay):.2f} ± {std['delay']:.2f} s {'after' if channel.delay >= 0 else 'before'} it"
+    if abs(channel.delay) < std["delay"]:
+        delay = f"at the same time (± {std['delay']:.2f} s)"
     return (
         f"actions: {100 * channel.explained:.0f} % of the steps explained; the part makes "
         f"{channel.gain:.2f} ± {std['gain']:.2f} of a recorded action, {delay}; {_turned(channel)}"

@@ -86,11 +86,17 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
 def _block(learned: LearnedRun, recording: Recording) -> _Block:
     words = [channel_words(learned, recorded=recording.has_actions)]
     words += [misfit_words(stretch.segment) for stretch in learned.stretches]
-    lines = tuple(line for text in words if text for line in textwrap.wrap(text[0].upper() + text[1:], _CHARACTERS))
+    lines = tuple(line for text in words if text for line in _lines(text[0].upper() + text[1:]))
     traced = (_EVIDENCE, _CHANGEPOINT) if learned.evidence else ()
     bars = bool(learned.counts) or any(s.segment.certainty is not None for s in learned.stretches)
     needed = _LEAST_SPACE + (_BARS + 0.5 if bars else 0.0) - sum(traced) - _GAP * len(traced)
     return _Block(learned, lines, (max(_CONFIGURATION, needed), *traced), bars)
+
+
+def _lines(text: str) -> list[str]:
+    """Lines of a sentence; a number and its spread stay in one."""
+    glue = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+    return [line.replace(glue, " ± ") for line in textwrap.wrap(text.replace(" ± ", glue), _CHARACTERS)]
 
 
 def _figure(height: float) -> Figure:

@@ -15,6 +15,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _GAUGE = 1e-9  # directions of less relative information are redundant
+_CONVERGED = 0.02  # nats
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
 
@@ -55,10 +56,13 @@ def fit_likelihood(
         after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
         trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
         better = trial_cost < cost
+        gained = float(np.maximum(cost - trial_cost, 0.0).max())
         joints, seen = trial.where(better, joints), _chosen(better, after, seen)
         innovation = np.where(better[:, None, None], trial_innovation, innovation)
         cost = np.where(better, trial_cost, cost)
         damping = np.where(better, damping / 10, np.maximum(damping, 1e-6) * 100)
+        if better.all() and gained < _CONVERGED:
+            break
     return joints
 
 

@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 4
 _GRAINS = 16  # places that are told apart when proposals are compared
-_CONVERGED = 0.05  # nats
+_CONVERGED = 0.2  # nats
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,33 +51,46 @@ class Segmented:
         """Of the rows and segments, parameters of a joint counted once [nats]."""
         return self.segmentation.log_probability
 
-    def best_single(self) -> Piece:
-        """The whole track as one segment of the one joint that explains it best."""
-        last = len(self.track) - 1
-        totals = self.table.log_density[-1].sum(axis=0) - self.table.occam
-        best = int(
-            np.argmax(np.where(self.table.pool.moving, totals, -np.inf if self.table.pool.moving.any() else totals))
-        )
-        return Piece(0, last, best, float(totals[best]))
 
-
-def segment_track(track: PartTrack, settings: LearnSettings, use_actions: bool) -> Segmented:
+def segment_track(
+    track: PartTrack, settings: LearnSettings, use_actions: bool, known: Segmented | None = None
+) -> Segmented:
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
     (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
+
+    Args:
+        use_actions: whether motion is predicted from the actions (Act-CHAMP).
+        known: what was found for the same poses with other actions: then its joints and noise start, alone.
     """
     prior = _prior(track, settings)
-    fine = first_noise(track, settings)
-    windows = window_hypotheses(track, settings.kinds, fine)
+    if known is None:
+        fine = first_noise(track, settings)
+        pool = window_hypotheses(track, settings.kinds, fine)
+        noises = [fine, _single(track, fine, prior, settings, use_actions)]
+    else:
+        pool, noises = known.table.pool.hypotheses, [known.noise]
     proposals = []
-    for noise in (fine, _single(track, fine, prior, settings, use_actions)):
+    for noise in noises:
         if noise is not None:
-            table = tabulated(windows, track, noise, use_actions, settings.rest)
+            table = tabulated(pool, track, noise, use_actions, settings.rest)
             proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = [_settled(one, prior, settings, use_actions) for one in proposals]
-    return _with_rivals(max(settled, key=lambda one: one.log_probability), settings, use_actions)
+    return max(settled, key=lambda one: one.log_probability)
+
+
+def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
+    """The whole track as one segment of the one moving joint (if there is any) that explains it best."""
+    n = len(found.track)
+    pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), found.track, found.noise)
+    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest)
+    totals = table.sums[0, -1] - table.occam
+    moving = table.pool.moving
+    best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
+    whole = Segmentation((Piece(0, n - 1, best, float(totals[best])),), float(totals[best]))
+    return replace(found, table=table, segmentation=whole)
 
 
 def _single(
@@ -122,9 +135,11 @@ def _settled(start: Segmented, prior: LengthPrior, settings: LearnSettings, use_
         pool = now.table.pool.hypotheses.take(used).joined(rivals)
         table = tabulated(pool, track, noise, use_actions, settings.rest)
         now = Segmented(track, noise, selections(table, prior, settings)[0], table)
-        if now.log_probability <= best.log_probability + _CONVERGED:
+        grown = now.log_probability - best.log_probability
+        if grown > 0:
+            best = now
+        if grown <= _CONVERGED:
             break
-        best = now
     return best
 
 
@@ -136,18 +151,6 @@ def _rows_of_joints(found: Segmented) -> tuple[list[int], Bools]:
     for piece in pieces:
         rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
     return used, rows
-
-
-def _with_rivals(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
-    """The same segments, in a pool that holds their joints and, of every kind, the best rivals on the same rows."""
-    used, rows = _rows_of_joints(found)
-    rows = np.concatenate([rows, np.ones((1, len(found.track)), dtype=bool)])
-    kinds = [kind for _ in rows for kind in settings.kinds]
-    rivals = refitted(kinds, np.repeat(rows, len(settings.kinds), axis=0), found.track, found.noise)
-    pool = found.table.pool.hypotheses.take(used).joined(rivals)
-    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest)
-    pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
-    return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
 
 
 def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
