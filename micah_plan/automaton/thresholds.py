@@ -9,6 +9,7 @@ configuration, those of the moving joints count.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ def _boundary_stds(automaton: HybridAutomaton) -> dict[_Boundary, float]:
     return stds
 
 
+@lru_cache(maxsize=1024)
 def _boundary(half_space: HalfSpace) -> tuple[_Boundary, float]:
     """The boundary, and what its scaled threshold is to be multiplied by to give the half-space's."""
     scale = next((weight for weight in (*half_space.a, *half_space.b) if weight), 1.0)
