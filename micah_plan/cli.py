@@ -203,8 +203,24 @@ def solve(
 
         save_figure(belief_figure(asked, plan), figure)
     written = (output, html, figure if plan.trajectory is not None else None)
-    _report(as_json, summaries.solved(plan), lambda: _print_solved(plan, written))
+    _report(as_json, summaries.solved(plan), lambda: _print_solved(plan, asked, written))
     if plan.outcome != "solved":
+        raise typer.Exit(HONEST_NEGATIVE)
+
+
+@app.command()
+def explain(
+    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote, with any outcome.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
+    from micah_plan.planning.explain import explain as explained
+    from micah_plan.spec.plan_file import load_plan
+
+    stored = load_plan(plan)
+    explanation = explained(stored.problem, stored.plan)
+    _report(as_json, summaries.explained(explanation), lambda: _print_lines(explanation.lines))
+    if stored.plan.outcome != "solved":
         raise typer.Exit(HONEST_NEGATIVE)
 
 
@@ -334,8 +350,12 @@ def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
     _print_files(files)
 
 
-def _print_solved(plan: Any, files: tuple[Path | None, ...]) -> None:
+def _print_solved(plan: Any, problem: Any, files: tuple[Path | None, ...]) -> None:
     out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if plan.outcome == "solved" else "yellow")
+    if plan.outcome != "solved":
+        from micah_plan.planning.explain import explain as explained
+
+        _print_lines(explained(problem, plan).lines[1:])
     if plan.trajectory is not None:
         out.print(f"  modes                {' > '.join(plan.mode_sequence)}", markup=False)
         out.print(f"  goal error, std      {plan.goal_error:.4g}, {plan.goal_std:.4g}")
@@ -363,6 +383,11 @@ def _print_predicted(summary: dict[str, Any]) -> None:
         shown = "not measured" if rotation is None else f"{rotation:.4g}"
         table.add_row(name, f"{values['position_rmse_m']:.4g}", shown, f"{values['configuration_rmse']:.4g}")
     out.print(table)
+
+
+def _print_lines(lines: tuple[str, ...]) -> None:
+    for line in lines:
+        out.print(line, markup=False)
 
 
 def _print_files(files: tuple[Path | None, ...]) -> None:

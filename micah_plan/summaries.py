@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from micah_plan.planning.plan import Plan
 
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
+    from micah_plan.planning.explain import Explanation
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.workflow import Learned
 
@@ -167,9 +169,20 @@ def solved(plan: Plan) -> dict[str, Any]:
         "success_probability": plan.success_probability,
         "success_interval": None if plan.success_interval is None else list(plan.success_interval),
         "verification_trials": plan.verification_trials,
+        "obstacles": obstacles(plan),
         "seconds": dict(plan.timings),
         "seed": plan.seed,
     }
+
+
+def obstacles(plan: Plan) -> list[dict[str, Any]]:
+    """What stands in the way of a plan."""
+    return [asdict(obstacle) for obstacle in plan.obstacles]
+
+
+def explained(explanation: Explanation) -> dict[str, Any]:
+    """Keys of `explain`."""
+    return asdict(explanation)
 
 
 def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:

@@ -78,6 +78,8 @@ def test_solve_reports_a_verified_plan(road):
     assert found["modes"] == ["rigid", "revolute"]
     assert found["goal_error"] < 0.03
     assert found["success_probability"] > 0.9
+    low, high = found["success_interval"]
+    assert low < found["success_probability"] <= high
     assert {"total", "search", "optimise"} <= found["seconds"].keys()
     assert "<html" in (folder / "plan.html").read_text()
 
@@ -176,6 +178,13 @@ def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):
     assert "NO PLAN" in (tmp_path / "plan.html").read_text().upper()
     line = only_error(micah("execute", tmp_path / "plan.json", "-o", tmp_path / "runs.csv"))
     assert "no_plan" in line
+    explained = micah("explain", tmp_path / "plan.json", "--json")
+    assert explained.returncode == 1
+    told = only_json(explained)
+    assert told["level"] == "search"
+    assert told["obstacles"] == found["obstacles"]
+    assert "add the missing transition to the model" in told["obstacles"][0]["remedy"]
+    assert told["lines"] == micah("explain", tmp_path / "plan.json").stdout.splitlines()
 
 
 @pytest.mark.parametrize(

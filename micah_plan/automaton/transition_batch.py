@@ -51,7 +51,7 @@ class TransitionBatch:
     def __init__(self, automaton: HybridAutomaton, shifts: Floats) -> None:
         """Args: the model, and (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`)."""
         self._automaton = automaton
-        self._shifts = shifts
+        self.shifts = shifts
         self._objects: dict[int, HybridAutomaton] = {}
         unit = np.eye(threshold_stds(automaton).size)
         moved = [mode_tables(with_shifted_thresholds(automaton, by)) for by in unit]
@@ -62,10 +62,10 @@ class TransitionBatch:
 
     def object(self, number: int) -> HybridAutomaton:
         """The automaton of one object."""
-        if not self._shifts.shape[1]:
+        if not self.shifts.shape[1]:
             return self._automaton
         if number not in self._objects:
-            self._objects[number] = with_shifted_thresholds(self._automaton, self._shifts[number])
+            self._objects[number] = with_shifted_thresholds(self._automaton, self.shifts[number])
         return self._objects[number]
 
     def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:

@@ -6,27 +6,27 @@ models", ICRA 2015 (CHAMP).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty
+from micah_plan.automaton.certainty import EdgeCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
+from micah_plan.learn.online import METHODS, Method, OnlineLearner, is_long
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import part_track
+from micah_plan.learn.track import PartTrack, part_track
 from micah_plan.recording.value import Recording
 
-Method = Literal["champ", "act-champ"]
-METHODS: tuple[Method, ...] = ("champ", "act-champ")
 Progress = Callable[[str, float], None]
 
 
@@ -41,7 +41,8 @@ def learn_graph(
 
     Every part hangs on the base or on another part, whichever explains the poses best (see `learn.tree`). Every run is
     segmented on its own; the first one defines the configuration coordinate, the segments of the others are counted
-    along it and follow in the order of the runs.
+    along it and follow in the order of the runs. A run in which a part moves to and fro more often than is learned at
+    once is learned as `OnlineLearner` would.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
@@ -67,17 +68,29 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
     part = recording.parts[0]
     segments: list[Segment] = []
     reference: Joint | None = None
-    learned: list[LearnedRun] = []
-    channels: list[ActionChannel | None] = []
+    edges: list[EdgeCertainty | None] = []
     for i, run in enumerate(recording.runs):
         rng = np.random.default_rng([seed, i])
         track = part_track(recording, run, part)
+        if is_long(track):
+            learner = OnlineLearner(settings, method, seed, part=part, run=run)
+            learner.take(track)
+            own = list(learner.segments())
+            mover = max((one for one in own if one.joint.kind != "rigid"), key=_rows, default=None)
+            if reference is not None:
+                own = _aligned_segments(own, mover, reference, track, learner.noise)
+            elif mover is not None:
+                reference = mover.joint
+            segments += own
+            edges.append(learner.edge().certainty)
+            continue
         if method == "act-champ":
             one, channel = learn_acted_run(track, settings, rng)
         else:
             one, channel = learn_run(track, settings, False, rng), None
-        learned.append(one)
-        channels.append(channel)
+        posterior = one.posterior
+        counts = tuple(float(p) for p in posterior.counts)
+        edges.append(EdgeCertainty(posterior.log_evidence, (counts,), channel, one.trace))
         chain = list(one.pieces)
         longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)
         if reference is not None:
@@ -88,13 +101,19 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             to_segment(piece, chain, sure, run, one.track, one.inlier, one.noise)
             for piece, sure in zip(chain, one.certainties, strict=True)
         ]
-    certainty = EdgeCertainty(
-        log_evidence=sum(one.posterior.log_evidence for one in learned),
-        changepoint_counts=tuple(tuple(float(p) for p in one.posterior.counts) for one in learned),
-        channel=max((one for one in channels if one is not None), key=lambda one: one.explained, default=None),
-        trace=learned[0].trace,
+    return KinematicEdge(BASE, part, tuple(segments), _together([one for one in edges if one is not None]))
+
+
+def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
+    """What all runs say; how many changepoints there are only if each run says it."""
+    channels = [one.channel for one in runs if one.channel is not None]
+    counts = [one.changepoint_counts for one in runs]
+    return EdgeCertainty(
+        log_evidence=sum(one.log_evidence for one in runs),
+        changepoint_counts=sum(counts, ()) if all(counts) else (),
+        channel=max(channels, key=lambda one: one.explained, default=None),
+        trace=runs[0].trace,
     )
-    return KinematicEdge(BASE, part, tuple(segments), certainty)
 
 
 def _aligned(
@@ -105,15 +124,49 @@ def _aligned(
     if longest is None:
         held = float(np.median(configurations(reference, np.flatnonzero(run.inlier), track, noise)))
         return [replace(one, joint=replace(one.joint, held=held)) for one in chain]
-    rows = longest.index(run.inlier)
-    own, common = configurations(longest.joint, rows, track, noise), configurations(reference, rows, track, noise)
+    backwards, offset = _alignment(longest.joint, reference, longest.index(run.inlier), track, noise)
+    return [replace(one, joint=_counted_along(one.joint, backwards, offset)) for one in chain]
+
+
+def _aligned_segments(
+    found: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
+) -> list[Segment]:
+    """The same for segments."""
+    backwards, offset = False, 0.0
+    if longest is None:
+        held = float(np.median(configurations(reference, np.arange(len(track)), track, noise)))
+        offset = held - found[0].joint.held
+    else:
+        rows = np.flatnonzero((track.rows >= longest.start) & (track.rows <= longest.end))
+        backwards, offset = _alignment(longest.joint, reference, rows, track, noise)
+    sign = -1.0 if backwards else 1.0
+    aligned = []
+    for one in found:
+        ends = sorted(sign * end + offset for end in one.configuration_range)
+        aligned.append(
+            replace(
+                one,
+                joint=_counted_along(one.joint, backwards, offset),
+                configuration_start=sign * one.configuration_start + offset,
+                configuration_end=sign * one.configuration_end + offset,
+                configuration_range=(ends[0], ends[1]),
+            )
+        )
+    return aligned
+
+
+def _alignment(
+    joint: Joint, reference: Joint, rows: NDArray[np.int64], track: PartTrack, noise: MeasurementNoise
+) -> tuple[bool, float]:
+    """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
+    own, common = configurations(joint, rows, track, noise), configurations(reference, rows, track, noise)
     backwards = float((own - own.mean()) @ (common - common.mean())) < 0
-    offset = float(np.median(common - (-own if backwards else own)))
-    return [
-        replace(one, joint=shifted_with_origin(reversed_direction(one.joint) if backwards else one.joint, -offset))
-        for one in chain
-    ]
+    return backwards, float(np.median(common - (-own if backwards else own)))
 
 
-def _rows(one: FittedPiece) -> int:
+def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
+    return shifted_with_origin(reversed_direction(joint) if backwards else joint, -offset)
+
+
+def _rows(one: FittedPiece | Segment) -> int:
     return one.end - one.start

@@ -51,6 +51,7 @@ class LearnedRun:
         noise: of single rows.
         pieces: (m,) stretches of rows with their joints, on one coordinate.
         certainties: (m,) how sure they are.
+        hypotheses: (m,) equal for pieces that share a joint.
         posterior: over segmentations, in steps.
         trace: evidence over time.
         segmented: the segments in steps, and what decided them.
@@ -61,6 +62,7 @@ class LearnedRun:
     noise: MeasurementNoise
     pieces: tuple[FittedPiece, ...]
     certainties: tuple[SegmentCertainty, ...]
+    hypotheses: tuple[int, ...]
     posterior: ChangepointPosterior
     trace: EvidenceTrace
     segmented: Segmented
@@ -84,13 +86,34 @@ def learn_run(
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
     noise = segmented.noise.of_rows(steps.size)
     posterior = posterior_of(segmented, settings)
-    log_odds = free_log_probability(steps.track, segmented.noise, TRUST) - _FREE_IS_RARE - segmented.log_probability
-    misfit = None
-    if log_odds > 0:
-        single = best_single(segmented, settings, use_actions)
-        misfit = _misfit(single, track, inlier, noise, log_odds)
-        segmented = segmented if misfit is None else single
+    segmented, log_odds, misfit = unless_free(segmented, track, inlier, noise, settings, use_actions)
     pieces = segmented.segmentation.pieces
+    fitted, places = fitted_pieces(pieces, segmented, steps, track, inlier, settings, use_actions, rng)
+    chain = chained(fitted, track, inlier, noise)
+    free = -np.inf if misfit is None else log_odds
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
+    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
+    trace = _trace(segmented, posterior, settings)
+    hypotheses = tuple(piece.hypothesis for piece in pieces)
+    return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, posterior, trace, segmented)
+
+
+def fitted_pieces(
+    pieces: Sequence[Piece],
+    segmented: Segmented,
+    steps: Steps,
+    track: PartTrack,
+    inlier: Bools,
+    settings: LearnSettings,
+    use_actions: bool,
+    rng: np.random.Generator,
+    settled: Sequence[Joint] = (),
+) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
+    """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start.
+
+    Args:
+        settled: joints of the first hypotheses of the pool, which are not fitted again.
+    """
     located: list[Located] = []
     for a, b in pairwise(pieces):
         since = located[-1].row if located else 0
@@ -98,20 +121,21 @@ def learn_run(
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
-    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
+    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng, settled)
+    gain = segmented.table.motion.gain
     fitted = [
         FittedPiece(
-            a, b, joints[p.hypothesis], segmented.table.motion.gain[p.hypothesis], _leader(p, segmented), p.log_evidence
+            start=a,
+            end=b,
+            joint=joints[p.hypothesis],
+            gain=gain[p.hypothesis],
+            leader=_leader(p, segmented),
+            log_evidence=p.log_evidence,
+            settled=p.hypothesis < len(settled),
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
-    chain = chained(fitted, track, inlier, noise)
-    free = -np.inf if misfit is None else log_odds
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
-    places = [None, *(_row_posterior(one, track) for one in located)]
-    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
-    trace = _trace(segmented, posterior, settings)
-    return LearnedRun(track, inlier, noise, tuple(chain), certainties, posterior, trace, segmented)
+    return fitted, [None, *(_row_posterior(one, track) for one in located)]
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -145,10 +169,11 @@ def _joints(
     inlier: Bools,
     settings: LearnSettings,
     rng: np.random.Generator,
+    settled: Sequence[Joint],
 ) -> dict[int, Joint]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won."""
-    found = {}
-    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
+    found = dict(enumerate(settled))
+    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces if piece.hypothesis >= len(settled)):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
         )
@@ -163,6 +188,28 @@ def _joints(
             settings.outlier_weight,
         ).joint
     return found
+
+
+def unless_free(
+    segmented: Segmented,
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> tuple[Segmented, float, Misfit | None]:
+    """The segments; or, where free motion is likelier, one of the best single joint and how far that misses the rows.
+
+    The number is the log odds of free motion. It counts only if the joint misses the rows further than their noise lets
+    them scatter.
+    """
+    free = free_log_probability(segmented.track, segmented.noise, TRUST)
+    log_odds = free - _FREE_IS_RARE - segmented.log_probability
+    if log_odds <= 0:
+        return segmented, log_odds, None
+    single = best_single(segmented, settings, use_actions)
+    misfit = _misfit(single, track, inlier, noise, log_odds)
+    return (segmented if misfit is None else single), log_odds, misfit
 
 
 def _misfit(

@@ -37,6 +37,7 @@ class FittedPiece:
         gain: (3,) h of the step model, 0 where actions say nothing; it counts along the axis of `leader`.
         leader: the joint that won the evidence; None for rigid.
         log_evidence: of the model for these rows.
+        settled: whether the joint is on its coordinate already and stays as it is.
     """
 
     start: int
@@ -45,6 +46,7 @@ class FittedPiece:
     gain: Floats
     leader: Joint | None
     log_evidence: float
+    settled: bool = False
 
     def index(self, inlier: Bools) -> Ints:
         """Its rows that count, or all of them where none does."""
@@ -53,33 +55,46 @@ class FittedPiece:
 
 
 def chained(
-    fitted: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: MeasurementNoise
+    fitted: Sequence[FittedPiece],
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
+    before: Sequence[FittedPiece] = (),
+    reached: float = 0.0,
 ) -> list[FittedPiece]:
     """The same pieces with their joints on one coordinate: equal where they meet, 0 at the first row.
 
     Each joint counts up in the direction in which it went furthest, unless it is of the kind of the last one and moves
     along the same line: then it keeps that sign, so a drawer that returns counts down.
+
+    Args:
+        before: settled pieces of earlier rows, of which the last one ends where these begin.
+        reached: configuration there.
     """
-    chain: list[FittedPiece] = []
-    reached = 0.0
+    chain = list(before)
     for one in fitted:
-        before = chain[-1].joint if chain else None
+        last = chain[-1].joint if chain else None
+        if one.settled:
+            chain.append(one)
+            rigid = one.joint.kind == "rigid"
+            reached = one.joint.held if rigid else _near(one.joint, one.end, one, track, inlier, noise)
+            continue
         if one.joint.kind == "rigid":
             moving = _last_moving(chain)
-            if moving is not None and before is not None and before.kind != "rigid":
+            if moving is not None and last is not None and last.kind != "rigid":
                 reached = _configuration_of(one.joint, moving, noise)
             chain.append(replace(one, joint=replace(one.joint, held=reached)))
             continue
         joint = _directed(one, chain, track, inlier, noise)
         start = _near(joint, one.start, one, track, inlier, noise)
-        if before is not None and before.kind == "rigid":
-            start = _configuration_of(before, joint, noise)
-        elif before is not None:
-            reached, start = _meeting(before, reached, joint, start, noise)
+        if last is not None and last.kind == "rigid":
+            start = _configuration_of(last, joint, noise)
+        elif last is not None:
+            reached, start = _meeting(last, reached, joint, start, noise)
         joint = shifted_with_origin(joint, start - reached)
         chain.append(replace(one, joint=joint))
         reached = _near(joint, one.end, one, track, inlier, noise)
-    return chain
+    return chain[len(before) :]
 
 
 def shifted_with_origin(joint: Joint, offset: float) -> Joint:

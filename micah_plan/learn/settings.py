@@ -27,7 +27,8 @@ class LearnSettings:
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
         draws: minimal sets that MLESAC tries per fit.
-        particles: most changepoint candidates kept; recordings with fewer rows are solved exactly.
+        particles: most changepoint candidates kept where rows are learned online; a recording is solved exactly.
+        window: most rows that are looked at again where rows are learned online.
         resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
             then found again to the row, and joints are fitted to all rows.
     """
@@ -43,7 +44,8 @@ class LearnSettings:
     rest: float = 0.2
     outlier_weight: float = 10.0
     draws: int = 24
-    particles: int = 400
+    particles: int = 100
+    window: int = 4096
     resolution: int = 64
 
     def __post_init__(self) -> None:

@@ -58,14 +58,35 @@ class PartTrack:
             None if self.action is None else self.action[index],
         )
 
-    def thinned(self, step: int) -> PartTrack:
-        """Every step-th row; the actions of the rows between are summed."""
-        index = np.arange(0, len(self), step)
-        part = self.take(index)
-        if self.action is None:
-            return part
-        summed = np.add.reduceat(self.action, index, axis=0)
-        return PartTrack(part.rows, part.time, part.position, part.quaternion, summed)
+    def coarsened(self, size: int) -> PartTrack:
+        """Means of `size` rows each, named after their first row; their actions are summed."""
+        begins = np.arange(0, len(self), size)
+        counts = np.diff(np.append(begins, len(self)))[:, None]
+        quaternion = None
+        if self.quaternion is not None:
+            quaternion = np.add.reduceat(self.quaternion, begins, axis=0)
+            quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        return PartTrack(
+            self.rows[begins],
+            np.add.reduceat(self.time, begins) / counts[:, 0],
+            np.add.reduceat(self.position, begins, axis=0) / counts,
+            quaternion,
+            None if self.action is None else np.add.reduceat(self.action, begins, axis=0),
+        )
+
+    def followed_by(self, other: PartTrack) -> PartTrack:
+        """These rows and later ones of the same part; both have the same columns."""
+
+        def both(first: Floats | None, second: Floats | None) -> Floats | None:
+            return None if first is None or second is None else np.concatenate([first, second])
+
+        return PartTrack(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.time, other.time]),
+            np.concatenate([self.position, other.position]),
+            both(self.quaternion, other.quaternion),
+            both(self.action, other.action),
+        )
 
 
 def part_track(recording: Recording, run: int, part: str) -> PartTrack:
@@ -83,19 +104,28 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     if len(rows) < FEWEST_ROWS:
         problem = f"learning needs at least {FEWEST_ROWS} rows, found {len(rows)}"
         raise InputError(problem, where=where, remedy="record a longer motion or leave these rows out")
-    position = recording.position[rows]
-    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[rows])
+    return measured_track(recording, rows, rows, where)
+
+
+def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:
+    """Some rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
+
+    Raises:
+        InputError: if a pose is not finite.
+    """
+    position = recording.position[index]
+    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[index])
     if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
         raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")
-    action = None if recording.action is None else recording.action[rows]
-    known = np.zeros(len(rows), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
+    action = None if recording.action is None else recording.action[index]
+    known = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
     if action is not None and known.any():
         action = np.where(known[:, None], action, 0.0)
         if quaternion is not None:
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:
         action = None
-    return PartTrack(rows, recording.time[rows], position, quaternion, action)
+    return PartTrack(rows, recording.time[index], position, quaternion, action)
 
 
 def _continuous(quaternion: Floats) -> Floats:

@@ -10,6 +10,36 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Outcome = Literal["solved", "no_plan", "not_verified"]
+Level = Literal["start", "goal", "search", "optimisation", "verification"]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """What stands in the way of a plan.
+
+    Attributes:
+        level: where it was found; start and goal are checked first.
+        sentence: what is wrong, with its amount.
+        remedy: the nearest change that could help.
+        modes: the mode sequence that it is about; empty if it is about all.
+        mode, knot: the place in it.
+        constraint: the name of what does not hold.
+        amount: by how much [unit].
+        room, need: what there is and what is needed, where the belief's spread is the cause [unit].
+        unit: of the three.
+    """
+
+    level: Level
+    sentence: str
+    remedy: str
+    modes: tuple[str, ...] = ()
+    mode: str = ""
+    knot: int | None = None
+    constraint: str = ""
+    amount: float | None = None
+    room: float | None = None
+    need: float | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,6 +99,8 @@ class Plan:
         seed: the seed of search and verification.
         timings: seconds by stage; kept out of the plan file.
         success_interval: 95 % interval of the probability of success, given that share; None if it was not verified.
+        obstacles: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
+            part.
     """
 
     outcome: Outcome
@@ -83,6 +115,7 @@ class Plan:
     seed: int = 0
     timings: dict[str, float] = field(default_factory=dict)
     success_interval: tuple[float, float] | None = None
+    obstacles: tuple[Obstacle, ...] = ()
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

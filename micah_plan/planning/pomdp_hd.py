@@ -16,7 +16,8 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.mode_search import ModeSequence, search_modes
-from micah_plan.planning.plan import Candidate, Plan, Trajectory
+from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason, obstacle_of_status, obstacles_of
+from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem, Start
 from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.transcription import transcribe
@@ -30,6 +31,8 @@ Progress = Callable[[str, float], None]
 _STRETCHES = (1.0, 2.0, 4.0)
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
 _INPUT_ROUNDING = 1e-6
+# What the solver is given at least, so that it can say that the time is over.
+_SHORTEST_S = 1e-3
 
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> Plan:
@@ -45,7 +48,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     """
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings=_Clock().timings())
+        return Plan("no_plan", reason, seed=seed, timings=_Clock().timings(), obstacles=endpoint_obstacles(problem))
     return _plan_from(problem, mode, seed, progress or (lambda _text, _fraction: None))
 
 
@@ -67,47 +70,76 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
     with clock.stage("search"):
         found = search_modes(problem, limits, mode, seed)
     if not found.sequences:
-        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings())
+        obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", found.reason),)
+        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), obstacles=obstacles)
     with clock.stage("build"):
         compiled = compile_automaton(problem.automaton)
     candidates: list[Candidate] = []
-    best: BeliefPath | None = None
+    missed: list[Obstacle] = []
+    best: tuple[BeliefPath, ModeSequence] | None = None
     for number, sequence in enumerate(found.sequences, start=1):
         say(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
-        path, message = _optimise(problem, limits, compiled, sequence, clock)
+        path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock)
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
         candidates.append(Candidate(sequence.modes, sequence.cost, cost, message))
-        if path is not None and usable and (best is None or path.cost < best.cost):
-            best = path
+        missed += in_the_way
+        if path is not None and usable and (best is None or path.cost < best[0].cost):
+            best = path, sequence
     if best is None:
         first = candidates[0]
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
-        return Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, timings=clock.timings())
-    return _solved(problem, limits, best, tuple(candidates), seed, clock)
+        answer = Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, obstacles=tuple(missed))
+        return replace(answer, timings=clock.timings())
+    path, sequence = best
+    kept = obstacles_of(problem, sequence.modes, path.in_part)
+    return replace(_solved(problem, limits, path, tuple(candidates), seed, clock), obstacles=tuple(kept))
 
 
 def _optimise(
     problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, clock: _Clock
-) -> tuple[BeliefPath | None, str]:
-    """The belief path through a mode sequence and what the optimisation said."""
-    knots = 0
+) -> tuple[BeliefPath | None, str, list[Obstacle]]:
+    """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
+    knots, said = 0, "not tried"
     for stretch in _STRETCHES:
+        if clock.seconds >= problem.settings.solve_time_limit_s:
+            return None, *_out_of_time(problem, sequence, said)
         with clock.stage("build"):
             start = guess(problem, limits, compiled, sequence, stretch)
             if start.reason:
-                return None, start.reason
+                return None, start.reason, [obstacle_of_reason("optimisation", start.reason, sequence.modes)]
             longer = sum(phase.steps for phase in start.phases)
             if longer == knots:
                 break
             knots = longer
             nlp = transcribe(problem, limits, compiled, start.phases)
         with clock.stage("optimise"):
-            path = solve(nlp, problem)
+            path = solve(nlp, _with_time_left(problem, clock))
         if path.feasible:
-            return path, path.message
+            return path, path.message, []
+        said = path.message
+    if clock.seconds >= problem.settings.solve_time_limit_s:
+        return path, *_out_of_time(problem, sequence, said)
+    if "time limit" in path.message:  # what it had reached by then says nothing of what is possible
+        return path, path.message, [obstacle_of_status(sequence.modes, path.message)]
     with clock.stage("optimise"):
-        return path, "; ".join([path.message, *unmet(nlp, problem)])
+        missed = unmet(nlp, _with_time_left(problem, clock))
+    message = "; ".join([path.message, *(shortfall.sentence for shortfall in missed)])
+    obstacles = obstacles_of(problem, sequence.modes, missed)
+    return path, message, obstacles or [obstacle_of_status(sequence.modes, path.message)]
+
+
+def _with_time_left(problem: Problem, clock: _Clock) -> Problem:
+    """The problem with the time that an optimisation may take now."""
+    settings = problem.settings
+    left = max(_SHORTEST_S, settings.solve_time_limit_s - clock.seconds)
+    return replace(problem, settings=replace(settings, time_limit_s=min(settings.time_limit_s, left)))
+
+
+def _out_of_time(problem: Problem, sequence: ModeSequence, said: str) -> tuple[str, list[Obstacle]]:
+    limit = f"the time limit of {problem.settings.solve_time_limit_s:g} s (solve_time_limit_s) was reached; {said}"
+    reason = f"{limit}; raise solve_time_limit_s or lower candidates"
+    return limit, [obstacle_of_reason("optimisation", reason, sequence.modes)]
 
 
 def _solved(
@@ -140,11 +172,16 @@ class _Clock:
         self._began = perf_counter()
         self._seconds = {"search": 0.0, "build": 0.0, "optimise": 0.0}
 
+    @property
+    def seconds(self) -> float:
+        """Since it was made."""
+        return perf_counter() - self._began
+
     def stage(self, name: str) -> _Stage:
         return _Stage(self._seconds, name)
 
     def timings(self) -> dict[str, float]:
-        return {**self._seconds, "total": perf_counter() - self._began}
+        return {**self._seconds, "total": self.seconds}
 
 
 class _Stage:

@@ -50,6 +50,7 @@ class PlannerSettings:
         weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
             the squared tolerance) and of the squared inputs (over the squared max_step).
         time_limit_s: wall-clock limit of each optimisation [s].
+        solve_time_limit_s: wall-clock limit after which no further optimisation begins or goes on [s].
         verification_trials: roll-outs that check a plan.
     """
 
@@ -62,6 +63,7 @@ class PlannerSettings:
     weight_covariance: float = 1.0
     weight_effort: float = 0.05
     time_limit_s: float = 20.0
+    solve_time_limit_s: float = 60.0
     verification_trials: int = 1000
 
 

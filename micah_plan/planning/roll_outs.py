@@ -32,12 +32,12 @@ class Chances:
     """All that is random in t roll-outs of T steps.
 
     Attributes:
-        shifts: (t, b) by how much boundaries truly lie elsewhere, in the order of `thresholds.threshold_stds`.
+        objects: t of them, with the boundaries where they truly are.
         starts: (t, n) true states at first [rad or m].
         process, observation: (T, t, n) noise of the steps and of the measurements [rad or m]; NaN: not measured.
     """
 
-    shifts: Floats
+    objects: TransitionBatch
     starts: Floats
     process: Floats
     observation: Floats
@@ -62,19 +62,18 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     """The random part of that many roll-outs; the same for the same seed."""
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     stds = threshold_stds(automaton)
-    shifts = stds * rng.standard_normal((trials, stds.size))
-    objects, name = TransitionBatch(automaton, shifts), trajectory.modes[0]
+    objects = TransitionBatch(automaton, stds * rng.standard_normal((trials, stds.size)))
+    name = trajectory.modes[0]
     drawn = [draw_state(one := objects.object(i), one.mode(name), problem.start, rng) for i in range(trials)]
     shape = (time_knots(trajectory).size, trials, automaton.n)
     process = np.array(automaton.noise.process_std) * rng.standard_normal(shape)
     seen = np.where(np.isfinite(automaton.noise.observation_std), automaton.noise.observation_std, np.nan)
-    return Chances(shifts, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
+    return Chances(objects, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> RollOuts:
     """Carry a trajectory out once per row of chances."""
     automaton, limits = problem.automaton, limits_of(problem)
-    objects = TransitionBatch(automaton, chances.shifts)
     trials, everyone = len(chances.starts), np.arange(len(chances.starts))
     index = [mode.name for mode in automaton.modes].index(trajectory.modes[0])
     modes, x = np.full(trials, index), chances.starts
@@ -87,7 +86,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> Roll
         for number in np.unique(believed):
             rows = believed == number
             u[rows] = limited_input(automaton.modes[number], estimate[rows], u[rows], limits.max_step)
-        modes, x = objects.step(modes, x, u, chances.process[step])
+        modes, x = chances.objects.step(modes, x, u, chances.process[step])
         beliefs = update(automaton, predict(automaton, beliefs, u), x + chances.observation[step])
     return RollOuts(modes, x, beliefs)
 

@@ -206,7 +206,7 @@ def _require_inputs(
         nlp.require(
             margins,
             [
-                Row(guess.mode, guess.first_knot + k, name, unit, low, np.inf)
+                Row(guess.mode, guess.first_knot + k, name, unit, low, np.inf, "input")
                 for k in range(guess.steps)
                 for name, unit, low in zip(names, units, lows, strict=True)
             ],
@@ -226,16 +226,16 @@ def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, p
     scales = ca.DM([phase.corridor[i].scale for i in uncertain])
     k = float(norm.ppf(settings.confidence))
 
-    def named(i: int, suffix: str) -> Row:
+    def named(i: int, suffix: str, spread: float | None = None) -> Row:
         row = phase.corridor[i]
-        unit = row_unit(problem.automaton, row.half_space)
-        return Row(guess.mode, guess.first_knot + row.step, row.name + suffix, unit, 0.0, np.inf)
+        place = guess.mode, guess.first_knot + row.step, row.name + suffix, row_unit(problem.automaton, row.half_space)
+        return Row(*place, 0.0, np.inf, "boundary", row.half_space, row.sign, spread)
 
     nlp.require(margins, [named(i, "") for i in range(len(phase.corridor))])
     if uncertain:
         spreads = ca.DM([phase.corridor[i].spread for i in uncertain])
         soft = margins[uncertain].T - k * _total_std(stds[uncertain].T, spreads) + scales * phase.slacks
-        nlp.require(soft, [named(i, f" at {settings.confidence:.0%}") for i in uncertain])
+        nlp.require(soft, [named(i, f" at {settings.confidence:.0%}", phase.corridor[i].spread) for i in uncertain])
         nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
 
 
@@ -277,8 +277,9 @@ def _join(
         name += "" if certain else f" at {problem.settings.confidence:.0%}"
         unit = row_unit(automaton, half_space)
         a = np.array(half_space.a)
-        std = _total_std(stds[i], a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2)
-        nlp.require(margins[i] - (0.0 if certain else k) * std, [Row(guess.mode, knot, name, unit, low, np.inf)])
+        spread = float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2)
+        row = Row(guess.mode, knot, name, unit, low, np.inf, "guard", half_space, 1.0, None if certain else spread)
+        nlp.require(margins[i] - (0.0 if certain else k) * _total_std(stds[i], spread), [row])
     by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
     last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)
     reset = edge.belief_reset.call([state[:n], _factor(state, n), ca.MX(u) if by_input else last])
@@ -298,7 +299,8 @@ def _add_goal(nlp: Transcription, problem: Problem) -> None:
         coordinate = automaton.coordinates[index]
         error = state[index] - value
         name = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
-        row = Row(last.mode, last.first_knot + last.steps, name, coordinate.unit, -tolerance, tolerance)
+        knot = last.first_knot + last.steps
+        row = Row(last.mode, knot, name, coordinate.unit, -tolerance, tolerance, "goal")
         nlp.require(error, [row])
         nlp.cost += settings.weight_goal * (error / tolerance) ** 2
         nlp.cost += settings.weight_covariance * ca.sumsqr(factor[index, :]) / tolerance**2

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.region import HalfSpace
+
 Floats = NDArray[np.float64]
+Kind = Literal["dynamics", "input", "boundary", "guard", "goal"]
 
 # Violations below this are the solver's own tolerance, not a message [in the unit of the row].
 NEGLIGIBLE = 1e-5
@@ -25,6 +29,9 @@ class Row:
         name: what must hold, e.g. ``"guard 'door >= 1.2' at 95 %"``.
         unit: of g; empty if none applies.
         lower, upper: bounds; infinite if open.
+        kind: what kind of thing it bounds.
+        half_space, sign: what is kept (+1) or kept out of (-1), for boundaries and guards.
+        spread: variance across it that adds to the belief's, where it is to hold at k-sigma; None elsewhere.
     """
 
     mode: str
@@ -33,6 +40,10 @@ class Row:
     unit: str
     lower: float
     upper: float
+    kind: Kind = "dynamics"
+    half_space: HalfSpace | None = None
+    sign: float = 1.0
+    spread: float | None = None
 
     def violation(self, value: float) -> float:
         """How far a value lies outside the bounds [unit of the row]; NaN counts as infinitely far."""
@@ -71,12 +82,39 @@ class RowNames:
 
     def worst(self, g: Floats, count: int = 3) -> list[str]:
         """Sentences for the worst violated rows, one per name and mode, worst first."""
+        return [self.rows[i].sentence(float(g[i])) for i in self.worst_indices(g, count)]
+
+    def worst_indices(self, g: Floats, count: int = 3) -> list[int]:
+        """The numbers of those rows."""
         violations = [row.violation(float(value)) for row, value in zip(self.rows, g, strict=True)]
         largest = max((v for v in violations if np.isfinite(v)), default=0.0)
         visible = max(NEGLIGIBLE, _VISIBLE_SHARE * largest)
-        sentences: dict[tuple[str, str], str] = {}
+        found: dict[tuple[str, str], int] = {}
         for i in sorted(range(len(violations)), key=lambda i: -violations[i]):
-            if violations[i] <= visible or len(sentences) >= count:
+            if violations[i] <= visible or len(found) >= count:
                 break
-            sentences.setdefault((self.rows[i].mode, self.rows[i].name), self.rows[i].sentence(float(g[i])))
-        return list(sentences.values())
+            found.setdefault((self.rows[i].mode, self.rows[i].name), i)
+        return list(found.values())
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A row that does not hold, and why.
+
+    Attributes:
+        row: which.
+        amount: by how much [unit of the row].
+        std: of the true margin, where the row is to hold at k-sigma; None elsewhere [unit of the row].
+        width: between this boundary and one that faces it at the same knot, if there is one [unit of the row].
+    """
+
+    row: Row
+    amount: float
+    std: float | None = None
+    width: float | None = None
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, as `Row.sentence` says it."""
+        value = self.row.lower - self.amount if np.isfinite(self.row.lower) else self.row.upper + self.amount
+        return self.row.sentence(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.transcription import Transcription, unpack
+from micah_plan.planning.transcription_rows import Row, Shortfall
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +48,7 @@ class BeliefPath:
         cost: of the result, slack included.
         message: what the solver said, and which boundaries are kept only in part; `unmet` tells why it is infeasible.
         iterations: of the solver.
+        in_part: the boundaries that are kept only in part, if it is feasible.
         modes: (K,) per knot; means: (K, n); factors: (K, n, n); inputs: (K-1, m); is_transition: (K-1,).
     """
 
@@ -59,6 +61,7 @@ class BeliefPath:
     factors: Floats
     inputs: Floats
     is_transition: NDArray[np.bool_]
+    in_part: tuple[Shortfall, ...] = ()
 
 
 def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
@@ -86,12 +89,13 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
     said = _STATUS.get(status, status.replace("_", " ").lower())
     feasible = bool(np.isfinite(cost).all()) and nlp.rows.largest_violation(rows) <= _FEASIBLE
     partly = _kept_in_part(nlp, problem, result) if feasible else []
-    message = "; ".join([said, *partly])
-    return _path(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
+    message = "; ".join([said, *(_in_part_text(shortfall, problem) for shortfall in partly)])
+    path = _path(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
+    return replace(path, in_part=tuple(partly))
 
 
-def unmet(nlp: Transcription, problem: Problem) -> list[str]:
-    """What stands in the way of an infeasible problem: the fewest rows to relax, with the amounts, in words.
+def unmet(nlp: Transcription, problem: Problem) -> list[Shortfall]:
+    """What stands in the way of an infeasible problem: the fewest rows to relax, with the amounts, worst first.
 
     Minimises the summed violation of guards, boundaries, inputs and goal while the dynamics hold ("elastic mode", Gill,
     Murray and Saunders, SIAM Review 2005). Empty if the solver finds no such point or no violation.
@@ -109,7 +113,7 @@ def unmet(nlp: Transcription, problem: Problem) -> list[str]:
     start = np.concatenate(nlp.w_start)
     rows = np.array(ca.Function("rows", [w], [g])(start), dtype=float).ravel()
     if not np.isfinite(rows).all():
-        return nlp.rows.worst(rows)
+        return [Shortfall(nlp.rows.rows[i], float("inf")) for i in nlp.rows.worst_indices(rows)]
     missing = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)[elastic]
     solver = ca.nlpsol("unmet", "ipopt", programme, _options(problem))
     free = np.full(len(elastic), np.inf)
@@ -122,7 +126,9 @@ def unmet(nlp: Transcription, problem: Problem) -> list[str]:
     )
     result = np.array(found["x"], dtype=float).ravel()[: len(start)]
     rows = np.array(ca.Function("rows", [w], [g])(result), dtype=float).ravel()
-    return nlp.rows.worst(np.where(lower < upper, rows, lower))
+    rows = np.where(lower < upper, rows, lower)
+    violated = ((nlp.rows.rows[i], rows[i]) for i in nlp.rows.worst_indices(rows))
+    return [_shortfall(nlp, problem, result, row, row.violation(float(value))) for row, value in violated]
 
 
 def _options(problem: Problem) -> dict[str, Any]:
@@ -154,18 +160,49 @@ def _blocks(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Fl
     return blocks
 
 
-def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[str]:
-    """For each boundary that does not hold at k-sigma somewhere: the knot where it is missed most."""
-    worst: dict[tuple[str, str], tuple[float, str]] = {}
+def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[Shortfall]:
+    """For each boundary that does not hold at k-sigma somewhere: where it is missed most."""
+    worst: dict[tuple[str, str], tuple[float, Row, float]] = {}
+    named = {(row.mode, row.knot, row.name): row for row in nlp.rows.rows if row.spread is not None}
+    suffix = f" at {problem.settings.confidence:.0%}"
     for phase, guess, (_, _, slacks) in zip(nlp.phases, nlp.guess, _blocks(nlp, values), strict=True):
         uncertain = [row for row in phase.corridor if row.uncertain]
         for row, slack in zip(uncertain, slacks.ravel(), strict=True):
             key = (guess.mode, row.name)
-            if slack > max(_VISIBLE_SLACK, worst.get(key, (0.0, ""))[0]):
-                knot = guess.first_knot + row.step
-                text = f"{row.name} holds with less than {problem.settings.confidence:.0%} around knot {knot}"
-                worst[key] = (float(slack), f"{text} in mode '{guess.mode}'")
-    return [text for _, text in worst.values()]
+            if slack > max(_VISIBLE_SLACK, worst[key][0] if key in worst else 0.0):
+                place = named[guess.mode, guess.first_knot + row.step, row.name + suffix]
+                worst[key] = (float(slack), place, float(slack) * row.scale)
+    return [_shortfall(nlp, problem, values, row, amount) for _, row, amount in worst.values()]
+
+
+def _in_part_text(shortfall: Shortfall, problem: Problem) -> str:
+    row, confidence = shortfall.row, f"{problem.settings.confidence:.0%}"
+    name = row.name.removesuffix(f" at {confidence}")
+    return f"{name} holds with less than {confidence} around knot {row.knot} in mode '{row.mode}'"
+
+
+def _shortfall(nlp: Transcription, problem: Problem, values: Floats, row: Row, amount: float) -> Shortfall:
+    """The row with what the belief of its knot makes of it."""
+    if row.spread is None or row.half_space is None:
+        return Shortfall(row, amount)
+    number = next(i for i, guess in enumerate(nlp.guess) if row.knot <= guess.first_knot + guess.steps)
+    states = _blocks(nlp, values)[number][0]
+    factor = unpack(states, problem.automaton.n)[1][row.knot - nlp.guess[number].first_knot]
+    std = float(np.sqrt(np.square(np.array(row.half_space.a) @ factor).sum() + row.spread))
+    others = [r for r in nlp.rows.rows if (r.mode, r.knot) == (row.mode, row.knot) and r.kind in ("boundary", "guard")]
+    widths = [width for width in (_width(row, other) for other in others) if width is not None]
+    return Shortfall(row, amount, std, min(widths, default=None))
+
+
+def _width(row: Row, other: Row) -> float | None:
+    """The width of the corridor between two boundaries, in the unit of the first; None if they do not face."""
+    if row.half_space is None or other.half_space is None:
+        return None
+    a, b = row.sign * np.array(row.half_space.a), other.sign * np.array(other.half_space.a)
+    size, other_size = float(np.linalg.norm(a)), float(np.linalg.norm(b))
+    if not np.allclose(a / size, -b / other_size, rtol=0.0, atol=1e-9):
+        return None
+    return -other.sign * other.half_space.c / other_size * size - row.sign * row.half_space.c
 
 
 def _path(

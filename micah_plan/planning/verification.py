@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from micah_plan.planning.plan import Plan
+from micah_plan.planning.obstacles import quantity
+from micah_plan.planning.plan import Obstacle, Plan
 from micah_plan.planning.problem import Goal, Problem
-from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +49,47 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {count} roll-outs ({share:.0%}) end in the goal, "
         f"fewer than the confidence {confidence:.0%} asks for; widen the tolerance, lower the confidence or the noise"
     )
-    return replace(answer, outcome="not_verified", reason=reason)
+    seen = _obstacles(problem, plan.mode_sequence, ends)
+    return replace(answer, outcome="not_verified", reason=reason, obstacles=(*plan.obstacles, *seen))
+
+
+def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list[Obstacle]:
+    """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
+    automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
+    found: list[tuple[float, Obstacle]] = []
+    names = [automaton.modes[i].name for i in ends.modes]
+    wrong = [name for name in names if goal.modes and name not in goal.modes]
+    if wrong:
+        share, other = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
+        wanted = " or ".join(goal.modes)
+        sentence = f"{share:.0%} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
+        remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
+        found.append((share, Obstacle("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
+    for index, value, tolerance in goal.target:
+        coordinate, distance = automaton.coordinates[index], np.abs(ends.states[:, index] - value)
+        share = float((distance > tolerance).mean())
+        need = float(np.quantile(distance, confidence))
+        if need <= tolerance:
+            continue
+        text, has = quantity(need, coordinate.unit), quantity(tolerance, coordinate.unit)
+        sentence = (
+            f"{share:.0%} of the roll-outs end outside of the goal for '{coordinate.name}': {confidence:.0%} of them "
+            f"need {text}, its tolerance is {has}"
+        )
+        remedy = f"widen the tolerance of '{coordinate.name}' to {text}, lower the noise, or lower `confidence`"
+        obstacle = Obstacle(
+            "verification",
+            sentence,
+            remedy,
+            modes,
+            constraint=f"the goal {coordinate.name} = {value:g} ± {tolerance:g}",
+            amount=need - tolerance,
+            room=tolerance,
+            need=need,
+            unit=coordinate.unit,
+        )
+        found.append((share, obstacle))
+    return [obstacle for _, obstacle in sorted(found, key=lambda pair: -pair[0])]
 
 
 def wilson_interval(successes: int, trials: int, coverage: float = INTERVAL) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.planning.plan import Outcome
+from micah_plan.planning.plan import Level, Outcome
 from micah_plan.spec.fields import Document, Line, Name, NonNegative
 
 PLAN_FORMAT = "micah-plan/plan/1"
@@ -18,6 +18,20 @@ class CandidateDocument(Document):
     search_cost: float = Field(description="Cost of its cheapest roadmap path.")
     cost: float | None = Field(description="Optimised cost; null if the optimisation failed.")
     message: str = Field(description="What became of it.")
+
+
+class ObstacleDocument(Document):
+    level: Level = Field(description="Where it was found.")
+    sentence: str = Field(description="What is wrong.")
+    remedy: str = Field(description="The nearest change that could help.")
+    modes: list[Name] = Field(description="The mode sequence that it is about; empty: all.")
+    mode: str = Field(description="The mode in it; may be empty.")
+    knot: Annotated[int, Field(ge=0)] | None = Field(description="The knot in it.")
+    constraint: str = Field(description="What does not hold.")
+    amount: float | None = Field(description="By how much [unit].")
+    room: float | None = Field(description="What there is [unit].")
+    need: float | None = Field(description="What is needed [unit].")
+    unit: str = Field(description="Of the three.")
 
 
 class TrajectoryDocument(Document):
@@ -48,6 +62,9 @@ class PlanDocument(Document):
     verification_trials: Annotated[int, Field(ge=0)] = Field(description="Number of roll-outs.")
     seed: int = Field(description="Seed of search and verification.")
     candidates: list[CandidateDocument] = Field(description="Mode sequences tried, cheapest search cost first.")
+    obstacles: list[ObstacleDocument] = Field(
+        default_factory=list, description="What stands in the way; of a solved plan, what it keeps only in part."
+    )
     trajectory: TrajectoryDocument | None = Field(description="Belief trajectory and feedback; null without a plan.")
     problem_file: Line = Field(description="Name of the problem file that was solved; empty if made in Python.")
     digests: dict[Name, Line] = Field(description="SHA-256 of the input files, by role.")

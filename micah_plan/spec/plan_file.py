@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from micah_plan import __version__
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes, replace_file
-from micah_plan.planning.plan import Candidate, Plan, Trajectory
+from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_data import model_data
@@ -148,6 +148,7 @@ def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
             }
             for candidate in plan.candidates
         ],
+        "obstacles": [{**asdict(obstacle), "modes": list(obstacle.modes)} for obstacle in plan.obstacles],
         "trajectory": None
         if trajectory is None
         else {
@@ -238,6 +239,7 @@ def _stored(located: Located) -> StoredPlan:
         success_interval=None
         if document.success_interval is None
         else (document.success_interval[0], document.success_interval[1]),
+        obstacles=tuple(Obstacle(**{**item.model_dump(), "modes": tuple(item.modes)}) for item in document.obstacles),
         verification_trials=document.verification_trials,
         seed=document.seed,
     )

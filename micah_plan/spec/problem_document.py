@@ -70,6 +70,10 @@ class PlannerDocument(Document):
     time_limit_s: Positive = Field(
         default=PlannerSettings.time_limit_s, description="Wall-clock limit of each optimisation [s]."
     )
+    solve_time_limit_s: Positive = Field(
+        default=PlannerSettings.solve_time_limit_s,
+        description="Wall-clock limit after which no further optimisation begins or goes on [s].",
+    )
     verification_trials: Count = Field(
         default=PlannerSettings.verification_trials, description="Roll-outs that check a plan."
     )

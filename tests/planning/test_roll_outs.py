@@ -48,7 +48,7 @@ def one_roll_out(
     """The scalar twin: the true mode and state at the end, and the belief."""
     automaton, limits = problem.automaton, limits_of(problem)
     certain = not threshold_stds(automaton).size
-    truth = automaton if certain else with_shifted_thresholds(automaton, chances.shifts[trial])
+    truth = automaton if certain else with_shifted_thresholds(automaton, chances.objects.shifts[trial])
     mode, x = trajectory.modes[0], chances.starts[trial]
     belief = scalar.initial_belief(automaton, problem.start.mean, problem.start.std, mode)
     for number, knot in enumerate(time_knots(trajectory)):
@@ -117,10 +117,10 @@ def test_the_seed_decides_and_starts_are_possible() -> None:
     trajectory = plan(problem).trajectory
     assert trajectory is not None
     first, again, other = (draw_chances(problem, trajectory, 50, seed) for seed in (1, 1, 2))
-    assert all(np.array_equal(getattr(first, key), getattr(again, key)) for key in vars(first))
+    assert all(np.array_equal(getattr(first, key), getattr(again, key)) for key in ("starts", "process", "observation"))
     assert not np.array_equal(first.process, other.process)
-    assert np.ptp(first.shifts) > 0.05
-    assert (first.starts[:, 0] < DOOR_SHUT + first.shifts[:, 0]).all()
+    assert np.ptp(first.objects.shifts) > 0.05
+    assert (first.starts[:, 0] < DOOR_SHUT + first.objects.shifts[:, 0]).all()
 
 
 def test_what_is_not_measured_stays_unknown() -> None:

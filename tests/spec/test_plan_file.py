@@ -17,7 +17,7 @@ from spec_automata import automata
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
-from micah_plan.planning.plan import Candidate, Plan, Trajectory
+from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.spec.plan_file import (
     StoredPlan,
@@ -70,6 +70,10 @@ def plan() -> Plan:
         7,
         {"total": 1.25, "search": 0.5},
         (0.957, 0.995),
+        (
+            Obstacle("optimisation", "too narrow", "widen it", ("revolute",), "revolute", 3, "x", 0.1, 0.2, 0.3, "m"),
+            Obstacle("search", "nothing connects", "look again"),
+        ),
     )
 
 
@@ -126,10 +130,10 @@ def test_the_folder_of_the_problem_file_does_not_matter(plan: Plan, problem: Pro
 
 def test_a_plan_of_a_version_that_knew_no_interval_is_read(plan: Plan, problem: Problem, tmp_path: Path) -> None:
     data = json.loads(plan_text(plan, problem))
-    del data["success_interval"], data["digest"]
+    del data["success_interval"], data["obstacles"], data["digest"]
     digest = hashlib.sha256(json.dumps(data, separators=(",", ":")).encode()).hexdigest()
     (tmp_path / "old.json").write_text(json.dumps({**data, "digest": digest}))
-    assert_same(load_plan(tmp_path / "old.json"), replace(plan, success_interval=None), problem)
+    assert_same(load_plan(tmp_path / "old.json"), replace(plan, success_interval=None, obstacles=()), problem)
 
 
 @pytest.mark.parametrize("outcome", ["no_plan", "not_verified"])

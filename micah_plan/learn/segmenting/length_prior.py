@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc, gammaincc
 
 from micah_plan.errors import InputError
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +26,12 @@ class LengthPrior:
 
     mean: float
     shape: float
+
+    @classmethod
+    def of_rows(cls, track: PartTrack, settings: LearnSettings) -> LengthPrior:
+        """The prior of segments of a track, in its rows."""
+        share = 0.5 if settings.mean_length is None else settings.mean_length / max(track.duration, 1e-12)
+        return cls(max(share * len(track), 1.0), settings.length_shape)
 
     def __post_init__(self) -> None:
         if not (self.mean > 0 and self.shape > 0):

@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _BLOCKS, _NOISE_BLOCKS, _FEWEST_BLOCKS = 320, 160, 8  # in which the length of the path is measured
-_MOST_SWEEPS = 4.0
+MOST_SWEEPS = 4.0
 _STD_PER_MAD = 1.4826
 _FINE_STRIDE = 0.02  # of the extent
 
@@ -47,7 +47,8 @@ def steps_of(track: PartTrack, inlier: Bools, resolution: int) -> Steps:
         resolution: steps while the part moves once through its range and back, or less far.
     """
     used = np.flatnonzero(inlier)
-    wanted = min(round(resolution * _sweeps(track.take(used))), len(used))
+    sweeps = float(np.clip(sweeps_of(track.take(used)), 1.0, MOST_SWEEPS))
+    wanted = min(round(resolution * sweeps), len(used))
     begins = np.unique(np.linspace(0, len(used), wanted, endpoint=False).astype(np.int64))
     first = np.append(used[begins], len(track))
     first[0] = 0
@@ -79,13 +80,13 @@ def averaged(track: PartTrack, inlier: Bools, first: Ints) -> PartTrack:
     return PartTrack(track.rows[middle], time, mean(track.position[used]), quaternion, action)
 
 
-def _sweeps(track: PartTrack) -> float:
-    """Path over that of once there and back, at least 1, of position or rotation, whichever is clearer."""
+def sweeps_of(track: PartTrack) -> float:
+    """Path over that of once there and back, of position or rotation, whichever is clearer."""
     channels = [track.position]
     if track.quaternion is not None:
         channels.append(2 * track.quaternion)
     found = [_clarity_and_sweeps(values) for values in channels]
-    return float(np.clip(max(found)[1], 1.0, _MOST_SWEEPS))
+    return max(found)[1]
 
 
 def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:

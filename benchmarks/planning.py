@@ -1,0 +1,159 @@
+"""Planning over all problems: times, cost, the true state at the end, and success predicted, observed and believed.
+
+    python benchmarks/planning.py [PROBLEM.yaml ...] [--trials 1000] [--executions 0] [--seed 0] [--json FILE]
+
+`predicted` is the success probability in the plan, from roll-outs of its own seed. `observed` is the share of fresh
+roll-outs with other seeds whose true state ends in the goal; goal error and std are of the true state in them.
+`believed` is the mean probability of the goal in the filters' last beliefs, which do not see the truth: if the belief
+is calibrated, it is what is observed. `executed` is the share in closed loop with poses, the stop rule and replanning
+on the nominal plant; it may exceed the others, because it goes on until the goal is believed reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.scoring import goal_probability
+from micah_plan.planning.explain import explain
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
+from micah_plan.spec.problem_file import load_problem
+from micah_plan.workflow import execute, solve
+
+ROOT = Path(__file__).resolve().parent.parent
+# Added to the seed for the observed roll-outs, so that none of the plan's own are counted again.
+FRESH = 10_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One problem; times in s, goal error (mean of the largest over the goal's coordinates) and std in their unit."""
+
+    problem: str
+    outcome: str
+    modes: str
+    search: float
+    build: float
+    optimise: float
+    verify: float
+    cost: float | None = None
+    goal_error: float | None = None
+    goal_std: float | None = None
+    predicted: float | None = None
+    observed: float | None = None
+    believed: float | None = None
+    executed: float | None = None
+    roll_out_seconds: float | None = None
+    reason: str = ""
+
+    @property
+    def difference(self) -> float | None:
+        return None if self.predicted is None or self.observed is None else self.observed - self.predicted
+
+
+def measure(path: Path, trials: int, executions: int, seed: int) -> Row:
+    """Solve a problem, and roll the plan out with fresh seeds."""
+    problem = load_problem(path)
+    plan = solve(problem, seed=seed)
+    times = plan.timings
+    basis = Row(
+        problem=path.stem,
+        outcome=plan.outcome,
+        modes=" > ".join(plan.mode_sequence),
+        search=times.get("search", 0.0),
+        build=times.get("build", 0.0),
+        optimise=times.get("optimise", 0.0),
+        verify=times.get("verify", 0.0),
+    )
+    if plan.trajectory is None:
+        obstacles = explain(problem, plan).obstacles
+        return replace(basis, reason=obstacles[0].sentence if obstacles else plan.reason)
+    begin = perf_counter()
+    ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
+    spent = perf_counter() - begin
+    error, std = goal_statistics(problem, ends)
+    return replace(
+        basis,
+        cost=plan.cost,
+        goal_error=error,
+        goal_std=std,
+        predicted=plan.success_probability,
+        observed=float(are_in_goal(problem, ends).mean()),
+        believed=believed_success(problem, ends),
+        executed=executed_success(problem, plan, executions, FRESH + seed),
+        roll_out_seconds=spent,
+    )
+
+
+def goal_statistics(problem: Problem, ends: RollOuts) -> tuple[float, float]:
+    """Mean of the largest true distance from the targets, and the largest std of a true goal coordinate."""
+    target = problem.goal.target
+    if not target:
+        return 0.0, 0.0
+    errors = np.abs(np.stack([ends.states[:, i] - value for i, value, _ in target]))
+    return float(errors.max(axis=0).mean()), float(max(ends.states[:, i].std() for i, _, _ in target))
+
+
+def believed_success(problem: Problem, ends: RollOuts) -> float:
+    """Mean probability of the goal in the last beliefs."""
+    beliefs = zip(ends.beliefs.weights, ends.beliefs.means, ends.beliefs.factors, strict=True)
+    return float(np.mean([goal_probability(problem.automaton, problem.goal, HybridBelief(*one)) for one in beliefs]))
+
+
+def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> float | None:
+    """Share of closed-loop executions on the nominal plant that end in the goal; None if there are none."""
+    if trials < 1 or plan.outcome != "solved":
+        return None
+    return execute(problem, plan, trials=trials, seed=seed).successes / trials
+
+
+def table(rows: Sequence[Row]) -> str:
+    """All problems, one line each."""
+    header = (
+        f"{'problem':18} {'outcome':13} {'search':>7} {'build':>7} {'optim.':>7} {'verify':>7} {'cost':>8} "
+        f"{'error':>8} {'std':>8} {'predicted':>10} {'observed':>9} {'believed':>9} {'executed':>9}"
+    )
+    lines = [header]
+    for row in rows:
+        times = " ".join(f"{t:7.3f}" for t in (row.search, row.build, row.optimise, row.verify))
+        shares = f"{_text(row.predicted, 10, 3)} {_text(row.observed, 9, 3)} {_text(row.believed, 9, 3)}"
+        numbers = f"{_text(row.cost, 8, 3)} {_text(row.goal_error, 8, 4)} {_text(row.goal_std, 8, 4)}"
+        lines.append(f"{row.problem:18} {row.outcome:13} {times} {numbers} {shares} {_text(row.executed, 9, 3)}")
+        lines += [f"{'':18} {row.reason}"] if row.reason else []
+    differences = [abs(row.difference) for row in rows if row.difference is not None]
+    if differences:
+        lines.append(f"largest difference of predicted and observed success: {max(differences):.3f}")
+    return "\n".join(lines)
+
+
+def _text(value: float | None, width: int, digits: int) -> str:
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Planning over all problems.")
+    parser.add_argument("problems", nargs="*", type=Path, help="default: all of problems/")
+    parser.add_argument("--trials", type=int, default=1000, help="fresh roll-outs per problem")
+    parser.add_argument("--executions", type=int, default=0, help="closed-loop executions per problem")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path, help="also write the rows to this file")
+    options = parser.parse_args()
+    paths = options.problems or sorted((ROOT / "problems").glob("*.yaml"))
+    rows = [measure(path, options.trials, options.executions, options.seed) for path in paths]
+    print(table(rows))
+    if options.json is not None:
+        content = [{**asdict(row), "difference": row.difference} for row in rows]
+        options.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""What stands in the way of a plan, with amounts and the nearest remedy; start and goal first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from micah_plan.automaton.ranges import coordinate_ranges, mode_interval
+from micah_plan.planning.plan import Level, Obstacle
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import LIMIT_ROOM, start_mode
+from micah_plan.planning.transcription_rows import Shortfall
+
+_LEAST_CONFIDENCE = 0.5
+_SHORT_M = 1.0
+
+
+def endpoint_obstacles(problem: Problem) -> tuple[Obstacle, ...]:
+    """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
+    start = _start_obstacle(problem)
+    return (start,) if start is not None else tuple(_goal_obstacles(problem))
+
+
+def obstacle_of_reason(level: Level, reason: str, modes: tuple[str, ...] = ()) -> Obstacle:
+    """An obstacle from a reason that ends with its remedy after a semicolon."""
+    sentence, _, remedy = reason.rpartition("; ")
+    return Obstacle(level, sentence or remedy, remedy if sentence else "", modes)
+
+
+def obstacle_of_status(modes: tuple[str, ...], status: str) -> Obstacle:
+    """An optimisation that failed although no constraint has to be broken."""
+    remedy = "raise time_limit_s, samples_per_mode or candidates, or try another seed"
+    return Obstacle("optimisation", f"the optimisation failed: {status}", remedy, modes)
+
+
+def obstacles_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Obstacle]:
+    """The obstacles of a mode sequence, in the order given; the two sides of one corridor are one."""
+    found: dict[tuple[object, ...], Obstacle] = {}
+    for number, shortfall in enumerate(shortfalls):
+        row = shortfall.row
+        side = number if shortfall.width is None else f"{shortfall.width:.9g}"
+        found.setdefault((row.mode, row.knot, side), obstacle_of(problem, modes, shortfall))
+    return list(found.values())
+
+
+def obstacle_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Obstacle:
+    """A constraint of the optimisation that does not hold, in the words of the user."""
+    row = shortfall.row
+    room = need = None
+    if shortfall.std is not None:
+        k = float(ndtri(problem.settings.confidence))
+        need = k * shortfall.std * (1 if shortfall.width is None else 2)
+        room = need - shortfall.amount if shortfall.width is None else shortfall.width
+    return Obstacle(
+        level="optimisation",
+        sentence=_sentence(problem, shortfall, room, need),
+        remedy=_remedy(problem, shortfall, room, need),
+        modes=modes,
+        mode=row.mode,
+        knot=row.knot,
+        constraint=row.name,
+        amount=float(shortfall.amount) if np.isfinite(shortfall.amount) else None,
+        room=room,
+        need=need,
+        unit=row.unit,
+    )
+
+
+def quantity(value: float, unit: str) -> str:
+    """A length below a metre in mm, anything else in its unit, with three digits."""
+    return f"{1e3 * value:.3g} mm" if unit == "m" and abs(value) < _SHORT_M else f"{value:.3g} {unit}".rstrip()
+
+
+def _sentence(problem: Problem, shortfall: Shortfall, room: float | None, need: float | None) -> str:
+    row, confidence = shortfall.row, f"{problem.settings.confidence:.0%}"
+    if room is None or need is None or row.half_space is None:
+        if not np.isfinite(shortfall.amount):
+            return f"{row.name} is not a number"
+        return f"{row.name} is missed by {quantity(shortfall.amount, row.unit)}"
+    needs = f"the belief needs {quantity(need, row.unit)} at {confidence}"
+    name = row.half_space.name
+    if shortfall.width is not None:
+        return f"the corridor at '{name}' is {quantity(room, row.unit)} wide, {needs}"
+    if row.kind == "guard":
+        reached = f"{quantity(room, row.unit)} past it" if room >= 0 else f"{quantity(-room, row.unit)} before it"
+        return f"the mean gets {reached} where the transition at '{name}' needs it {quantity(need, row.unit)} past it"
+    return f"the path has {quantity(room, row.unit)} to '{name}', {needs}"
+
+
+def _remedy(problem: Problem, shortfall: Shortfall, room: float | None, need: float | None) -> str:
+    row = shortfall.row
+    if room is None or need is None:
+        return _plain_remedy(problem, shortfall)
+    ways = ["lower the start's std or the noise"]
+    contact = [
+        edge.target
+        for edge in problem.automaton.edges_from(row.mode)
+        if row.sign < 0 and row.half_space in edge.guard.half_spaces
+    ]
+    ways += [f"allow contact with '{contact[0]}'"] if contact else []
+    # The confidence at which the room suffices, rounded down.
+    possible = int(100 * ndtr(ndtri(problem.settings.confidence) * room / need)) / 100 if need > 0 else 0.0
+    lower = possible > _LEAST_CONFIDENCE
+    ways.append(
+        f"lower `confidence` to {possible:.2f}" if lower else "make more room (no confidence above 0.5 suffices)"
+    )
+    return ", ".join(ways[:-1]) + f", or {ways[-1]}"
+
+
+def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
+    row, settings = shortfall.row, problem.settings
+    steps = f"raise max_knots (now {settings.max_knots}) or max_step"
+    if row.kind == "goal":
+        return f"widen the goal's tolerance to {quantity(row.upper + shortfall.amount, row.unit)}, or {steps}"
+    if row.kind == "input":
+        return "raise max_step, or correct the inputs that the model admits"
+    if row.kind == "boundary":
+        return f"move the goal or the start away from it, or {steps}"
+    return steps
+
+
+def _start_obstacle(problem: Problem) -> Obstacle | None:
+    """The start in no mode, or outside of its own: which coordinate is out of the nearest mode's range, and how far."""
+    automaton, start = problem.automaton, problem.start
+    mode, reason = start_mode(automaton, start)
+    if mode is not None:
+        return None
+    sentence, _, remedy = reason.rpartition("; ")
+    modes = [automaton.mode(start.mode)] if start.mode is not None else list(automaton.modes)
+    nearest = min(modes, key=lambda mode: max(_outside(problem, mode.name)))
+    outside = _outside(problem, nearest.name)
+    worst = int(np.argmax(outside))
+    if outside[worst] <= 0:  # it is out of a range that is not of one coordinate alone
+        return Obstacle("start", sentence, remedy, mode=nearest.name)
+    coordinate = automaton.coordinates[worst]
+    low, high = mode_interval(nearest, worst)
+    place = min(max(start.mean[worst], low), high)
+    return Obstacle(
+        "start",
+        f"{sentence}: it misses mode '{nearest.name}' by {quantity(outside[worst], coordinate.unit)}",
+        f"start {coordinate.name} at {place:.4g} {coordinate.unit}, or name the mode that the object is in",
+        mode=nearest.name,
+        constraint=f"{coordinate.name} in [{low:g}, {high:g}] {coordinate.unit}",
+        amount=outside[worst],
+        unit=coordinate.unit,
+    )
+
+
+def _outside(problem: Problem, mode: str) -> list[float]:
+    """How far each coordinate of the start's mean lies outside of a mode's range [its unit]; 0 inside."""
+    intervals = [mode_interval(problem.automaton.mode(mode), i) for i in range(problem.automaton.n)]
+    return [max(0.0, low - x, x - high) for x, (low, high) in zip(problem.start.mean, intervals, strict=True)]
+
+
+def _goal_obstacles(problem: Problem) -> list[Obstacle]:
+    """Targets that no mode (of those that the goal names) holds."""
+    goal, found = problem.goal, []
+    modes = [mode for mode in problem.automaton.modes if not goal.modes or mode.name in goal.modes]
+    for index, value, tolerance in goal.target:
+        coordinate, ranges = problem.automaton.coordinates[index], coordinate_ranges(index, modes)
+        if not ranges:
+            continue
+        nearest = min((min(max(value, low), high) for low, high in ranges), key=lambda x: abs(x - value))
+        missing = abs(nearest - value) - tolerance
+        room = LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
+        if missing > room:
+            unit = coordinate.unit
+            texts = " or ".join(f"[{low:g}, {high:g}]" for low, high in ranges)
+            found.append(
+                Obstacle(
+                    "goal",
+                    f"the goal {coordinate.name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} "
+                    f"by {quantity(missing, unit)}",
+                    f"move its target to {nearest:.4g} {unit}",
+                    constraint=f"{coordinate.name} in {texts} {unit}",
+                    amount=missing,
+                    unit=unit,
+                )
+            )
+    return found

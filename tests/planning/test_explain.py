@@ -1,0 +1,118 @@
+"""Explanations: the level, the place, the amount and a remedy that helps, checked by taking it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem, with_settings
+
+from micah_plan.planning.explain import explain
+from micah_plan.planning.obstacles import quantity
+from micah_plan.planning.plan import Obstacle, Plan
+from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.problem import Goal, Problem
+from micah_plan.planning.verification import verify
+from micah_plan.spec.problem_file import load_problem
+
+
+def first(problem: Problem) -> Obstacle:
+    found = plan(problem)
+    assert found.outcome == "no_plan"
+    return explain(problem, found).obstacles[0]
+
+
+def test_a_start_out_of_range_is_named_before_the_goal() -> None:
+    obstacle = first(door_problem(1.5, 2.0))
+    assert (obstacle.level, obstacle.unit) == ("start", "rad")
+    assert obstacle.amount == pytest.approx(0.3)
+    assert "it misses mode 'swings' by 0.3 rad" in obstacle.sentence
+    assert obstacle.remedy.startswith("start door at 1.2 rad")
+    assert plan(door_problem(1.2, 0.9)).outcome == "solved"
+
+
+def test_a_start_outside_of_its_named_mode_is_measured_against_that_mode() -> None:
+    obstacle = first(door_problem(0.3, 0.9, mode="shut"))
+    assert obstacle.mode == "shut"
+    assert obstacle.amount == pytest.approx(0.9)
+
+
+def test_a_goal_out_of_range_tells_how_far_and_where_the_range_ends() -> None:
+    obstacle = first(door_problem(0.2, 2.0))
+    assert obstacle.level == "goal"
+    assert obstacle.amount == pytest.approx(0.75)
+    assert obstacle.remedy == "move its target to 1.2 rad"
+    assert plan(door_problem(0.2, 1.2)).outcome == "solved"
+
+
+def test_the_search_names_the_guard() -> None:
+    obstacle = first(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1)))
+    assert obstacle.level == "search"
+    assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in obstacle.sentence
+    assert "raise max_step" in obstacle.remedy
+
+
+def test_too_few_knots_are_an_obstacle_of_the_optimisation() -> None:
+    obstacle = first(with_settings(door_problem(0.2, 0.9), max_knots=10))
+    assert (obstacle.level, obstacle.modes) == ("optimisation", ("swings",))
+    assert "needs at least 13 knots" in obstacle.sentence
+    assert plan(with_settings(door_problem(0.2, 0.9), max_knots=20)).outcome == "solved"
+
+
+def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository) -> None:  # type: ignore[no-untyped-def]
+    problem = load_problem(repository / "problems" / "slot_unsure.yaml")
+    found = plan(problem)
+    (obstacle,) = found.obstacles
+    assert (obstacle.level, obstacle.modes, obstacle.mode) == ("optimisation", ("table", "slot"), "table")
+    assert obstacle.room == pytest.approx(0.012)
+    assert obstacle.need is not None
+    assert obstacle.amount is not None
+    assert 0.012 < obstacle.need < 0.03
+    # Both sides together miss what the corridor lacks.
+    assert 0 < obstacle.amount <= obstacle.need - obstacle.room + 1e-6
+    assert "is 12 mm wide, the belief needs" in obstacle.sentence
+    confidence = float(obstacle.remedy.rpartition(" ")[2])
+    assert 0.5 < confidence < 0.95
+    assert plan(with_settings(problem, confidence=confidence - 0.02)).outcome == "solved"
+
+
+def test_roll_outs_that_miss_the_goal_say_what_tolerance_they_need() -> None:
+    problem = door_problem(0.2, 0.5, tolerance=0.004)
+    found = verify(problem, plan(problem), trials=400)
+    assert found.outcome == "not_verified"
+    obstacle = explain(problem, found).obstacles[0]
+    assert (obstacle.level, obstacle.room) == ("verification", 0.004)
+    assert obstacle.need is not None
+    wider = replace(problem, goal=Goal(((0, 0.5, obstacle.need),)))
+    share = verify(wider, found, trials=400).success_probability
+    assert share == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_time_limit_is_named_and_nothing_else_is_claimed() -> None:
+    for limits in ({"time_limit_s": 1e-3}, {"solve_time_limit_s": 1e-3}):
+        (obstacle, *_) = plan(with_settings(planar_problem(), **limits)).obstacles
+        assert next(iter(limits)) in obstacle.sentence
+        assert next(iter(limits)) in obstacle.remedy
+        assert obstacle.knot is None
+
+
+def test_a_solved_plan_is_told_as_solved() -> None:
+    problem = door_problem(0.2, 0.5)
+    told = explain(problem, verify(problem, plan(problem), trials=50))
+    assert (told.outcome, told.level) == ("solved", None)
+    assert told.lines[0].startswith("solved through swings, ")
+
+
+def test_a_plan_of_an_older_version_is_checked_again_or_says_that_it_cannot_tell() -> None:
+    old = Plan("no_plan", "reason of then")
+    assert explain(door_problem(0.2, 2.0), old).level == "goal"
+    told = explain(door_problem(0.2, 0.9), old)
+    assert told.level is None
+    assert "reason of then" in told.lines[0]
+    assert "solve the problem again" in told.lines[1]
+
+
+def test_short_lengths_are_in_millimetres() -> None:
+    assert [quantity(0.012, "m"), quantity(1.5, "m"), quantity(0.3, "rad"), quantity(2.0, "")] == [
+        "12 mm", "1.5 m", "0.3 rad", "2"
+    ]  # fmt: skip
