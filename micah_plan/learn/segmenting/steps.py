@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-_BLOCKS, _NOISE_BLOCKS, _FEWEST_BLOCKS = 320, 160, 8  # in which the length of the path is measured
+_BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
 MOST_SWEEPS = 4.0
 _STD_PER_MAD = 1.4826
 _FINE_STRIDE = 0.02  # of the extent
@@ -91,18 +91,16 @@ def sweeps_of(track: PartTrack) -> float:
 
 def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
     """Extent over noise, and path over there and back, of rows (n, k)."""
-    # Measured over times that do not depend on the rate: rows that were interpolated hide the noise between them.
-    values = _block_means(values, max(round(len(values) / _BLOCKS), 1))
-    lag = max(round(len(values) / _NOISE_BLOCKS), 1)
-    bends = values[lag:-lag] - 0.5 * (values[: -2 * lag] + values[2 * lag :])
+    bends = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     if len(bends) < 2:
         return 0.0, 1.0
     level = float(np.linalg.norm(_STD_PER_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(1.5)))
     extent = float(np.linalg.norm(np.ptp(values, axis=0)))
     # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
     fine = _FINE_STRIDE * max(extent, 1e-12)
-    window = int(np.clip(lag * (level / fine) ** 2, 1, max(len(values) / _FEWEST_BLOCKS, 1)))
-    means = _block_means(values, window)
+    window = int(np.clip((level / fine) ** 2, len(values) / _BLOCKS, max(len(values) / _FEWEST_BLOCKS, 1)))
+    begins = np.arange(0, len(values), max(window, 1))
+    means = np.add.reduceat(values, begins, axis=0) / np.diff(np.append(begins, len(values)))[:, None]
     anchor, path = means[0], 0.0
     for point in means[1:]:
         length = float(np.linalg.norm(point - anchor))
@@ -110,10 +108,3 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
             path, anchor = path + length, point
     reached = float(np.linalg.norm(np.ptp(means, axis=0)))
     return extent / max(level, 1e-12), 0.5 * path / max(reached, 1e-12)
-
-
-def _block_means(values: Floats, size: int) -> Floats:
-    """Means of neighbouring rows (n, k), `size` of them at a time."""
-    begins = np.arange(0, len(values), size)
-    sums = np.add.reduceat(values, begins, axis=0)
-    return np.asarray(sums / np.diff(np.append(begins, len(values)))[:, None])
