@@ -8,6 +8,7 @@ configuration, those of the moving joints count.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -41,7 +42,11 @@ def threshold_stds(automaton: HybridAutomaton) -> Floats:
 def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAutomaton:
     """The automaton with its uncertain boundaries moved by (b,) amounts, in the order of `threshold_stds`."""
     shifts = {boundary: float(shift) for boundary, shift in zip(_boundary_stds(automaton), by, strict=True)}
-    edges = tuple(replace(edge, guard=_moved(edge.guard, shifts)) for edge in automaton.edges)
+    guards = [_moved(edge.guard, shifts) for edge in automaton.edges]
+    edges = tuple(
+        edge if guard is edge.guard else replace(edge, guard=guard)
+        for edge, guard in zip(automaton.edges, guards, strict=True)
+    )
     modes = tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes)
     return replace(automaton, modes=modes, edges=edges)
 
@@ -66,11 +71,13 @@ def _boundary(half_space: HalfSpace) -> tuple[_Boundary, float]:
 
 
 def _moved(region: Region, shifts: dict[_Boundary, float]) -> Region:
+    """The region with its uncertain boundaries moved; itself if it has none."""
     rows = []
     for half_space in region.half_spaces:
         boundary, scale = _boundary(half_space)
-        rows.append(replace(half_space, c=half_space.c + scale * shifts.get(boundary, 0.0)))
-    return Region(tuple(rows))
+        known = boundary not in shifts
+        rows.append(half_space if known else replace(half_space, c=half_space.c + scale * shifts[boundary]))
+    return region if all(map(operator.is_, rows, region.half_spaces)) else Region(tuple(rows))
 
 
 def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[_Boundary, float]) -> Mode:
@@ -80,9 +87,12 @@ def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[_Boundary, 
         if edge.target == mode.name:
             for pin in automaton.pins_located_by(edge):
                 carried[pin.coordinate] = _shift_along(edge, pin.coordinate, shifts)
+    region = _moved(mode.invariant, shifts)
+    if not carried and region is mode.invariant:
+        return mode
     pins = tuple(replace(pin, value=pin.value + carried.get(pin.coordinate, 0.0)) for pin in mode.pins)
     rows = []
-    for before, after in zip(mode.invariant.half_spaces, _moved(mode.invariant, shifts).half_spaces, strict=True):
+    for before, after in zip(mode.invariant.half_spaces, region.half_spaces, strict=True):
         along = [i for i, weight in enumerate(before.a) if weight]
         # The range of a mode that is held at a boundary lies around it, though it does not end there.
         held = len(along) == 1 and after == before and not any(before.b)

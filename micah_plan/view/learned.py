@@ -198,7 +198,8 @@ def _traced(
 def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[Stretch]) -> tuple[ChangeBar, ...]:
     """Bars of the traced rows; where a start is known to the row, the finer bars of its posterior in their place."""
     apart, fine = _apart(traced), _apart(rows)
-    bars = [ChangeBar(float(row), float(p), apart) for row, p in zip(traced, posterior, strict=True)]
+    widths = np.gradient(traced.astype(float)) if len(traced) > 1 else np.ones(len(traced))
+    bars = [ChangeBar(*map(float, bar)) for bar in zip(traced, posterior, widths, strict=True)]
     for stretch in stretches:
         start = None if stretch.segment.certainty is None else stretch.segment.certainty.start
         if start is None or apart <= fine:

@@ -234,6 +234,10 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
         cost = "failed" if candidate.cost is None else f"cost {candidate.cost:.4g}"
         tried.append(f"{' → '.join(candidate.modes)}: {cost}. {candidate.message}")
     details = [("Mode sequences tried", tried)] if tried else []
+    obstacles = [f"{obstacle.sentence}. Remedy: {obstacle.remedy}" for obstacle in plan.obstacles]
+    if obstacles:
+        title = "Kept only in part" if plan.outcome == "solved" else "What stands in the way"
+        details.insert(0, (title, obstacles))
     start = [
         f"{c.name} = {quantity(mean, c.unit)}, σ {quantity(std, c.unit)}"
         for c, mean, std in zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)

@@ -16,7 +16,7 @@ from micah_plan.view.segments import is_misfit
 
 Floats = NDArray[np.float64]
 
-_ZOOM, _ZOOM_ON_LONG = 0.86, 0.74
+_ZOOM, _ZOOM_ON_FLAT = 0.86, 0.76
 _FAR = 2.5
 """A centre farther away than this many track sizes is not drawn: it would shrink the track to a dot."""
 
@@ -86,8 +86,8 @@ def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
     middle = (low + high) / 2
     low, high = middle - half, middle + half
     space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    # A long box reaches further to the sides than a cube of the same volume.
-    space.set_box_aspect(half, zoom=_ZOOM if float(np.median(half)) > 0.5 * float(half.max()) else _ZOOM_ON_LONG)
+    # A long or flat box reaches further to the sides than a cube of the same volume.
+    space.set_box_aspect(half, zoom=_ZOOM if float(half.min()) > 0.5 * float(half.max()) else _ZOOM_ON_FLAT)
     for axis, name, length in zip((space.xaxis, space.yaxis, space.zaxis), "xyz", half, strict=True):
         axis.set_label_text(f"{name}{frame} [m]", fontsize=9, color=INK)
         axis.labelpad = 3.0 if name == "z" else 3.0 + 6.0 * float(length / half.max())

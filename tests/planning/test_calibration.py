@@ -1,0 +1,26 @@
+"""A plan's success probability is what fresh roll-outs show, for every problem that the project ships."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.spec.problem_file import load_problem
+from micah_plan.workflow import solve
+
+PROBLEMS = sorted((Path(__file__).resolve().parents[2] / "problems").glob("*.yaml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", PROBLEMS, ids=lambda path: path.stem)
+def test_predicted_success_is_observed(path: Path) -> None:
+    problem = load_problem(path)
+    found = solve(problem)
+    if found.trajectory is None:
+        assert found.obstacles
+        return
+    ends = roll_out(problem, found.trajectory, draw_chances(problem, found.trajectory, 1000, seed=12345))
+    assert found.success_probability == pytest.approx(are_in_goal(problem, ends).mean(), abs=0.03)
+    assert found.outcome == "solved"
