@@ -18,6 +18,7 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 _SURE = 3.0  # stds by which a delay differs from none
+_DECISIVE = 10.0  # nats: actions are taken as recorded unless a delay explains the run far better
 _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
 
 
@@ -42,7 +43,7 @@ def learn_acted_run(
     step = track.duration / settings.resolution
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
         again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng, learned)
-        if again.posterior.log_evidence > learned.posterior.log_evidence:
+        if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
             return again, _channel(again, track) or channel
     return learned, channel
 
