@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 4
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
+_SAME_ROWS = 0.6  # of the rows of either
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,18 +179,30 @@ def kind_probabilities(
     Args:
         free: log odds of free motion against all segments together [nats].
     """
-    table = found.table
-    names = table.pool.hypotheses.joints.kinds
+    table, pieces = found.table, found.segmentation.pieces
+    names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
+    governed = np.zeros(len(found.track), dtype=bool)
     sums = np.zeros(len(names))
-    rows = 0
-    for piece in found.segmentation.pieces:
+    for piece in pieces:
         if piece.hypothesis == hypothesis:
             known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
             sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
-            rows += len(known)
-    held = bool(table.pool.moving[[piece.hypothesis for piece in found.segmentation.pieces]].any())
-    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(rows)), held)
-    best = np.array([max((sums[i] for i, name in enumerate(names) if name == kind), default=-np.inf) for kind in kinds])
+            governed[piece.start : piece.end + 1] = True
+    elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
+    held = bool(moving[elsewhere].any() or moving[hypothesis])
+    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
+    # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
+    beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
+    sums -= ANOTHER_JOINT * (moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere))
+    sums -= ANOTHER_JOINT * (~moving & any(not moving[one] for one in beside - {hypothesis}))
+    # Rivals are those fitted to much the same rows: others were paid for by other rows.
+    used = table.pool.hypotheses.used
+    shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
+    rival = shared_rows >= _SAME_ROWS
+    rival[hypothesis] = True
+    best = np.array(
+        [max((sums[i] for i, name in enumerate(names) if name == kind and rival[i]), default=-np.inf) for kind in kinds]
+    )
     share = np.exp(best - best.max())
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
