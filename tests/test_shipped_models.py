@@ -14,6 +14,7 @@ from micah_plan.spec.problem_file import load_problem
 
 OBJECTS = ("microwave", "drawer", "cabinet")
 PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))
+WITHOUT_A_PLAN = "slot_unsure.yaml"  # on purpose: it shows what `explain` says
 
 
 def thresholds(automaton):
@@ -72,7 +73,7 @@ def test_the_learned_cabinet_is_the_true_cabinet(repository):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", [name for name in PROBLEMS if name != WITHOUT_A_PLAN])
 def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_physics(repository, name):
     pytest.importorskip("mujoco", reason="plans are executed in MuJoCo (extra 'sim')")
     problem = load_problem(repository / "problems" / name)

@@ -18,10 +18,13 @@ from micah_plan.learn.segmenting.pool_fits import parameter_design
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
 _RARE = 4.6  # nats: one in a hundred joints is a screw
+_STILL = 10.0  # nats: a joint along which nothing moved beyond noise is no joint
+_BLOCKS, _TRAVEL = 8, 7.0  # in which the rows are averaged to see so; a motion, in the noise of these means
 # Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
 _WIDTHS = np.array([1.0] * 12 + [0.1])
 
@@ -49,7 +52,8 @@ def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float
     information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    return np.asarray(far + _RARE * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
+    rare = _RARE * joints.twisting + _STILL * _rests(pool)
+    return np.asarray(far + rare + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
 
 
 def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
@@ -76,6 +80,21 @@ def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floa
         missed = np.einsum("jd,jd->j", missed_by, np.linalg.solve(prior, missed_by[..., None])[..., 0])
         result[i] = min(result[i], float(np.min(0.5 * (size + missed))))
     return result
+
+
+def _rests(pool: Pool) -> Bools:
+    """(h,) moving joints along which the part moved no further, over the rows they were fitted to, than noise does."""
+    used = pool.hypotheses.used
+    block = np.minimum(
+        _BLOCKS * (np.cumsum(used, axis=1) - 1) // np.maximum(used.sum(axis=1, keepdims=True), 1), _BLOCKS - 1
+    )
+    inside = used[:, None] & (block[:, None] == np.arange(_BLOCKS)[:, None])
+    count = inside.sum(axis=2)
+    means = (inside * pool.seen.configuration[:, None]).sum(axis=2) / np.maximum(count, 1)
+    means = np.where(count > 0, means, means[:, :1])
+    length = used.sum(axis=1) / _BLOCKS
+    noise = np.sqrt(pool.white / np.maximum(length, 1) + pool.renewed * length / 3)
+    return np.asarray(pool.moving & (np.ptp(means, axis=1) < _TRAVEL * noise))
 
 
 def parameter_count(kind: JointKind, has_orientation: bool) -> int:

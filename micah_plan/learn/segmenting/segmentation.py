@@ -26,7 +26,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _MOST_ROUNDS = 3
-_MOST_PROPOSALS = 4
+_MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 _SAME_ROWS = 0.6  # of the rows of either
