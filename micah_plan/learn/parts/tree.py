@@ -36,7 +36,7 @@ The edges returned are learned from measured poses, as a later observer measures
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -173,7 +173,7 @@ class _Pairs:
                 # How many pairs will be needed is not known before; the base's are the first of all.
                 self._progress(message, min(0.95, len(self._learned) / (parts * (parts + 1))))
             relative = relative_rows(self.recording, branch[-1], child, poses)
-            self._learned[key] = None if relative is None else PairEdge(relative, self._learn_pair(relative.recording))
+            self._learned[key] = None if relative is None else PairEdge(relative, self._learn_pair(_telling(relative)))
         return self._learned[key]
 
     def _along(self, branch: tuple[str, ...]) -> RigidTransform:
@@ -185,6 +185,12 @@ class _Pairs:
             pair = self.on_branch(branch[:-1], branch[-1])
             self._poses[branch] = poses if pair is None else branch_poses(pair.edge, pair.relative, poses)
         return self._poses[branch]
+
+
+def _telling(relative: RelativeRows) -> Recording:
+    """What is learned from: an action is relative to the measured pose, so beside no motion it is measurement noise."""
+    still = relative.parent != BASE and not moves_far(relative.recording)
+    return replace(relative.recording, action=None) if still else relative.recording
 
 
 def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
