@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
-from micah_plan.learn.segmenting.changepoints import Piece, Segmentation, most_probable
+from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
 from micah_plan.learn.segmenting.evidence import TRUST, EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
@@ -27,7 +27,7 @@ from micah_plan.learn.segmenting.occam import parameter_count
 from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses, windows
 from micah_plan.learn.segmenting.running_evidence import RunningEvidence
 from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
-from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
+from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, merged
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -205,7 +205,7 @@ def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentat
     rigid = [not moving[piece.hypothesis] for piece in found.pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
     log_probability = found.log_probability - float(cost) - (further + jumps) * ANOTHER_JOINT
-    return Segmentation(_merged(found.pieces), log_probability)
+    return Segmentation(merged(found.pieces), log_probability)
 
 
 def _paid(table: EvidenceTable, owner: Ints, first: int, prior: LengthPrior) -> EvidenceTable:
@@ -249,14 +249,3 @@ def _errors(segmentation: Segmentation, table: EvidenceTable) -> Floats:
 def _which(segmentation: Segmentation) -> Ints:
     """(n,) hypothesis that explains each step."""
     return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in segmentation.pieces])
-
-
-def _merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
-    """Neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
-    merged: list[Piece] = []
-    for piece in pieces:
-        if merged and merged[-1].hypothesis == piece.hypothesis:
-            before = merged.pop()
-            piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
-        merged.append(piece)
-    return tuple(merged)

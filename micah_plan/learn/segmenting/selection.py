@@ -48,7 +48,7 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT
-    return Segmentation(_merged(found.pieces), found.log_probability - float(cost))
+    return Segmentation(merged(found.pieces), found.log_probability - float(cost))
 
 
 def _fewest(
@@ -77,12 +77,12 @@ def _promising(table: EvidenceTable) -> list[int]:
     return [int(i) for i in np.argsort(-totals, kind="stable")[:_PROMISING]]
 
 
-def _merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
+def merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
     """Neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
-    merged: list[Piece] = []
+    joined: list[Piece] = []
     for piece in pieces:
-        if merged and merged[-1].hypothesis == piece.hypothesis:
-            before = merged.pop()
+        if joined and joined[-1].hypothesis == piece.hypothesis:
+            before = joined.pop()
             piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
-        merged.append(piece)
-    return tuple(merged)
+        joined.append(piece)
+    return tuple(joined)
