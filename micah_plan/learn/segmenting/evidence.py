@@ -141,7 +141,7 @@ class EvidenceColumn:
 
 
 class ExactEvidence:
-    """Evidence of all segments of a track, given out row by row as a stream's is.
+    """Evidence of all segments of a track, given out row by row as a stream's is: the reference for both recursions.
 
     Args:
         table: densities; every segment pays for the parameters of its joint.
