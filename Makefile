@@ -10,7 +10,7 @@ demo: $(BIN)/python  ## learn -> solve -> execute -> page, on a demonstration th
 
 test: $(BIN)/python  ## the quick test suite
 	$(BIN)/python -m pip install '.[sim,test]'
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 $(BIN)/python:
 	$(PYTHON) -m venv .venv
