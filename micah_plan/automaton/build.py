@@ -98,7 +98,7 @@ def build_automaton(
         parts=_parts(graph, parts),
         modes=tuple(_mode(chains, choice, names, admissible, joined) for choice in product),
         edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
-        noise=noise or Noise(*(tuple(stds) for stds in zip(*map(_noise, moving), strict=True))),
+        noise=noise or _noise_of(moving),
         provenance=dict(provenance or {}),
         learned=learned_edges(graph),
     )
@@ -216,6 +216,12 @@ def _noise(edge: KinematicEdge) -> tuple[float, float]:
     process = np.average([segment.process_std**2 for segment in moving], weights=rows)
     observation = np.average([segment.observation_std**2 for segment in moving], weights=rows)
     return max(float(np.sqrt(process)), SMALLEST_STD), max(float(np.sqrt(observation)), SMALLEST_STD)
+
+
+def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
+    """The same of all edges, by coordinate."""
+    process, observation = zip(*map(_noise, moving), strict=True)
+    return Noise(process, observation)
 
 
 def _parts(graph: KinematicGraph, given: Sequence[Part]) -> tuple[Part, ...]:

@@ -39,13 +39,13 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
     """
     yield (), partial(_check_names, automaton)
     yield ("links",), partial(_check_links, automaton)
+    yield ("noise",), partial(_check_noise, automaton)
     for mode in automaton.modes:
         yield ("modes", mode.name), partial(_check_mode, automaton, mode)
     for i, edge in enumerate(automaton.edges):
         yield ("edges", i), partial(_check_edge, automaton, edge)
     for i, (name, region) in enumerate(automaton.init):
         yield ("init", i, "mode"), partial(_check_init, automaton, name, region)
-    yield ("noise",), partial(_check_noise, automaton)
     for mode in automaton.modes:
         for pin in mode.pins:
             name = automaton.coordinates[pin.coordinate].name
@@ -115,6 +115,17 @@ def _check_mode(automaton: HybridAutomaton, mode: Mode) -> None:
             raise InputError(f"{where}: B must have a zero row for the pinned coordinate {name}")
         if not (math.isfinite(pin.value) and math.isfinite(pin.std) and pin.std > 0):
             raise InputError(f"{where}: a pin must have a finite value and a std > 0. Got {pin.value}, {pin.std}")
+    for coordinate, std in mode.observation_std:
+        if not 0 <= coordinate < n:
+            raise InputError(f"{where}: measured coordinate must be 0 to {n - 1}. Got {coordinate}")
+        # Likelihoods of modes can be compared only if all of them explain the same measured values.
+        if not (math.isfinite(std) and std > 0 and math.isfinite(automaton.noise.observation_std[coordinate])):
+            name = automaton.coordinates[coordinate].name
+            everywhere = automaton.noise.observation_std[coordinate]
+            raise InputError(
+                f"{where}: observation_std of {name} must be a finite number > 0, here and in the model's noise. "
+                f"Got {std} and {everywhere}"
+            )
 
 
 def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
@@ -146,6 +157,13 @@ def _check_noise(automaton: HybridAutomaton) -> None:
         raise InputError(f"noise: process_std must be {n} finite numbers >= 0. Got {shown(list(process))}")
     if len(observation) != n or not all(std > 0 for std in observation):
         raise InputError(f"noise: observation_std must be {n} numbers > 0. Got {shown(list(observation))}")
+    light = automaton.noise.light
+    if light is None:
+        return
+    if not light.at or not all(0 <= i < n and math.isfinite(value) for i, value in light.at):
+        raise InputError(f"noise: a light must be at finite values of coordinates 0 to {n - 1}. Got {shown(light.at)}")
+    if len(light.growth) != n or not all(math.isfinite(growth) and growth >= 0 for growth in light.growth):
+        raise InputError(f"noise: growth of a light must be {n} finite numbers >= 0. Got {shown(list(light.growth))}")
 
 
 def _check_shape(matrix: Sequence[Sequence[float]], rows: int, columns: int, where: str) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
 Floats = NDArray[np.float64]
@@ -122,6 +123,8 @@ class Mode:
         invariant: I(q), where the mode's dynamics hold.
         inputs: φ(q, x), the admissible inputs.
         pins: coordinates that the mode holds fixed.
+        observation_std: (coordinate, std) of what the mode measures in its own way, wherever it is [rad or m]; the rest
+            is measured as the model's noise says.
     """
 
     name: str
@@ -130,6 +133,7 @@ class Mode:
     invariant: Region = field(default_factory=Region)
     inputs: Region = field(default_factory=Region)
     pins: tuple[Pin, ...] = ()
+    observation_std: tuple[tuple[int, float], ...] = ()
 
     @cached_property
     def B(self) -> Floats:  # noqa: N802 (the mathematics calls it B)
@@ -174,11 +178,13 @@ class Noise:
 
     Attributes:
         process_std: (n,) of the step that the dynamics leave unexplained [rad or m, per step].
-        observation_std: (n,) of one measurement of the configuration [rad or m].
+        observation_std: (n,) of one measurement of the configuration [rad or m], in modes that state none of their own.
+        light: where sensing is best; away from it `observation_std` grows. None: it is the same everywhere.
     """
 
     process_std: tuple[float, ...]
     observation_std: tuple[float, ...]
+    light: Light | None = None
 
 
 @dataclass(frozen=True)
@@ -246,6 +252,14 @@ class HybridAutomaton:
         """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that the mode holds."""
         held = {pin.coordinate for pin in mode.pins}
         return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
+
+    def sensing(self, mode: Mode) -> Sensing:
+        """How a mode measures: what it states itself, and else the model's noise, with its light."""
+        std, light = list(self.noise.observation_std), self.noise.light
+        growth = [0.0] * self.n if light is None else list(light.growth)
+        for i, own in mode.observation_std:
+            std[i], growth[i] = own, 0.0
+        return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
         """The target's pins on coordinates that the edge's guard constrains: the guard is where they are held."""

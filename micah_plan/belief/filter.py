@@ -81,8 +81,9 @@ def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> H
 def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> HybridBelief:
     """The belief after measuring z (n,), NaN where there is no measurement.
 
-    Mode weights move by the likelihood. A mode's state lies outside the guards that leave it, else it would have left:
-    the mean is brought back if the measurement drew it behind one, and the likelihood counts only the part outside.
+    Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
+    mode's state lies outside the guards that leave it, else it would have left: the mean is brought back if the
+    measurement drew it behind one, and the likelihood counts only the part outside.
     """
     measured = np.asarray(z, dtype=float)
     if measured.shape != (automaton.n,):
@@ -93,7 +94,7 @@ def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> Hy
     scores = np.full(len(automaton.modes), -np.inf)
     for index, mode in enumerate(automaton.modes):
         before = belief.means[index], belief.factors[index]
-        mean, factor, score = gaussian.update(*before, measured, automaton.noise.observation_std)
+        mean, factor, score = gaussian.update(*before, measured, automaton.sensing(mode).std_at(before[0]))
         for weights, offset in guard_limits(automaton.edges_from(mode.name)):
             score -= truncate(*before, weights, offset)[0]
             outside, inward, narrowed = truncate(mean, factor, weights, offset)

@@ -97,7 +97,7 @@ class PlanFollower:
         number = belief.most_likely
         away = belief.means[number] - self._trajectory.means[knot]
         planned, actual = self._trajectory.factors[knot], belief.factors[number]
-        measured = np.square(self._automaton.noise.observation_std)
+        measured = np.square(self._automaton.sensing(self._automaton.modes[number]).std_at(belief.means[number]))
         covariance = planned @ planned.T + actual @ actual.T + np.diag(np.where(np.isfinite(measured), measured, 0.0))
         distance = float(away @ np.linalg.pinv(covariance) @ away)
         return distance > float(chi2.isf(_OFF_PLAN_PROBABILITY, away.size))

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, jacobian
 from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.execution.pose import chain, components, moving_joints
+from micah_plan.execution.pose import carried, chain, components, moving_joints
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.planning.problem import Start
 from micah_plan.planning.start_state import sample_start
 
 Floats = NDArray[np.float64]
+
+# Std [rad] beyond which an orientation is not measured at all: of a slide that is seen to metres only.
+_MOST_ROTATION = 0.5
 
 
 class NominalPlant:
@@ -25,7 +29,8 @@ class NominalPlant:
     Thresholds are drawn at every reset, as well as the model knows them.
 
     Pose noise is white in position and rotation, in the ratio in which the inverse kinematics weighs them, and of such
-    a size that the configuration found from it has the model's `observation_std`.
+    a size that the configuration found from it has the std that the model states for the true mode and place. The pose
+    of a part that another one carries is measured relative to that one.
     """
 
     def __init__(self, automaton: HybridAutomaton, start: Start, control_period: float = 0.5) -> None:
@@ -76,23 +81,32 @@ class NominalPlant:
     def _measure(self, elapsed: float) -> Measurement:
         if self._tracker is None:  # reset creates it before measuring
             raise RuntimeError("measure before reset")
-        position, quaternion = self._tracker.measure(*self._poses(), elapsed)
-        return Measurement(self._time, position, quaternion)
+        automaton = self.automaton
+        joints = moving_joints(automaton, self._mode)
+        relative = [forward(j, self._x[link.coordinate])[0] for j, link in zip(joints, automaton.links, strict=True)]
+        sensing = automaton.sensing(automaton.mode(self._mode))
+        noise = pose_noise(automaton, sensing.std_at(self._x))
+        position, quaternion = self._tracker.measure(*components(relative), elapsed, noise)
+        seen = [
+            RigidTransform.from_components(p, Rotation.from_quat(q)) for p, q in zip(position, quaternion, strict=True)
+        ]
+        return Measurement(self._time, *components(carried(automaton, seen)))
 
 
-def pose_noise(automaton: HybridAutomaton) -> TrackerNoise:
-    """The white pose noise that shows as the model's `observation_std` in each link's configuration.
+def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None) -> TrackerNoise:
+    """The white pose noise that shows as `observation_std` (n,; None: the model's) in each link's configuration.
 
     The inverse kinematics is the least-squares fit of position p and rotation L r (L the rotation length), so noise of
     std s in p and s / L in r gives a configuration of std s / |J|, J the Jacobian with its rotation scaled by L.
     """
+    std = np.array(automaton.noise.observation_std) if observation_std is None else observation_std
     of_coordinate = np.zeros(automaton.n)
     joints = moving_joints(automaton, automaton.modes[0].name)
     for number, link in measuring_links(automaton):
         scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
         # An unmoving part has no configuration; its noise is that of a slide.
         sensitivity = float(np.linalg.norm(scaled)) or 1.0
-        of_coordinate[link.coordinate] = automaton.noise.observation_std[link.coordinate] * sensitivity
+        of_coordinate[link.coordinate] = std[link.coordinate] * sensitivity
     # A part fixed to another is seen as well as that one.
-    position = [of_coordinate[link.coordinate] for link in automaton.links]
-    return TrackerNoise(np.array(position), np.array(position) / ROTATION_LENGTH)
+    position = np.array([of_coordinate[link.coordinate] for link in automaton.links])
+    return TrackerNoise(position, np.minimum(position / ROTATION_LENGTH, _MOST_ROTATION))

@@ -41,9 +41,14 @@ def moving_joints(automaton: HybridAutomaton, mode: str) -> tuple[Joint, ...]:
 
 def chain(automaton: HybridAutomaton, joints: Sequence[Joint], x: Floats) -> tuple[RigidTransform, ...]:
     """Pose of each link's child in the base frame, for one joint per link and x (n,)."""
+    relative = [forward(joint, x[link.coordinate])[0] for link, joint in zip(automaton.links, joints, strict=True)]
+    return carried(automaton, relative)
+
+
+def carried(automaton: HybridAutomaton, relative: Sequence[RigidTransform]) -> tuple[RigidTransform, ...]:
+    """Pose of each link's child in the base frame, from its pose relative to its parent."""
     poses: dict[str, RigidTransform] = {}
-    for link, joint in zip(automaton.links, joints, strict=True):
-        pose = forward(joint, x[link.coordinate])[0]
+    for link, pose in zip(automaton.links, relative, strict=True):
         poses[link.child] = poses[link.parent] * pose if link.parent in poses else pose
     return tuple(poses[link.child] for link in automaton.links)
 

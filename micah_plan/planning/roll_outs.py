@@ -34,7 +34,9 @@ class Chances:
     Attributes:
         objects: t of them, with the boundaries where they truly are.
         starts: (t, n) true states at first [rad or m].
-        process, observation: (T, t, n) noise of the steps and of the measurements [rad or m]; NaN: not measured.
+        process: (T, t, n) noise of the steps [rad or m].
+        observation: (T, t, n) noise of the measurements in standard deviations, which depend on mode and place; NaN:
+            not measured.
     """
 
     objects: TransitionBatch
@@ -67,7 +69,7 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     drawn = [draw_state(one := objects.object(i), one.mode(name), problem.start, rng) for i in range(trials)]
     shape = (time_knots(trajectory).size, trials, automaton.n)
     process = np.array(automaton.noise.process_std) * rng.standard_normal(shape)
-    seen = np.where(np.isfinite(automaton.noise.observation_std), automaton.noise.observation_std, np.nan)
+    seen = np.where(np.isfinite(automaton.noise.observation_std), 1.0, np.nan)
     return Chances(objects, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
 
 
@@ -87,8 +89,19 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> Roll
             rows = believed == number
             u[rows] = limited_input(automaton.modes[number], estimate[rows], u[rows], limits.max_step)
         modes, x = chances.objects.step(modes, x, u, chances.process[step])
-        beliefs = update(automaton, predict(automaton, beliefs, u), x + chances.observation[step])
+        measured = x + measurement_std(problem, modes, x) * chances.observation[step]
+        beliefs = update(automaton, predict(automaton, beliefs, u), measured)
     return RollOuts(modes, x, beliefs)
+
+
+def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
+    """(t, n) std of a measurement in the true modes (t,), by index, and states (t, n)."""
+    automaton, stds = problem.automaton, np.empty_like(x)
+    for index in np.unique(modes):
+        chosen = modes == index
+        stds[chosen] = automaton.sensing(automaton.modes[index]).std_at(x[chosen])
+    # What is not measured has NaN for noise; infinity times a number would do, but for zero.
+    return np.asarray(np.where(np.isfinite(stds), stds, 1.0))
 
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:

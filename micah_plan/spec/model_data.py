@@ -10,6 +10,7 @@ import numpy as np
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Part, Primitive, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.errors import InputError
 from micah_plan.spec.expressions import Variables, affine_text, canonical_name, half_space_text, parse_affine
 from micah_plan.spec.learned_values import learned_comments, learned_data
@@ -43,6 +44,7 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         "noise": {
             "process_std": _by_name(names.coordinates, automaton.noise.process_std),
             "observation_std": _by_name(names.coordinates, automaton.noise.observation_std),
+            **light_data(automaton.noise.light, names.coordinates),
         },
         "modes": _unique((mode.name, _mode(mode, automaton, names)) for mode in automaton.modes),
         "transitions": [_transition(edge, names) for edge in automaton.edges],
@@ -96,6 +98,14 @@ def _by_name(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     return dict(zip(names, _floats(values), strict=True))
 
 
+def light_data(light: Light | None, names: Sequence[str]) -> dict[str, Any]:
+    """The entry of a light in a noise section; none without a light."""
+    if light is None:
+        return {}
+    place = _unique((names[i], float(value)) for i, value in light.at)
+    return {"light": {"at": place, "growth": _by_name(names, light.growth)}}
+
+
 def _without_defaults(data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in data.items() if key not in defaults or value != defaults[key]}
 
@@ -141,6 +151,8 @@ def _mode(mode: Mode, automaton: HybridAutomaton, names: Variables) -> dict[str,
         data["pins"] = _unique(
             (names.coordinates[pin.coordinate], {"value": float(pin.value), "std": float(pin.std)}) for pin in mode.pins
         )
+    if mode.observation_std:
+        data["observation_std"] = _unique((names.coordinates[i], float(std)) for i, std in mode.observation_std)
     return data
 
 

@@ -86,6 +86,11 @@ class ModeDocument(Document):
     pins: dict[Name, PinDocument] = Field(
         default_factory=dict, description="Coordinates that the mode holds fixed, e.g. by a latch."
     )
+    observation_std: dict[Name, Positive] = Field(
+        default_factory=dict,
+        description="Std of one measurement in this mode, of coordinates that it measures in its own way, wherever it "
+        "is [rad or m]; default: as under `noise`.",
+    )
 
 
 class MatricesDocument(Document):
@@ -112,12 +117,25 @@ class TransitionDocument(Document):
     )
 
 
+class LightDocument(Document):
+    at: Annotated[dict[Name, float], Field(min_length=1)] = Field(
+        description="The place, by coordinate [rad or m]; a coordinate that is left out does not count."
+    )
+    growth: dict[Name, NonNegative] = Field(
+        description="Std that a measurement of a coordinate gains per unit of distance from there: its variance is "
+        "observation_std² + (growth · distance)²."
+    )
+
+
 class NoiseDocument(Document):
     process_std: dict[Name, NonNegative] = Field(
         description="Std of what the dynamics leave unexplained, by coordinate [rad or m, per step]."
     )
     observation_std: dict[Name, Positive] = Field(
         description="Std of one measurement of the configuration, by coordinate [rad or m]."
+    )
+    light: LightDocument | None = Field(
+        default=None, description="Where measurements are best; default: they are the same everywhere."
     )
 
 

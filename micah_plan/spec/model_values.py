@@ -21,6 +21,7 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.errors import InputError, shown
 from micah_plan.spec.expressions import Affine, Variables, parse_affine, parse_half_space
 from micah_plan.spec.learned_values import learned_of
@@ -28,6 +29,7 @@ from micah_plan.spec.located import KeyPath, Located
 from micah_plan.spec.model_document import (
     CovarianceDocument,
     JointDocument,
+    LightDocument,
     MatricesDocument,
     ModeDocument,
     ModelDocument,
@@ -85,6 +87,21 @@ def by_name(
     if missing:
         raise located.error(path, f"missing value of {what} {', '.join(map(repr, missing))}", "give every one a value")
     return [values[name] for name in names]
+
+
+def light_of(light: LightDocument | None, names: Sequence[str], located: Located, path: KeyPath) -> Light | None:
+    """The light that a file describes; a coordinate without growth gains nothing.
+
+    Raises:
+        InputError: for an unknown name.
+    """
+    if light is None:
+        return None
+    for name in light.at:
+        if name not in names:
+            raise located.unknown((*path, "at", name), "coordinate", name, names)
+    growth = by_name({**dict.fromkeys(names, 0.0), **light.growth}, names, "coordinate", located, (*path, "growth"))
+    return Light(tuple((names.index(name), value) for name, value in light.at.items()), tuple(growth))
 
 
 class _Builder:
@@ -159,7 +176,9 @@ class _Builder:
         noise, names = self._document.noise, self._names.coordinates
         process = by_name(noise.process_std, names, "coordinate", self._located, ("noise", "process_std"))
         observation = by_name(noise.observation_std, names, "coordinate", self._located, ("noise", "observation_std"))
-        return Noise(tuple(process), tuple(observation))
+        return Noise(
+            tuple(process), tuple(observation), light_of(noise.light, names, self._located, ("noise", "light"))
+        )
 
     def _mode(self, name: str, mode: ModeDocument) -> Mode:
         path: KeyPath = ("modes", name)
@@ -180,6 +199,10 @@ class _Builder:
             invariant=region_of(mode.invariant, self._names, self._located, (*path, "invariant")),
             inputs=region_of(mode.inputs, self._names, self._located, (*path, "inputs")),
             pins=tuple(pins),
+            observation_std=tuple(
+                (self._index(coordinate, (*path, "observation_std", coordinate)), std)
+                for coordinate, std in mode.observation_std.items()
+            ),
         )
 
     def _affine(self, text: str, path: KeyPath) -> Affine:

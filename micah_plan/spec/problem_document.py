@@ -8,6 +8,7 @@ from pydantic import Field
 
 from micah_plan.planning.problem import PlannerSettings
 from micah_plan.spec.fields import Document, Line, Name, NonNegative, Positive
+from micah_plan.spec.model_document import LightDocument
 
 PROBLEM_FORMAT = "micah-plan/problem/1"
 Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
@@ -40,6 +41,9 @@ class ProblemNoiseDocument(Document):
     )
     observation_std: dict[Name, Positive] = Field(
         default_factory=dict, description="Std of one measurement of the configuration [rad or m]."
+    )
+    light: LightDocument | None = Field(
+        default=None, description="Where measurements are best, instead of the model's."
     )
 
 

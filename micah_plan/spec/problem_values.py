@@ -9,7 +9,7 @@ from typing import Any
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.spec.located import Located
-from micah_plan.spec.model_values import by_name
+from micah_plan.spec.model_values import by_name, light_of
 from micah_plan.spec.problem_document import PROBLEM_FORMAT, GoalDocument, ProblemDocument, StartDocument
 
 
@@ -78,7 +78,8 @@ def _noise(document: ProblemDocument, automaton: HybridAutomaton, located: Locat
         own: Mapping[str, float] = getattr(document.noise, key)
         everything = {**dict(zip(names, getattr(automaton.noise, key), strict=True)), **own}
         values[key] = tuple(by_name(everything, names, "coordinate", located, ("noise", key)))
-    return Noise(**values)
+    own_light = light_of(document.noise.light, names, located, ("noise", "light"))
+    return Noise(**values, light=automaton.noise.light if own_light is None else own_light)
 
 
 def _start(start: StartDocument, automaton: HybridAutomaton, located: Located) -> Start:

@@ -20,7 +20,8 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import Region
-from micah_plan.symbolic.square_root import add_noise, hold, lower_factor, norm, observe
+from micah_plan.automaton.sensing import Sensing
+from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +35,11 @@ class CompiledMode:
         inputs: (x, u) -> margins (k, 1) of the admissible inputs; rows named by `input_names`; k may be 0.
         invariant_belief: (mean, factor, u) -> (margin, std), each (k, 1): std is that of the margin, ||L'a||.
         observation: x -> z (n, 1).
+        observation_std: x -> std (n, 1) of a measurement there; infinite: not measured.
         predict: (mean, factor, u) -> (mean, factor): flow and process noise.
         update: (mean, factor, z) -> (mean, factor, log_likelihood): the EKF measurement update.
         belief_step: (mean, factor, u) -> (mean_next, factor_next): predict, then update with the most likely
-            observation.
+            observation, as precise as one is at the predicted mean.
         condition: (mean, factor) -> (mean, factor): given that the mode holds its pins.
     """
 
@@ -47,6 +49,7 @@ class CompiledMode:
     inputs: ca.Function
     invariant_belief: ca.Function
     observation: ca.Function
+    observation_std: ca.Function
     predict: ca.Function
     update: ca.Function
     belief_step: ca.Function
@@ -114,11 +117,11 @@ def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
 
 
 def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
-    stds = automaton.noise.observation_std
+    sensing = automaton.sensing(mode)
     flowed = s.x + ca.mtimes(ca.DM(mode.B), s.u)
     spread = add_noise(s.factor, automaton.free_process_std(mode))
-    updated = _update(s.x, s.factor, stds, s.z)
-    stepped = _update(flowed, spread, stds, None)
+    updated = _update(s.x, s.factor, _std_at(sensing, s.x), s.z)
+    stepped = _update(flowed, spread, _std_at(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)
     belief = [s.x, s.factor, s.u]
     names = ["mean", "factor"]
@@ -129,6 +132,7 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         inputs=_margins("inputs", mode.inputs, s),
         invariant_belief=_margins_of_belief("invariant_belief", mode.invariant, s),
         observation=ca.Function("observation", [s.x], [s.x], ["x"], ["z"]),
+        observation_std=ca.Function("observation_std", [s.x], [ca.vertcat(*_std_at(sensing, s.x))], ["x"], ["std"]),
         predict=ca.Function("predict", belief, [flowed, spread], [*names, "u"], ["mean_next", "factor_next"]),
         update=ca.Function(
             "update", [s.x, s.factor, s.z], list(updated), [*names, "z"], ["mean_next", "factor_next", "log_likelihood"]
@@ -173,11 +177,21 @@ def _margin_rows(region: Region, s: _Symbols) -> ca.SX:
     return ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
 
 
-def _update(mean: ca.SX, factor: ca.SX, stds: tuple[float, ...], z: ca.SX | None) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _std_at(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:
+    """Std of a measurement of each coordinate at x: numbers where it is the same everywhere."""
+    squared = ca.sumsqr(ca.vertcat(*[x[i] - value for i, value in sensing.at])) if sensing.at else ca.SX(0)
+    # A floor keeps the square root differentiable at a light whose own std is tiny.
+    return [
+        std if growth == 0.0 or not np.isfinite(std) else ca.sqrt(max(std, SMALLEST_STD) ** 2 + growth**2 * squared)
+        for std, growth in zip(sensing.std, sensing.growth, strict=True)
+    ]
+
+
+def _update(mean: ca.SX, factor: ca.SX, stds: list[float | ca.SX], z: ca.SX | None) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Sequential scalar updates, exact because the observation noise is diagonal; infinite std: not observed."""
     log_likelihood = ca.SX(0)
     for index, std in enumerate(stds):
-        if not np.isfinite(std):
+        if not isinstance(std, ca.SX) and not np.isfinite(std):
             continue
         seen = observe(mean, factor, index, std, None if z is None else z[index])
         mean, factor = seen.mean, seen.factor

@@ -70,14 +70,14 @@ def add_noise(factor: ca.SX, std: tuple[float, ...]) -> ca.SX:
     return _lower(columns, n)
 
 
-def observe(mean: ca.SX, factor: ca.SX, index: int, std: float, value: ca.SX | float | None) -> Observed:
+def observe(mean: ca.SX, factor: ca.SX, index: int, std: float | ca.SX, value: ca.SX | float | None) -> Observed:
     """Condition on a measurement of coordinate `index` with that std; value None: the most likely one.
 
     With v the coordinate's row of L and α = v'v + std², the posterior factor is L chol(I - v v'/α), and that Cholesky
     factor is known in closed form: partial sums of v² from the last entry to the first (Carlson 1973).
     """
     n = factor.shape[0]
-    noise = max(std, SMALLEST_STD)
+    noise = std if isinstance(std, ca.SX) else max(std, SMALLEST_STD)
     sums: list[ca.SX] = [ca.SX(0)] * (index + 2)
     sums[index + 1] = ca.SX(noise**2)
     for j in range(index, -1, -1):

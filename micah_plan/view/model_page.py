@@ -191,6 +191,15 @@ def _facts(automaton: HybridAutomaton) -> list[tuple[str, str]]:
     ):
         facts.append((f"{coordinate.name}: σ per step", quantity(process, coordinate.unit)))
         facts.append((f"{coordinate.name}: σ measured", quantity(observation, coordinate.unit)))
+    for mode in automaton.modes:
+        for i, std in mode.observation_std:
+            name, unit = automaton.coordinates[i].name, automaton.coordinates[i].unit
+            facts.append((f"{name}: σ measured in {mode.name}", quantity(std, unit)))
+    light = automaton.noise.light
+    if light is not None:
+        places = [f"{automaton.coordinates[i].name} = {value:g}" for i, value in light.at]
+        grows = [f"{c.name} {g:g}" for c, g in zip(automaton.coordinates, light.growth, strict=True) if g]
+        facts.append((f"σ measured grows away from {', '.join(places)} by", f"{', '.join(grows)} per unit"))
     return facts
 
 

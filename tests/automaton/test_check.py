@@ -14,6 +14,7 @@ from micah_plan.automaton.check import check_automaton, is_empty
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.errors import InputError
 
 IN = guard(([1], [0], 0.0))
@@ -96,6 +97,19 @@ MISTAKES = {
     "noise: process_std must be 1 finite numbers >= 0. Got [-0.1]": replace(door(), noise=Noise((-0.1,), (0.1,))),
     "noise: observation_std must be 1 numbers > 0. Got [0.0]": replace(door(), noise=Noise((0.1,), (0.0,))),
     "noise: observation_std must be 1 numbers > 0. Got [0.1, 0.1]": replace(door(), noise=Noise((0.1,), (0.1, 0.1))),
+    "mode rigid: measured coordinate must be 0 to 0. Got 1": shut(observation_std=((1, 0.1),)),
+    "mode rigid: observation_std of door must be a finite number > 0, here and in the model's noise. Got 0.0 and": shut(
+        observation_std=((0, 0.0),)
+    ),
+    "mode rigid: observation_std of door must be a finite number > 0, here and in the model's noise. Got 0.1 and inf": (
+        replace(shut(observation_std=((0, 0.1),)), noise=Noise((0.1,), (float("inf"),)))
+    ),
+    "noise: a light must be at finite values of coordinates 0 to 0. Got ()": replace(
+        door(), noise=Noise((0.1,), (0.1,), Light((), (0.1,)))
+    ),
+    "noise: growth of a light must be 1 finite numbers >= 0. Got [-1.0]": replace(
+        door(), noise=Noise((0.1,), (0.1,), Light(((0, 0.0),), (-1.0,)))
+    ),
 }
 
 

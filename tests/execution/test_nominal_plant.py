@@ -1,17 +1,44 @@
 """The nominal plant is the automaton, and its tracker is as precise as the model says."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
 
 from micah_plan.automaton.hybrid import Noise
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command, configuration
 from micah_plan.planning.problem import Start
+from micah_plan.spec.model_file import load_model
+
+MODELS = Path(__file__).parents[2] / "models"
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "std"), [("swinging", 0.2, 0.05), ("swinging", 0.6, 0.29), ("shut", SHUT, 0.002)]
+)
+def test_measurements_are_as_noisy_as_the_mode_and_the_place_say(name, start, std):
+    own = tuple(replace(m, observation_std=((0, 0.002),)) if m.name == "shut" else m for m in door().modes)
+    automaton = replace(door(), modes=own, noise=Noise((0.0,), (0.05,), Light(((0, 0.2),), (0.7,))))
+    plant = NominalPlant(automaton, Start((start,), (0.0,), name))
+    rng = np.random.default_rng(4)
+    poses = [plant.reset(rng) for _ in range(800)]
+    found = [configuration(automaton, name, p.position, p.quaternion, np.array([start]))[0] for p in poses]
+    assert np.std(found) == pytest.approx(std, rel=0.1)
+
+
+def test_a_part_that_another_one_carries_is_measured_relative_to_it():
+    automaton = replace(load_model(MODELS / "slot.yaml"), noise=Noise((0.0, 0.0), (20.0, 1.0)))
+    plant = NominalPlant(automaton, Start((-0.1, 0.04), (1e-9, 1e-9), "table"))
+    rng = np.random.default_rng(4)
+    poses = [plant.reset(rng) for _ in range(800)]
+    found = [configuration(automaton, "table", p.position, p.quaternion, np.zeros(2)) for p in poses]
+    assert np.std(found, axis=0) == pytest.approx([20.0, 1.0], rel=0.1)
 
 
 def quiet(automaton):

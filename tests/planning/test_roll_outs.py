@@ -17,6 +17,7 @@ from planning_examples import (
 )
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as scalar
@@ -58,7 +59,8 @@ def one_roll_out(
         after = step(truth, mode, x, u, chances.process[number, trial])
         mode, x = after.mode, after.x
         predicted = scalar.predict(automaton, belief, u)
-        belief = scalar.update(automaton, predicted, x + chances.observation[number, trial])
+        std = automaton.sensing(automaton.mode(mode)).std_at(x)
+        belief = scalar.update(automaton, predicted, x + std * chances.observation[number, trial])
     return mode, x, belief
 
 
@@ -76,6 +78,15 @@ def thrown_back() -> Problem:
     return door_problem(1.0, DOOR_SHUT, automaton=automaton, goal_modes=("shut",), tolerance=0.4)
 
 
+def lit_door() -> Problem:
+    """A door that is seen best at 0.7 rad, and precisely once it is shut."""
+    automaton = noisy(door_automaton(), 0.01, 0.02)
+    shut = replace(automaton.mode("shut"), observation_std=((0, 0.003),))
+    light = Light(((0, 0.7),), (0.2,))
+    automaton = replace(automaton, modes=(automaton.modes[0], shut), noise=replace(automaton.noise, light=light))
+    return door_problem(0.9, DOOR_SHUT, automaton=automaton, goal_modes=("shut",))
+
+
 PROBLEMS = {
     "latching": door_problem(0.9, DOOR_SHUT, automaton=noisy(door_automaton(), 0.01, 0.02), goal_modes=("shut",)),
     "unlatching": door_problem(DOOR_SHUT, 0.9, mode="shut"),
@@ -83,6 +94,7 @@ PROBLEMS = {
     "a gate of two half-spaces": planar_problem(),
     "a wide belief at a threshold": crossing_back_and_forth(),
     "a reset": thrown_back(),
+    "sensing by mode and place": lit_door(),
     "thresholds that are not certain": door_problem(
         0.9, DOOR_SHUT, automaton=blurred(door_automaton(pin_std=0.04), 0.04), goal_modes=("shut",), tolerance=0.2
     ),

@@ -21,6 +21,7 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import JOINT_KINDS, Joint, ParameterCovariance, prismatic, revolute, rigid, screw
 from micah_plan.automaton.learned import LearnedEdge, LearnedSegment
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
 MODERATE = st.floats(-1e3, 1e3)
@@ -94,7 +95,14 @@ def modes(draw: st.DrawFn, name: str, links: int, n: int, m: int) -> Mode:
         draw(regions(n, m)),
         draw(regions(n, m)),
         tuple(Pin(i, draw(NUMBERS), draw(st.floats(0, 10))) for i in pinned),
+        tuple((i, draw(STDS)) for i in draw(st.lists(st.integers(0, n - 1), unique=True, max_size=n))),
     )
+
+
+@st.composite
+def lights(draw: st.DrawFn, n: int) -> Light:
+    places = draw(st.lists(st.integers(0, n - 1), unique=True, min_size=1, max_size=n))
+    return Light(tuple((i, draw(NUMBERS)) for i in places), draw(st.tuples(*[st.floats(0, 10)] * n)))
 
 
 @st.composite
@@ -160,7 +168,7 @@ def automata(draw: st.DrawFn) -> HybridAutomaton:
         tuple(Part(p, tuple(draw(st.lists(SHAPES, max_size=2))), draw(st.none() | VECTORS)) for p in described),
         tuple(draw(modes(name, len(links), n, m)) for name in names),
         tuple(draw(st.lists(edge, max_size=3))),
-        Noise(draw(st.tuples(*[st.floats(0, 10)] * n)), draw(st.tuples(*[STDS] * n))),
+        Noise(draw(st.tuples(*[st.floats(0, 10)] * n)), draw(st.tuples(*[STDS] * n)), draw(st.none() | lights(n))),
         tuple(draw(st.lists(st.tuples(st.sampled_from(names), regions(n, m)), max_size=2))),
         draw(st.dictionaries(NAMES, TEXTS, max_size=3)),
         tuple(draw(st.lists(learned(links), max_size=2))),

@@ -72,7 +72,7 @@ def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> Belie
         if not owner.size:
             continue
         before = beliefs.means[owner, index], beliefs.factors[owner, index]
-        mean, factor, score = gaussian.update(*before, z[owner], automaton.noise.observation_std)
+        mean, factor, score = gaussian.update(*before, z[owner], automaton.sensing(mode).std_at(before[0]))
         for weights, offset in guard_limits(automaton.edges_from(mode.name)):
             score = score - truncate(*before, weights, offset)[0]
             outside, inward, narrowed = truncate(mean, factor, weights, offset)

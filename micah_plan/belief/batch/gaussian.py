@@ -26,14 +26,18 @@ def lower_factors(matrices: Floats) -> Floats:
 
 
 def update(means: Floats, factors: Floats, z: Floats, observation_std: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Means, factors and log likelihoods (p,) after measuring z (p, n), columns NaN where there is no measurement."""
-    std = np.asarray(observation_std, dtype=float)
-    seen = np.flatnonzero(np.isfinite(z).all(axis=0) & np.isfinite(std))
+    """Means, factors and log likelihoods (p,) after measuring z (p, n), columns NaN where there is no measurement.
+
+    Args:
+        observation_std: (n,) the same for all, or (p, n); infinite in a column that is not measured.
+    """
+    std = np.broadcast_to(np.asarray(observation_std, dtype=float), means.shape)
+    seen = np.flatnonzero(np.isfinite(z).all(axis=0) & np.isfinite(std).all(axis=0))
     if not seen.size:
         return means, factors, np.zeros(len(means))
     count, n, k = *means.shape, seen.size
     joint = np.zeros((count, k + n, k + n))
-    joint[:, :k, :k] = np.diag(np.maximum(std[seen], SMALLEST_STD))
+    joint[:, np.arange(k), np.arange(k)] = np.maximum(std[:, seen], SMALLEST_STD)
     joint[:, :k, k:], joint[:, k:, k:] = factors[:, seen], factors
     array = lower_factors(joint)
     root, gain_root, posterior = array[:, :k, :k], array[:, k:, :k], array[:, k:, k:]
