@@ -1,6 +1,9 @@
-"""Planning over all problems: times, cost, the true state at the end, and success predicted, observed and believed.
+"""Planning over all problems by all planners: times, cost, the true state at the end, success predicted and observed.
 
-    python benchmarks/planning.py [PROBLEM.yaml ...] [--trials 1000] [--executions 0] [--seed 0] [--json FILE]
+    python benchmarks/planning.py [PROBLEM.yaml ...] [--planners pomdp-hd direct rrt] [--trials 1000] [--executions 0]
+                                  [--seed 0] [--json FILE]
+
+`cost` is what POMDP-HD minimises (goal error, final variance, effort), computed alike for all planners.
 
 `predicted` is the success probability in the plan, from roll-outs of its own seed. `observed` is the share of fresh
 roll-outs with other seeds whose true state ends in the goal; goal error and std are of the true state in them.
@@ -17,14 +20,17 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import get_args
 
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.scoring import goal_probability
 from micah_plan.planning.explain import explain
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.nominal import cost_of
 from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Problem
+from micah_plan.planning.problem import Method, Problem
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.spec.problem_file import load_problem
 from micah_plan.workflow import execute, solve
@@ -39,6 +45,7 @@ class Row:
     """One problem; times in s, goal error (mean of the largest over the goal's coordinates) and std in their unit."""
 
     problem: str
+    planner: str
     outcome: str
     modes: str
     search: float
@@ -60,13 +67,14 @@ class Row:
         return None if self.predicted is None or self.observed is None else self.observed - self.predicted
 
 
-def measure(path: Path, trials: int, executions: int, seed: int) -> Row:
-    """Solve a problem, and roll the plan out with fresh seeds."""
-    problem = load_problem(path)
+def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -> Row:
+    """Solve a problem by a planner, and roll the plan out with fresh seeds."""
+    problem = load_problem(path, {"planner.method": planner})
     plan = solve(problem, seed=seed)
     times = plan.timings
     basis = Row(
         problem=path.stem,
+        planner=planner,
         outcome=plan.outcome,
         modes=" > ".join(plan.mode_sequence),
         search=times.get("search", 0.0),
@@ -83,7 +91,7 @@ def measure(path: Path, trials: int, executions: int, seed: int) -> Row:
     error, std = goal_statistics(problem, ends)
     return replace(
         basis,
-        cost=plan.cost,
+        cost=cost_of(problem, limits_of(problem), plan.trajectory),
         goal_error=error,
         goal_std=std,
         predicted=plan.success_probability,
@@ -119,15 +127,17 @@ def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> fl
 def table(rows: Sequence[Row]) -> str:
     """All problems, one line each."""
     header = (
-        f"{'problem':18} {'outcome':13} {'search':>7} {'build':>7} {'optim.':>7} {'verify':>7} {'cost':>8} "
-        f"{'error':>8} {'std':>8} {'predicted':>10} {'observed':>9} {'believed':>9} {'executed':>9}"
+        f"{'problem':18} {'planner':9} {'outcome':13} {'search':>7} {'build':>7} {'optim.':>7} {'verify':>7} "
+        f"{'cost':>8} {'error':>8} {'std':>8} {'predicted':>10} {'observed':>9} {'believed':>9} {'executed':>9}"
     )
     lines = [header]
     for row in rows:
         times = " ".join(f"{t:7.3f}" for t in (row.search, row.build, row.optimise, row.verify))
         shares = f"{_text(row.predicted, 10, 3)} {_text(row.observed, 9, 3)} {_text(row.believed, 9, 3)}"
         numbers = f"{_text(row.cost, 8, 3)} {_text(row.goal_error, 8, 4)} {_text(row.goal_std, 8, 4)}"
-        lines.append(f"{row.problem:18} {row.outcome:13} {times} {numbers} {shares} {_text(row.executed, 9, 3)}")
+        lines.append(
+            f"{row.problem:18} {row.planner:9} {row.outcome:13} {times} {numbers} {shares} {_text(row.executed, 9, 3)}"
+        )
         lines += [f"{'':18} {row.reason}"] if row.reason else []
     differences = [abs(row.difference) for row in rows if row.difference is not None]
     if differences:
@@ -146,9 +156,15 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=0, help="closed-loop executions per problem")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="also write the rows to this file")
+    planners = list(get_args(Method))
+    parser.add_argument("--planners", nargs="*", choices=planners, default=planners)
     options = parser.parse_args()
     paths = options.problems or sorted((ROOT / "problems").glob("*.yaml"))
-    rows = [measure(path, options.trials, options.executions, options.seed) for path in paths]
+    rows = [
+        measure(path, planner, options.trials, options.executions, options.seed)
+        for path in paths
+        for planner in options.planners
+    ]
     print(table(rows))
     if options.json is not None:
         content = [{**asdict(row), "difference": row.difference} for row in rows]

@@ -58,6 +58,7 @@ class PlantName(StrEnum):
     MUJOCO = "mujoco"
 
 
+PlannerName = StrEnum("PlannerName", {"POMDP_HD": "pomdp-hd", "DIRECT": "direct", "RRT": "rrt"})
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 Seed = Annotated[
     int, typer.Option("--seed", min=0, help="Seed of everything random; the same seed gives the same bytes.")
@@ -176,6 +177,7 @@ def solve(
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
+    planner: Annotated[PlannerName | None, typer.Option(help="Planner, if not as in the problem.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -188,7 +190,8 @@ def solve(
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
     check_outputs((problem, model), outputs)
-    overrides = None if model is None else {"model": str(model.resolve())}
+    overrides = {} if model is None else {"model": str(model.resolve())}
+    overrides |= {} if planner is None else {"planner.method": planner.value}
     asked = load_problem(problem, overrides)
     with _progress(as_json) as progress:
         plan = workflow.solve(asked, seed=seed, progress=progress)

@@ -20,6 +20,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.planning.plan import Plan
+from micah_plan.planning.problem import Method as PlanningMethod
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
 
@@ -119,15 +120,14 @@ def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, 
 
 
 def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) -> Plan:
-    """Plan with POMDP-HD and check the plan by rolling out the true hybrid system from sampled states.
+    """Plan by the settings' method and check the plan by rolling out the true hybrid system from sampled states.
 
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
-    from micah_plan.planning.pomdp_hd import plan
     from micah_plan.planning.verification import verify
 
-    found = plan(problem, seed=seed, progress=progress)
+    found = _planner(problem.settings.method)(problem, seed=seed, progress=progress)
     if found.trajectory is None:
         return found
     begin = time.perf_counter()
@@ -135,6 +135,17 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     spent = time.perf_counter() - begin
     timings = {**found.timings, "verify": spent, "total": found.timings["total"] + spent}
     return dataclasses.replace(verified, timings=timings)
+
+
+def _planner(method: PlanningMethod) -> Callable[..., Plan]:
+    """The planner of that name, loaded only now: each brings a heavy library along."""
+    if method == "direct":
+        from micah_plan.planning.direct import plan
+    elif method == "rrt":
+        from micah_plan.planning.kinodynamic_rrt import plan
+    else:
+        from micah_plan.planning.pomdp_hd import plan
+    return plan
 
 
 def execute(

@@ -41,7 +41,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 # Where each heavy library may be imported, and whether only one file there may.
 IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "casadi": (("symbolic.", "planning.transcription"), False),
-    "ompl": (("planning.mode_search",), True),
+    "ompl": (("planning.mode_search", "planning.kinodynamic_rrt"), False),
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),
     "meshcat": (("view.",), True),

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+
+Method = Literal["pomdp-hd", "direct", "rrt"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class PlannerSettings:
     """Settings with defaults that serve ordinary problems.
 
     Attributes:
+        method: ``"pomdp-hd"``, or a baseline: ``"direct"`` (one optimisation over the soft mixture of all modes) or
+            ``"rrt"`` (kinodynamic RRT on the means). What each finds is verified alike.
         confidence: probability that guards and invariants are planned to hold with, and that roll-outs must confirm for
             the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
@@ -54,6 +59,7 @@ class PlannerSettings:
         verification_trials: roll-outs that check a plan.
     """
 
+    method: Method = "pomdp-hd"
     confidence: float = 0.95
     samples_per_mode: int = 100
     candidates: int = 4

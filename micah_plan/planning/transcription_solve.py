@@ -74,7 +74,7 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
         worst = "; ".join(nlp.rows.worst(rows)) or "the cost is not a number"
         return _path(nlp, problem, start, float("inf"), False, f"the start of the optimisation is unusable: {worst}", 0)
     programme: dict[str, Any] = {"x": w, "f": nlp.cost, "g": g}
-    solver = ca.nlpsol("belief_path", "ipopt", programme, _options(problem))
+    solver = ca.nlpsol("belief_path", "ipopt", programme, ipopt_options(problem.settings.time_limit_s))
     found = solver(
         x0=start,
         lbx=np.concatenate(nlp.w_lower),
@@ -115,7 +115,7 @@ def unmet(nlp: Transcription, problem: Problem) -> list[Shortfall]:
     if not np.isfinite(rows).all():
         return [Shortfall(nlp.rows.rows[i], float("inf")) for i in nlp.rows.worst_indices(rows)]
     missing = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)[elastic]
-    solver = ca.nlpsol("unmet", "ipopt", programme, _options(problem))
+    solver = ca.nlpsol("unmet", "ipopt", programme, ipopt_options(problem.settings.time_limit_s))
     free = np.full(len(elastic), np.inf)
     found = solver(
         x0=np.concatenate([start, missing]),
@@ -131,7 +131,7 @@ def unmet(nlp: Transcription, problem: Problem) -> list[Shortfall]:
     return [_shortfall(nlp, problem, result, row, row.violation(float(value))) for row, value in violated]
 
 
-def _options(problem: Problem) -> dict[str, Any]:
+def ipopt_options(time_limit_s: float) -> dict[str, Any]:
     """IPOPT without a word on the terminal, and never longer than the time limit."""
     return {
         "print_time": False,
@@ -141,7 +141,7 @@ def _options(problem: Problem) -> dict[str, Any]:
             "print_level": 0,
             "sb": "yes",
             "max_iter": _MAX_ITERATIONS,
-            "max_wall_time": problem.settings.time_limit_s,
+            "max_wall_time": time_limit_s,
             "mu_strategy": "adaptive",
         },
     }

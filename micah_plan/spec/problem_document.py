@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from micah_plan.planning.problem import PlannerSettings
+from micah_plan.planning.problem import Method, PlannerSettings
 from micah_plan.spec.fields import Document, Line, Name, NonNegative, Positive
 from micah_plan.spec.model_document import LightDocument
 
@@ -48,6 +48,10 @@ class ProblemNoiseDocument(Document):
 
 
 class PlannerDocument(Document):
+    method: Method = Field(
+        default=PlannerSettings.method,
+        description="The planner: POMDP-HD, or a baseline to compare it with; all are verified alike.",
+    )
     samples_per_mode: Count = Field(
         default=PlannerSettings.samples_per_mode, description="Roadmap states per mode of the high-level search."
     )

@@ -1,0 +1,90 @@
+"""A baseline: direct planning in belief space over the soft mixture of all modes, without choosing a mode sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.nominal import nominal_start, plan_along
+from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import start_mode
+from micah_plan.planning.transcription_mixture import MixturePath, MixtureProgramme, mixture_size
+
+Floats = NDArray[np.float64]
+
+# The straight line and so many disturbed ones are tried.
+_STARTS = 4
+# Std of the disturbance, in largest steps.
+_DISTURBANCE = 0.5
+# Share of the largest step that the straight line takes per step, as in the hierarchical planner, and steps to spare.
+_PACE = 0.6
+_SPARE_STEPS = 5
+# Rotations per step from which building the programme would take minutes.
+_LARGEST = 20_000
+_SHORTEST_S = 1e-3
+
+
+def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Plan:
+    """The cheapest local optimum of the mixture's programme over a few starts, or the reason why there is none."""
+    began = perf_counter()
+    timings = {"search": 0.0, "build": 0.0, "optimise": 0.0}
+
+    def failed(reason: str) -> Plan:
+        obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("optimisation", reason),)
+        spent = {**timings, "total": perf_counter() - began}
+        return Plan("no_plan", reason, seed=seed, timings=spent, obstacles=obstacles)
+
+    mode, reason = start_mode(problem.automaton, problem.start)
+    if mode is None:
+        return failed(reason)
+    if mixture_size(problem.automaton) > _LARGEST:
+        modes, edges = len(problem.automaton.modes), len(problem.automaton.edges)
+        return failed(
+            f"the mixture of {modes} modes and {edges} transitions in {problem.automaton.n} dimensions is too large "
+            f"for direct planning; use the method pomdp-hd"
+        )
+    limits = limits_of(problem)
+    x = nominal_start(problem, limits, mode)
+    straight = _straight(problem, limits, x)
+    programme = MixtureProgramme(problem, limits, mode, x, len(straight))
+    timings["build"] = perf_counter() - began
+    rng, found = np.random.default_rng(seed), list[MixturePath]()
+    for number in range(_STARTS):
+        if progress is not None:
+            progress(f"optimising from start {number + 1}", number / _STARTS)
+        left = problem.settings.solve_time_limit_s - (perf_counter() - began)
+        if left <= 0:
+            break
+        noise = _DISTURBANCE * limits.max_step * rng.standard_normal(straight.shape) if number else 0.0
+        start = np.clip(straight + noise, -limits.max_step, limits.max_step)
+        found.append(programme.solve(start, max(_SHORTEST_S, min(left, problem.settings.time_limit_s))))
+    timings["optimise"] = perf_counter() - began - timings["build"]
+    usable = [path for path in found if path.feasible]
+    if not usable:
+        statuses = ", ".join(sorted({path.status.replace("_", " ").lower() for path in found})) or "no time was left"
+        return failed(f"none of {len(found)} starts of the direct optimisation led to the goal ({statuses})")
+    best = min(usable, key=lambda path: path.cost)
+    timings["total"] = perf_counter() - began
+    said = f"cheapest of {len(usable)} local optima of the soft mixture"
+    return plan_along(problem, limits, mode, best.inputs, said, seed, timings)
+
+
+def _straight(problem: Problem, limits: Limits, x: Floats) -> Floats:
+    """(T, m) equal inputs that would lead the mean straight to the target if all modes moved as the most mobile do."""
+    automaton = problem.automaton
+    target = x.copy()
+    for index, value, _ in problem.goal.target:
+        target[index] = value
+    stacked = np.stack([mode.B for mode in automaton.modes])
+    strongest = np.abs(stacked).argmax(axis=0)
+    B = np.take_along_axis(stacked, strongest[None], axis=0)[0]
+    total = np.linalg.pinv(B) @ (target - x)
+    wanted = int(np.ceil(np.max(np.abs(total) / limits.max_step, initial=0.0) / _PACE)) + _SPARE_STEPS
+    steps = int(np.clip(wanted, 1, problem.settings.max_knots - 1))
+    return np.repeat(total[None] / steps, steps, axis=0)

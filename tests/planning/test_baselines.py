@@ -1,0 +1,148 @@
+"""The planners to compare with: through the same problem file, judged by the same roll-outs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
+
+from micah_plan.automaton.transition import simulate
+from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.cli import main
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.nominal import cost_of, nominal_trajectory
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
+from micah_plan.planning.problem import Goal, Problem
+from micah_plan.planning.transcription_mixture import mixture_step
+from micah_plan.spec.problem_file import load_problem
+from micah_plan.workflow import solve
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+
+
+def solved_by(problem: Problem, method: str, **changes: object) -> Plan:
+    return solve(with_settings(problem, method=method, **changes))
+
+
+@pytest.mark.parametrize("method", ["direct", "rrt"])
+@pytest.mark.parametrize("name", ["drawer_open", "microwave_close"])
+def test_baselines_solve_the_easy_problems(method: str, name: str) -> None:
+    problem = load_problem(PROBLEMS / f"{name}.yaml", {"planner.method": method})
+    found = solve(problem)
+    assert found.outcome == "solved"
+    assert found.trajectory is not None
+    assert found.success_probability is not None
+    assert found.success_probability >= 0.93
+    for index, value, tolerance in problem.goal.target:
+        assert abs(found.trajectory.means[-1, index] - value) <= tolerance
+    assert np.all(np.abs(found.trajectory.inputs) <= limits_of(problem).max_step + 1e-9)
+
+
+def test_the_tree_goes_through_the_gate_and_past_the_trap() -> None:
+    found = solved_by(planar_problem(), "rrt")
+    assert found.mode_sequence == ("left", "right")
+    assert found.trajectory is not None
+    modes, states = found.trajectory.modes, found.trajectory.means
+    # The last knot of "left" and the first of "right" share a time, at which the gate is passed.
+    gate = modes.index("right")
+    assert states[gate, 1] >= 0.8 - 0.12
+    # A belief that the tree does not know makes part of the roll-outs hit the trap.
+    assert found.success_probability is not None
+
+
+def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
+    problem = with_settings(planar_problem(), method="rrt", verification_trials=1)
+    first = solve(problem, seed=3)
+    solve(problem, seed=4)
+    again = solve(problem, seed=3)
+    assert first.trajectory is not None
+    assert again.trajectory is not None
+    assert first.trajectory.inputs.tobytes() == again.trajectory.inputs.tobytes()
+
+
+@pytest.mark.slow
+def test_the_direct_planner_does_not_see_the_way_around_a_wall() -> None:
+    """The straight start runs against the trap, from which no gradient leads to the gate: what the modes are for."""
+    problem = with_settings(planar_problem(), verification_trials=200)
+    hierarchical, direct = (solve(with_settings(problem, method=method)) for method in ("pomdp-hd", "direct"))
+    assert hierarchical.outcome == "solved"
+    assert direct.outcome != "solved"
+
+
+@pytest.mark.parametrize("method", ["direct", "rrt"])
+def test_what_is_impossible_is_refused_with_a_reason(method: str) -> None:
+    outside = solved_by(door_problem(0.2, 2.0), method)
+    assert outside.outcome == "no_plan"
+    assert outside.obstacles[0].level == "goal"
+    start = solved_by(door_problem(-3.0, 0.5), method)
+    assert start.outcome == "no_plan"
+    assert start.obstacles[0].level == "start"
+
+
+def test_limits_of_time_end_the_baselines() -> None:
+    goal = Goal(((0, 0.6, 0.02),), ("shut",))  # the latch holds the door elsewhere
+    problem = replace(door_problem(0.2, DOOR_SHUT), goal=goal)
+    hasty = solved_by(planar_problem(), "rrt", solve_time_limit_s=1e-6)
+    assert "within the time limit" in hasty.reason
+    assert "no time was left" in solved_by(planar_problem(), "direct", solve_time_limit_s=1e-6).reason
+    assert solved_by(problem, "rrt").outcome == "no_plan"
+
+
+def test_a_mixture_that_is_too_large_is_not_begun() -> None:
+    problem = planar_problem()
+    wide = replace(problem.automaton, modes=problem.automaton.modes * 1000)
+    assert "too large for direct planning" in solved_by(replace(problem, automaton=wide), "direct").reason
+
+
+def test_the_nominal_trajectory_is_that_of_the_real_transitions() -> None:
+    problem = door_problem(0.9, DOOR_SHUT)
+    inputs = np.array([[0.05]] * 8)
+    found = nominal_trajectory(problem, limits_of(problem), "swings", inputs)
+    run = simulate(problem.automaton, "swings", [0.9], inputs)
+    timed = np.concatenate([[0], np.flatnonzero(~found.is_transition) + 1])
+    np.testing.assert_array_equal(found.means[timed], run.states)
+    assert found.modes[-1] == run.modes[-1] == "shut"
+    assert found.is_transition.sum() == 1
+
+
+def test_costs_of_baselines_are_those_of_the_hierarchical_programme() -> None:
+    problem = drawer_problem(0.05, 0.3)
+    found = plan_pomdp_hd(problem)
+    assert found.trajectory is not None
+    assert cost_of(problem, limits_of(problem), found.trajectory) == pytest.approx(found.cost, abs=1e-4)
+
+
+def test_the_mixture_step_agrees_with_the_filter_far_from_guards_and_moves_weight_behind_them() -> None:
+    problem = door_problem(0.2, DOOR_SHUT)
+    automaton, limits = problem.automaton, limits_of(problem)
+    step = mixture_step(automaton, limits)
+    belief = initial_belief(automaton, [0.5], [0.02], "swings")
+    z = np.array([0.5, 0.02, 1.0, 0.0])
+    for _ in range(4):
+        predicted = predict(automaton, belief, [0.03])
+        belief = update(automaton, predicted, predicted.means[0])
+        z = np.array(step(z, [0.03])).ravel()
+    np.testing.assert_allclose(z, [belief.means[0, 0], belief.factors[0, 0, 0], 1.0, 0.0], atol=1e-5)
+    for _ in range(25):
+        z = np.array(step(z, [0.05])).ravel()
+    assert z[3] > 0.95
+    assert z[2] + z[3] == pytest.approx(1.0)
+    assert z[0] == pytest.approx(DOOR_SHUT, abs=0.02)
+
+
+def test_the_command_line_chooses_the_planner(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = tmp_path / "plan.json"
+    problem = str(PROBLEMS / "drawer_open.yaml")
+    monkeypatch.setattr("sys.argv", ["micah-plan", "solve", problem, "-o", str(plan), "--planner", "rrt", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    assert json.loads(capsys.readouterr().out)["outcome"] == "solved"
+    assert json.loads(plan.read_text())["problem"]["planner"]["method"] == "rrt"
