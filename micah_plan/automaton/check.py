@@ -52,6 +52,8 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
             yield ("modes", mode.name, "pins", name, "value"), partial(check_pin, automaton, mode, pin)
         for k, link in enumerate(automaton.links):
             yield ("modes", mode.name, "joints", link.child, "held"), partial(check_held, automaton, mode, k)
+    for i, effect in enumerate(automaton.effects):
+        yield ("effects", i), partial(automaton.check_effect, effect)
     for i, edge in enumerate(automaton.edges):
         yield ("edges", i, "guard"), partial(check_entry, automaton, edge)
     for mode in automaton.modes:

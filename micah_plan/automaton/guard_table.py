@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from micah_plan.automaton.effects.motion import CoordinateMotion, motions
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace, Region
 
@@ -44,12 +45,16 @@ class Exit:
 
 @dataclass(frozen=True, slots=True)
 class ModeTable:
-    """A mode: the terms of B per coordinate (None where pinned) and its exits, mode changes before self transitions."""
+    """A mode: the terms of B per coordinate (None where pinned) and its exits, mode changes before self transitions.
+
+    `effects` holds what changes the motion of a coordinate, by its index.
+    """
 
     name: str
     flow: tuple[Terms | None, ...]
     exits: tuple[Exit, ...]
     pins: tuple[tuple[int, float], ...]
+    effects: dict[int, CoordinateMotion] = field(default_factory=dict)
 
     def pinned(self, x: list[float]) -> list[float]:
         """x with the pinned coordinates at their values."""
@@ -82,7 +87,8 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
         a, b, c = (None,) * 3 if identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
         exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
     exits.sort(key=lambda e: e.is_self)
-    return ModeTable(name, flow, tuple(exits), pins)
+    acting = motions(automaton.effects, [c.name for c in automaton.coordinates], name)
+    return ModeTable(name, flow, tuple(exits), pins, acting)
 
 
 def _guard_rows(guard: Region) -> tuple[Row, ...]:

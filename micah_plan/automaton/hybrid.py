@@ -5,14 +5,16 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
@@ -202,6 +204,8 @@ class HybridAutomaton:
         init: Init, regions of x per mode name; empty: wherever an invariant holds.
         provenance: where the model came from (recording digest, method, seed, versions), as text.
         learned: what learning was sure of; empty for a model that was not learned.
+        effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
+            `modes` and `edges`, the others act in every step.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -214,6 +218,7 @@ class HybridAutomaton:
     init: tuple[tuple[str, Region], ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
     learned: tuple[LearnedEdge, ...] = ()
+    effects: tuple[Effect, ...] = ()
 
     @property
     def n(self) -> int:
@@ -243,6 +248,57 @@ class HybridAutomaton:
         if name not in self._modes_by_name:
             raise InputError(f"unknown mode {shown(name)}", remedy=f"choose one of {', '.join(self._modes_by_name)}")
         return self._modes_by_name[name]
+
+    def index(self, coordinate: str) -> int:
+        """Number of the coordinate of that name.
+
+        Raises:
+            InputError: if there is none; the message lists the names.
+        """
+        names = [own.name for own in self.coordinates]
+        if coordinate not in names:
+            raise InputError(f"unknown coordinate {shown(coordinate)}", remedy=f"choose one of {', '.join(names)}")
+        return names.index(coordinate)
+
+    def with_effect(self, *effects: Effect) -> HybridAutomaton:
+        """A new automaton with these effects added, in order; the compiler, transition and filter then have them.
+
+        Raises:
+            InputError: for an unknown effect, coordinate, mode or set of parameters.
+        """
+        automaton = self
+        for effect in effects:
+            automaton.check_effect(effect)
+            rebuilt = form(effect.name).rebuilt(automaton, self.index(effect.coordinate), effect.values)
+            automaton = replace(rebuilt, effects=(*automaton.effects, effect))
+        return automaton
+
+    def check_effect(self, effect: Effect) -> None:
+        """Refuse an effect that does not fit.
+
+        Raises:
+            InputError: see `with_effect`.
+        """
+        own = form(effect.name)
+        self.index(effect.coordinate)
+        for name in effect.modes:
+            self.mode(name)
+        names, known = [name for name, _ in effect.parameters], [p.name for p in own.parameters]
+        if names != known:
+            raise InputError(f"effect {effect.name} must have the parameters {', '.join(known)}. Got {shown(names)}")
+        if effect.std and len(effect.std) != len(known):
+            raise InputError(f"effect {effect.name} must have {len(known)} stds or none. Got {len(effect.std)}")
+        for value, parameter in zip(effect.values, own.parameters, strict=True):
+            if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper):
+                bounds = f"{parameter.lower:g} to {parameter.upper:g}"
+                raise InputError(f"effect {effect.name}: {parameter.name} must be finite, {bounds}. Got {value}")
+
+    def with_clamps(
+        self, modes: Sequence[str], guard: Region, keep: Matrix, offset: tuple[float, ...]
+    ) -> HybridAutomaton:
+        """A new automaton with a clamp x⁺ = keep x + offset behind a guard in each of these modes."""
+        clamps = tuple(Edge(mode, mode, guard, Reset(A=keep, c=offset)) for mode in modes)
+        return replace(self, edges=(*self.edges, *clamps))
 
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""

@@ -33,6 +33,9 @@ rest of the step or until the mode changes. A blocked edge whose guard holds alr
 over until the next instant with an event. A step has at most ``MOST_EVENTS`` events (a reset that throws the state back
 in front of its own guard could go on for ever); then the state rests where it is and ``Step.complete`` is false.
 
+**Effects.** Those of the automaton that have no memory change d, which is taken at the state where the step starts or a
+mode is entered. Effects with a memory change the sequence of inputs before it gets here (`effects.channel`).
+
 **Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
 clips.
 """
@@ -207,7 +210,7 @@ def _advance(
     events: list[Event] = []
     s = 0.0
     x = table.pinned(x)
-    d = _displacement(table, u, pushed)
+    d = _displacement(table, x, u, pushed)
     while True:
         # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
         upcoming = next_entry(table, x, d, u, 1.0 - s, later_only=bool(events))
@@ -270,7 +273,7 @@ class _Instant:
             self.d = [0.0 if flow is None else di for flow, di in zip(self.table.flow, kept, strict=True)]
         else:
             self.table = self.tables[chosen.target]
-            self.d = _displacement(self.table, self.u, self.pushed)
+            self.d = _displacement(self.table, self.x, self.u, self.pushed)
 
     def _is_pressed(self, row: Row) -> bool:
         """Whether the state is on the boundary of a half-space and the flow goes into it."""
@@ -297,17 +300,19 @@ class _Instant:
         self.d = d.tolist()
 
 
-def _displacement(table: ModeTable, u: list[float], pushed: list[float] | None) -> list[float]:
-    """d = B u + disturbance of a mode, over a whole step."""
+def _displacement(table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None) -> list[float]:
+    """d = B u + disturbance of a mode, over a whole step, with the effects of the mode at x."""
     d = []
     for i, terms in enumerate(table.flow):
         if terms is None:
             d.append(0.0)
             continue
-        moved = 0.0 if pushed is None else pushed[i]
+        moved = 0.0
         for j, w in terms:
             moved += w * u[j]
-        d.append(moved)
+        if i in table.effects:
+            moved = float(table.effects[i].displacement(np, x[i], moved))
+        d.append(moved if pushed is None else moved + pushed[i])
     return d
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.motion import CoordinateMotion
 from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_tables
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
@@ -31,6 +32,7 @@ class _Mode:
         B: (n, m) input matrix, rows of pinned coordinates zero; moved: (n,) 0 for those, else 1.
         states, inputs: (r, n), (r, m) scaled weights; thresholds, tolerances: (t, r); strict: (r,).
         first: (e,) first half-space of each exit.
+        effects: what changes the motion of a coordinate, by its index.
     """
 
     pinned: Ints
@@ -43,6 +45,7 @@ class _Mode:
     tolerances: Floats
     strict: Booleans
     first: Ints
+    effects: dict[int, CoordinateMotion]
 
 
 class TransitionBatch:
@@ -76,7 +79,7 @@ class TransitionBatch:
             mode, chosen = self._modes[index], np.flatnonzero(modes == index)
             start = x[chosen]
             start[:, mode.pinned] = mode.pins[chosen]
-            d = u[chosen] @ mode.B.T + disturbance[chosen] * mode.moved
+            d = _displacement(mode, start, u[chosen]) + disturbance[chosen] * mode.moved
             fires = _fires(mode, chosen, start, d, u[chosen])
             quiet = chosen[~fires]
             x[quiet] = (start + d)[~fires]
@@ -86,6 +89,14 @@ class TransitionBatch:
             after = step(self.object(i), names[modes[i]], x[i], u[i], disturbance[i])
             modes[i], x[i] = names.index(after.mode), after.x
         return modes, x
+
+
+def _displacement(mode: _Mode, x: Floats, u: Floats) -> Floats:
+    """(k, n) motion without disturbance from x (k, n)."""
+    d = u @ mode.B.T
+    for i, motion in mode.effects.items():
+        d[:, i] = motion.displacement(np, x[:, i], d[:, i])
+    return np.asarray(d)
 
 
 def _fires(mode: _Mode, chosen: Ints, x: Floats, d: Floats, u: Floats) -> Booleans:
@@ -125,6 +136,7 @@ def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], 
         tolerances=TOLERANCE * np.maximum(1.0, np.abs(thresholds)),
         strict=np.array([row.strict for row in rows], dtype=bool),
         first=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64),
+        effects={i: motion for i, motion in table.effects.items() if free[i]},
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
@@ -59,9 +60,9 @@ def whole_step(
     """The full step of a mode's Gaussian: flow and process noise, guards not yet applied."""
     mode = automaton.mode(mode_name)
     n = mean.size
-    displacement = mode.flow(mean, u) - mean
+    displacement, slope = displaced(automaton, mode, mean, u)
     noise = np.diag(automaton.free_process_std(mode))
-    joint = np.block([[factor, np.zeros((n, n))], [factor, noise]])
+    joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
     ends = np.concatenate([mean, mean + displacement])
     return Piece(mode_name, probability, ends, joint, 1.0, displacement, entered=frozenset([mode_name]))
 
@@ -168,7 +169,7 @@ def _event(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats, bind
         displacement = share * (a @ piece.displacement)
         new_end_mean, new_end = new_start_mean + a @ behind_mean, new_start + a @ behind
     else:
-        nominal = piece.fraction * automaton.mode(edge.target).flow(np.zeros(n), u)
+        nominal = piece.fraction * displaced(automaton, automaton.mode(edge.target), new_start_mean, u)[0]
         change = nominal - piece.displacement
         displacement = share * nominal
         new_end_mean = new_start_mean + behind_mean + share * change

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Part, Primitive, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region
@@ -50,6 +51,7 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         "transitions": [_transition(edge, names) for edge in automaton.edges],
         "init": [{"mode": mode, "region": _region(region, names)} for mode, region in automaton.init],
         "learned": learned_data(automaton.learned),
+        "effects": [_effect(effect) for effect in automaton.effects],
     }
     data = {key: value for key, value in data.items() if value or key in ("links", "transitions")}
     located = Located(data, "automaton")
@@ -154,6 +156,15 @@ def _mode(mode: Mode, automaton: HybridAutomaton, names: Variables) -> dict[str,
     if mode.observation_std:
         data["observation_std"] = _unique((names.coordinates[i], float(std)) for i, std in mode.observation_std)
     return data
+
+
+def _effect(effect: Effect) -> dict[str, Any]:
+    data: dict[str, Any] = {"name": effect.name, "coordinate": effect.coordinate}
+    data["parameters"] = {name: float(value) for name, value in effect.parameters}
+    if effect.std:
+        data["std"] = {name: float(std) for (name, _), std in zip(effect.parameters, effect.std, strict=True)}
+    extra = {"modes": list(effect.modes), "note": effect.note}
+    return data | {key: value for key, value in extra.items() if value}
 
 
 def _joint(joint: Joint) -> dict[str, Any]:

@@ -144,6 +144,15 @@ class InitialDocument(Document):
     region: RegionEntries = Field(description="Half-spaces that the state then lies in.")
 
 
+class EffectDocument(Document):
+    name: Name = Field(description="Name of a registered form, e.g. `gain`.")
+    coordinate: Name = Field(description="Coordinate that it acts on.")
+    parameters: dict[Name, float] = Field(description="All parameters of the form, in its units.")
+    std: dict[Name, NonNegative] = Field(default_factory=dict, description="Their standard deviations, if estimated.")
+    modes: list[Name] = Field(default_factory=list, description="Modes in which it acts; absent: in all.")
+    note: Line = Field(default="", description="What a person should know of it.")
+
+
 class ModelDocument(Document):
     """The hybrid automaton of an articulated object."""
 
@@ -169,4 +178,9 @@ class ModelDocument(Document):
     )
     learned: list[LearnedEdgeDocument] = Field(
         default_factory=list, description="What learning was sure of, by edge of the kinematic graph."
+    )
+    effects: list[EffectDocument] = Field(
+        default_factory=list,
+        description="What calibration added. Those on guards and joints are already in modes and transitions; the "
+        "others act in every step.",
     )

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import (
     Coordinate,
@@ -28,6 +30,7 @@ from micah_plan.spec.learned_values import learned_of
 from micah_plan.spec.located import KeyPath, Located
 from micah_plan.spec.model_document import (
     CovarianceDocument,
+    EffectDocument,
     JointDocument,
     LightDocument,
     MatricesDocument,
@@ -130,7 +133,20 @@ class _Builder:
             ),
             provenance=dict(document.provenance),
             learned=self._learned(),
+            effects=tuple(self._effect(effect, ("effects", i)) for i, effect in enumerate(document.effects)),
         )
+
+    def _effect(self, effect: EffectDocument, path: KeyPath) -> Effect:
+        self._index(effect.coordinate, (*path, "coordinate"))
+        modes = tuple(self._known_mode(name, (*path, "modes")) for name in effect.modes)
+        try:
+            known = [parameter.name for parameter in form(effect.name).parameters]
+        except InputError as error:
+            raise self._located.error((*path, "name"), error.problem, error.remedy) from None
+        values = by_name(effect.parameters, known, "parameter", self._located, (*path, "parameters"))
+        std = by_name(effect.std, known, "parameter", self._located, (*path, "std")) if effect.std else []
+        pairs = tuple(zip(known, values, strict=True))
+        return Effect(effect.name, effect.coordinate, pairs, tuple(std), modes, effect.note)
 
     def _index(self, name: str, path: KeyPath) -> int:
         if name not in self._names.coordinates:

@@ -18,9 +18,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.sensing import Sensing
+from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
 
 
@@ -118,8 +120,8 @@ def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
 
 def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
     sensing = automaton.sensing(mode)
-    flowed = s.x + ca.mtimes(ca.DM(mode.B), s.u)
-    spread = add_noise(s.factor, automaton.free_process_std(mode))
+    flowed = _flow(automaton, mode, s)
+    spread = add_noise(_carried(flowed, s) if automaton.effects else s.factor, automaton.free_process_std(mode))
     updated = _update(s.x, s.factor, _std_at(sensing, s.x), s.z)
     stepped = _update(flowed, spread, _std_at(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)
@@ -140,6 +142,23 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         belief_step=ca.Function("belief_step", belief, list(stepped[:2]), [*names, "u"], ["mean_next", "factor_next"]),
         condition=ca.Function("condition", [s.x, s.factor], list(held), names, ["mean_next", "factor_next"]),
     )
+
+
+def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> ca.SX:
+    """x⁺ = x + B u with the effects of the mode that have no memory."""
+    moved = ca.mtimes(ca.DM(mode.B), s.u)
+    acting = motions(automaton.effects, [c.name for c in automaton.coordinates], mode.name)
+    held = {pin.coordinate for pin in mode.pins}
+    for i, motion in acting.items():
+        if i not in held:
+            moved[i] = motion.displacement(CasadiOperations(), s.x[i], moved[i])
+    return s.x + moved
+
+
+def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:
+    """The factor carried along by the flow; effects act on each coordinate by itself, so the slope is diagonal."""
+    slope = ca.diag(ca.jacobian(flowed, s.x))
+    return ca.tril(ca.mtimes(ca.diag(slope), s.factor))
 
 
 def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> CompiledEdge:

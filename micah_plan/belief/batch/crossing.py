@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.batch.gaussian import condition_on_pins, hold_at_pins, lower_factors
@@ -97,9 +98,10 @@ def whole_step(
     """The full step of one mode's Gaussians (p, n), (p, n, n) with inputs (p, m); guards not yet applied."""
     q = automaton.modes[mode]
     count, n = mean.shape
-    displacement = u @ q.B.T
+    displacement, slope = displaced(automaton, q, mean, u)
     joint = np.zeros((count, 2 * n, 2 * n))
-    joint[:, :n, :n] = joint[:, n:, :n] = factor
+    joint[:, :n, :n] = factor
+    joint[:, n:, :n] = slope[:, :, None] * factor
     joint[:, n:, n:] = np.diag(automaton.free_process_std(q))
     entered = np.zeros((count, len(automaton.modes)), dtype=bool)
     entered[:, mode] = True
@@ -241,7 +243,7 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
         displacement = share[:, None] * (pieces.displacement @ a.T)
         new_end_mean, new_end = new_start_mean + behind_mean @ a.T, new_start + a @ behind
     else:
-        nominal = pieces.fraction[:, None] * (u @ automaton.mode(edge.target).B.T)
+        nominal = pieces.fraction[:, None] * displaced(automaton, automaton.mode(edge.target), new_start_mean, u)[0]
         change = nominal - pieces.displacement
         displacement = share[:, None] * nominal
         new_end_mean = new_start_mean + behind_mean + share[:, None] * change

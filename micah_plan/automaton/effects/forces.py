@@ -1,0 +1,93 @@
+"""What the joint itself adds to a step: displacement per step as a function of the configuration."""
+
+from __future__ import annotations
+
+from typing import final
+
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+
+
+@final
+class Spring(EffectForm):
+    """-stiffness (c + ahead v - rest): `ahead` 1 is a spring that acts where the step ends, 0 where it starts."""
+
+    name, layer = "spring", "force"
+    sentence = "The joint is pulled towards a rest position, the more the further it is from it."
+    source = "Hogan, Impedance control, J. Dyn. Sys. Meas. Control 1985: equilibrium of a spring and a compliant hand"
+    parameters = (
+        Parameter("stiffness", "1", 0.0, -0.9, 0.9),
+        Parameter("rest", "coordinate"),
+        Parameter("ahead", "1", None, 0.0, 1.0),
+    )
+
+    def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
+        return -p[0] * (c + p[2] * v - p[1])
+
+
+@final
+class Gravity(EffectForm):
+    """along + sine sin c + cosine cos c: the pull of gravity along the motion; `along` for slides, else 0."""
+
+    name, layer = "gravity", "force"
+    sentence = "The joint sags under its weight, by an amount that depends on where it is."
+    source = "Murray, Li and Sastry, ch. 4: torque of gravity about a fixed axis"
+    parameters = (Parameter("sine", "rad", 0.0), Parameter("cosine", "rad", 0.0))
+
+    def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
+        return p[0] * ops.sin(c) + p[1] * ops.cos(c)
+
+
+@final
+class Latch(EffectForm):
+    """-strength x exp((1 - x²) / 2) with x = (c - at) / reach: the pull is largest, `strength`, `reach` away."""
+
+    name, layer = "latch", "force"
+    sentence = "Close to one configuration the joint is drawn to it, as by a magnet or a ball catch."
+    source = "gradient of a Gaussian potential well; Koditschek, potential functions in robot navigation, 1989"
+    parameters = (
+        Parameter("strength", "coordinate", 0.0, 0.0),
+        Parameter("at", "coordinate"),
+        Parameter("reach", "coordinate", None, 1e-6),
+    )
+
+    def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
+        x = (c - p[1]) / p[2]
+        return -p[0] * x * ops.exp(0.5 - 0.5 * x * x)
+
+
+SMOOTH_BUMPS = 12
+
+
+@final
+class Unexplained(EffectForm):
+    """A smooth correction without a name: bumps over the configuration, alone and times the command.
+
+    Parameters: `low` end and `width` of the range, `scale` of a command, `square` and `side` (factors of v |v| / scale
+    and of tanh(v / scale)), then `push_1..` and `gain_1..` of the bumps.
+    """
+
+    name, layer = "unexplained", "force"
+    sentence = "A smooth correction that no named effect accounts for."
+    source = "Poggio and Girosi, Networks for approximation and learning, 1990 (radial basis functions)"
+    parameters = (
+        Parameter("low", "coordinate"),
+        Parameter("width", "coordinate", None, 1e-9),
+        Parameter("scale", "coordinate", None, 1e-12),
+        Parameter("square", "1", 0.0),
+        Parameter("side", "coordinate", 0.0),
+        *(Parameter(f"push_{k + 1}", "coordinate", 0.0) for k in range(SMOOTH_BUMPS)),
+        *(Parameter(f"gain_{k + 1}", "1", 0.0) for k in range(SMOOTH_BUMPS)),
+    )
+
+    def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
+        low, width, scale = p[0], p[1], p[2]
+        size = v / scale
+        side = 1.0 - 2.0 / (1.0 + ops.exp(ops.minimum(ops.maximum(2.0 * size, -40.0), 40.0)))
+        added = p[3] * v * ops.abs(size) + p[4] * side
+        spacing = width / (SMOOTH_BUMPS - 1)
+        inside = ops.minimum(ops.maximum(c, low), low + width)
+        for k in range(SMOOTH_BUMPS):
+            x = (inside - low - k * spacing) / spacing
+            bump = ops.exp(-0.5 * x * x)
+            added = added + bump * (p[5 + k] + p[5 + SMOOTH_BUMPS + k] * v)
+        return added

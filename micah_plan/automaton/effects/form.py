@@ -1,0 +1,121 @@
+"""What a form of effect is: parameters, units, a sentence, a source, and one formula that NumPy and CasADi both read.
+
+A formula is written with the functions of an `Operations` namespace. `numpy` is one; `symbolic.effects` has the one for
+CasADi expressions. So the identification, the transition of the automaton and the compiled functions cannot disagree.
+
+A step of a coordinate c with command v = (B u) of its mode runs through these hooks, in this order; each form changes
+one of them and leaves the others as they are:
+
+    frame_command(action, direction, p)        the command that a recorded action stands for, if it was given elsewhere
+    remember(v, memory, p)                     what comes out of a channel that has a memory
+    command(v, p)                              what comes out of one that has none
+    force(c, v, p)                             what the joint adds
+    stops(lower, upper, p), release(p)         where the motion ends, and what command leaves the end
+    measured(c, time, p)                       what the sensor says of it
+
+What moves guards or joints is taken into the automaton itself, once, when the effect is added (`rebuilt`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.hybrid import HybridAutomaton
+
+Layer = Literal["frame", "memory", "command", "force", "guard", "sensor", "geometry"]
+LAYERS: tuple[Layer, ...] = ("frame", "memory", "command", "force", "guard", "sensor", "geometry")
+Value = Any
+"""A float, a NumPy array or a CasADi expression."""
+Values = Sequence[Value]
+
+
+class Operations(Protocol):
+    """The functions that formulas may use, with NumPy's names and meanings."""
+
+    def where(self, condition: Value, yes: Value, no: Value, /) -> Value: ...
+    def minimum(self, a: Value, b: Value, /) -> Value: ...
+    def maximum(self, a: Value, b: Value, /) -> Value: ...
+    def sign(self, a: Value, /) -> Value: ...
+    def abs(self, a: Value, /) -> Value: ...
+    def exp(self, a: Value, /) -> Value: ...
+    def sin(self, a: Value, /) -> Value: ...
+    def cos(self, a: Value, /) -> Value: ...
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a form.
+
+    Attributes:
+        unit: ``"1"``, ``"step"``, ``"rad"``, or ``"coordinate"`` for the coordinate's own unit (rad or m), which may
+            be combined: ``"coordinate/s"``, ``"m/coordinate"``.
+        neutral: value at which the form has no effect whatever the others are; None if another one's decides.
+        lower, upper: bounds of a sensible value.
+    """
+
+    name: str
+    unit: str
+    neutral: float | None = None
+    lower: float = -float("inf")
+    upper: float = float("inf")
+
+    def unit_for(self, coordinate_unit: str) -> str:
+        """The unit for a coordinate in rad or m."""
+        return self.unit.replace("coordinate", coordinate_unit)
+
+
+class EffectForm:
+    """Base of all forms: every hook passes on what it gets. Subclasses are final and hold no state.
+
+    Class attributes:
+        name: unique in the registry.
+        layer: which hook it uses.
+        sentence: what it does, in plain words.
+        source: where the formula comes from.
+        parameters: in order.
+    """
+
+    name: ClassVar[str]
+    layer: ClassVar[Layer]
+    sentence: ClassVar[str]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+
+    def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
+        """Command of an action (3 components) along a direction (3 components, divided by its squared length)."""
+        return action[0] * direction[0] + action[1] * direction[1] + action[2] * direction[2]
+
+    def at_rest(self, p: Values) -> tuple[Value, ...]:
+        """The memory at the start of a run."""
+        return ()
+
+    def remember(self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values) -> tuple[Value, Any]:
+        """(command that comes out, memory after) of a command v."""
+        return v, memory
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        """What of a command v reaches the joint."""
+        return v
+
+    def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
+        """Displacement per step that is added at configuration c to a command v."""
+        return 0.0
+
+    def stops(self, ops: Operations, lower: Value, upper: Value, p: Values) -> tuple[Value, Value]:
+        """The ends of the coordinate's range."""
+        return lower, upper
+
+    def release(self, p: Values) -> Value:
+        """Size of a command that leaves an end."""
+        return 0.0
+
+    def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
+        """The reading at configuration c, `time` s after the start of the run."""
+        return c
+
+    def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
+        """The automaton with what the effect changes in its guards and joints; itself if that is nothing."""
+        return automaton

@@ -1,0 +1,87 @@
+"""Effects on geometry: where the action was given, and where the joint really is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.structure import with_joints
+from micah_plan.automaton.joint import Joint, axis_basis, revolute, screw
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.hybrid import HybridAutomaton
+
+_TURN = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
+
+
+@final
+class FrameRotation(EffectForm):
+    """The action was given in a frame that is turned by the rotation vector relative to the base frame."""
+
+    name, layer = "frame_rotation", "frame"
+    sentence = "Actions are given in a frame that is turned against the base frame."
+    source = "Murray, Li and Sastry, ch. 2: exponential coordinates of rotations"
+    parameters = _TURN
+
+    def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
+        squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + 1e-18
+        angle = squared**0.5
+        along, bent = ops.sin(angle) / angle, (1.0 - ops.cos(angle)) / squared
+        once = _cross(p, action)
+        twice = _cross(p, once)
+        turned = [a + along * b + bent * c for a, b, c in zip(action, once, twice, strict=True)]
+        return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
+
+
+@final
+class ScrewPitch(EffectForm):
+    """The part also moves along the axis of rotation, by `pitch` more per rad than the model says."""
+
+    name, layer = "screw_pitch", "geometry"
+    sentence = "The part moves along its axis of rotation while it turns."
+    source = "Murray, Li and Sastry, ch. 2: screws"
+    parameters = (Parameter("pitch", "m/rad", 0.0),)
+
+    def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
+        return with_joints(automaton, coordinate, lambda joint: pitched(joint, p[0]))
+
+
+@final
+class AxisOffset(EffectForm):
+    """The axis of rotation lies elsewhere: `offset_1`, `offset_2` along the directions of `joint.axis_basis`."""
+
+    name, layer = "axis_offset", "geometry"
+    sentence = "The axis of rotation lies beside the one of the model."
+    source = "Sturm et al., JAIR 2011: parameters of articulated objects"
+    parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
+
+    def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
+        return with_joints(automaton, coordinate, lambda joint: offset(joint, p))
+
+
+def pitched(joint: Joint, pitch: float) -> Joint:
+    """A turning joint with `pitch` m/rad more; others as they are."""
+    if joint.kind not in ("revolute", "screw"):
+        return joint
+    made = screw(joint.axis, joint.center, joint.pitch + pitch, joint.position, joint.quaternion)
+    return replace(made, covariance=joint.covariance)
+
+
+def offset(joint: Joint, by: Sequence[float]) -> Joint:
+    """A turning joint with its axis moved by two amounts [m] along `axis_basis`; others as they are."""
+    if joint.kind not in ("revolute", "screw"):
+        return joint
+    center = np.array(joint.center) + np.array(by) @ axis_basis(joint.axis)
+    if joint.kind == "screw":
+        made = screw(joint.axis, center, joint.pitch, joint.position, joint.quaternion)
+    else:
+        made = revolute(joint.axis, center, joint.position, joint.quaternion)
+    return replace(made, covariance=joint.covariance)
+
+
+def _cross(a: Values, b: Values) -> list[Value]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

@@ -1,0 +1,75 @@
+"""The displacement of one step with the effects of a mode in it, on floats, arrays or CasADi expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.effects.form import EffectForm, Operations, Value
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+
+Floats = NDArray[np.float64]
+
+# Half the interval of a central difference [rad or m].
+_SMALL = 1e-6
+
+
+@dataclass(frozen=True)
+class CoordinateMotion:
+    """What becomes of a command of one coordinate within a step: effects on the command, then forces.
+
+    Attributes:
+        commands, forces: (form, parameters) in the order in which they were added.
+    """
+
+    commands: tuple[tuple[EffectForm, tuple[float, ...]], ...]
+    forces: tuple[tuple[EffectForm, tuple[float, ...]], ...]
+
+    def displacement(self, ops: Operations, c: Value, v: Value) -> Value:
+        """Displacement at configuration c under the command v = (B u) of the mode."""
+        for own, p in self.commands:
+            v = own.command(ops, v, p)
+        added = v
+        for own, p in self.forces:
+            added = added + own.force(ops, c, v, p)
+        return added
+
+
+def motions(effects: Sequence[Effect], coordinates: Sequence[str], mode: str) -> dict[int, CoordinateMotion]:
+    """The motion of each coordinate (by index) that effects without a memory change in a mode."""
+    found = {}
+    for index, name in enumerate(coordinates):
+        own = [(form(e.name), e.values) for e in effects if e.coordinate == name and e.acts_in(mode)]
+        commands = tuple(pair for pair in own if pair[0].layer == "command")
+        forces = tuple(pair for pair in own if pair[0].layer == "force")
+        if commands or forces:
+            found[index] = CoordinateMotion(commands, forces)
+    return found
+
+
+def displaced(automaton: HybridAutomaton, mode: Mode, x: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Motion d (..., n) of a mode's whole step from x (..., n) under u (..., m), and its slope 1 + ∂d/∂x (..., n)."""
+    moved = u @ mode.B.T
+    slope = np.ones_like(moved)
+    if not automaton.effects:
+        return np.asarray(moved), slope
+    known: dict[str, dict[int, CoordinateMotion]] = automaton.derived.setdefault("motions", {})
+    if mode.name not in known:
+        known[mode.name] = motions(automaton.effects, [c.name for c in automaton.coordinates], mode.name)
+    held = {pin.coordinate for pin in mode.pins}
+    d = moved.copy()
+    for i, motion in known[mode.name].items():
+        if i in held:
+            continue
+        d[..., i] = motion.displacement(np, x[..., i], moved[..., i])
+        ahead = motion.displacement(np, x[..., i] + _SMALL, moved[..., i])
+        slope[..., i] += (ahead - motion.displacement(np, x[..., i] - _SMALL, moved[..., i])) / (2 * _SMALL)
+    return d, slope

@@ -1,0 +1,71 @@
+"""The forms by name. `register` adds one's own; what it takes is a class with a formula, see `form.EffectForm`."""
+
+from __future__ import annotations
+
+from micah_plan.automaton.effects.commands import Bias, DeadZone, Gain, Saturation
+from micah_plan.automaton.effects.ends import GuardHysteresis, GuardShift, Limit
+from micah_plan.automaton.effects.forces import Gravity, Latch, Spring, Unexplained
+from micah_plan.automaton.effects.form import LAYERS, EffectForm
+from micah_plan.automaton.effects.geometry import AxisOffset, FrameRotation, ScrewPitch
+from micah_plan.automaton.effects.memory import Backlash, Delay, Lag
+from micah_plan.automaton.effects.sensor import Drift, SensorScale
+from micah_plan.errors import InputError, shown
+
+_LIBRARY: tuple[EffectForm, ...] = (
+    Gain(),
+    Bias(),
+    FrameRotation(),
+    Delay(),
+    Lag(),
+    Saturation(),
+    DeadZone(),
+    Backlash(),
+    Spring(),
+    Gravity(),
+    Latch(),
+    Limit(),
+    ScrewPitch(),
+    AxisOffset(),
+    GuardShift(),
+    GuardHysteresis(),
+    SensorScale(),
+    Drift(),
+    Unexplained(),
+)
+_FORMS: dict[str, EffectForm] = {form.name: form for form in _LIBRARY}
+
+
+def form(name: str) -> EffectForm:
+    """The form of that name.
+
+    Raises:
+        InputError: if there is none; the message lists the names.
+    """
+    if name not in _FORMS:
+        raise InputError(f"unknown effect {shown(name)}", remedy=f"choose one of {', '.join(_FORMS)}")
+    return _FORMS[name]
+
+
+def forms() -> tuple[EffectForm, ...]:
+    """All forms, the library's first."""
+    return tuple(_FORMS.values())
+
+
+def register(new: EffectForm) -> EffectForm:
+    """Add a form; automata, files, prediction and calibration then know it.
+
+    Raises:
+        InputError: if its name is taken or its description is incomplete.
+    """
+    if new.name in _FORMS:
+        raise InputError(f"an effect {shown(new.name)} exists already", remedy="choose another name")
+    if new.layer not in LAYERS or not new.parameters or not new.sentence or not new.source:
+        raise InputError(f"effect {shown(new.name)} must have a layer, parameters, a sentence and a source")
+    _FORMS[new.name] = new
+    return new
+
+
+def unregister(name: str) -> None:
+    """Take out a form that `register` added."""
+    if name not in {own.name for own in _LIBRARY}:
+        _FORMS.pop(name, None)

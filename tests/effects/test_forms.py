@@ -1,0 +1,199 @@
+"""Every form of effect: conformance, its NumPy and CasADi readings, files, and the automaton that has it."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.effects.channel import InputChannel, has_memory
+from micah_plan.automaton.effects.conformance import check_form
+from micah_plan.automaton.effects.form import EffectForm, Parameter
+from micah_plan.automaton.effects.registry import form, forms, register, unregister
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import prismatic, revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.transition import simulate, step
+from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.belief.filter import initial_belief, predict
+from micah_plan.errors import InputError
+from micah_plan.spec.model_file import model_text, usable_model
+from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.symbolic.effects import CasadiOperations
+
+SHUT = 1.0
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
+SAMPLES = {
+    "gain": (0.8,),
+    "bias": (0.01,),
+    "saturation": (0.05,),
+    "dead_zone": (0.02, 1.0),
+    "spring": (0.1, 0.2, 0.5),
+    "gravity": (0.02, -0.01),
+    "latch": (0.03, 0.5, 0.1),
+    "unexplained": (0.0, 1.0, 0.1, 0.2, 0.01, *np.linspace(-0.02, 0.02, 12), *np.linspace(-0.1, 0.1, 12)),
+    "delay": (1.5,),
+    "lag": (2.0,),
+    "backlash": (0.03, 1.0),
+}
+
+
+def _segment(joint, start, end, rows):
+    return Segment(joint, 0, *rows, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
+
+
+@pytest.fixture
+def door():
+    shut = forward(SWING, SHUT)[0]
+    held = rigid(shut.translation, shut.rotation.as_quat(), SHUT)
+    segments = _segment(SWING, 0.0, SHUT, (0, 9)), _segment(held, SHUT, SHUT, (10, 19))
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", segments),)))
+
+
+def effect(name, values=None, **keys):
+    values = SAMPLES[name] if values is None else values
+    return Effect(name, "door", tuple(zip([p.name for p in form(name).parameters], values, strict=True)), **keys)
+
+
+@pytest.mark.parametrize("own", forms(), ids=lambda own: own.name)
+def test_every_form_conforms(own) -> None:
+    check_form(own)
+
+
+@pytest.mark.parametrize("name", [name for name in SAMPLES if form(name).layer in ("command", "force", "memory")])
+@pytest.mark.parametrize(("c", "v"), [(0.3, 0.1), (0.52, -0.06), (0.9, 0.004)])
+def test_numpy_and_casadi_read_the_same_formula(name, c, v) -> None:
+    own, p = form(name), SAMPLES[name]
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    read = [own.command(CasadiOperations(), u, p), own.force(CasadiOperations(), x, u, p)]
+    read.append(own.remember(CasadiOperations(), u, own.at_rest(p), p)[0])
+    found = ca.Function("f", [x, u], [ca.SX(e) for e in read])(c, v)
+    expected = own.command(np, v, p), own.force(np, c, v, p), own.remember(np, v, own.at_rest(p), p)[0]
+    np.testing.assert_allclose([float(f) for f in found], expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [name for name in SAMPLES if form(name).layer in ("command", "force")])
+def test_step_batch_filter_and_compiled_functions_move_alike(door, name) -> None:
+    changed = door.with_effect(effect(name))
+    c, u = 0.3, 0.08
+    expected = c + _displacement(name, c, u)
+    assert step(changed, "revolute", [c], [u]).x[0] == pytest.approx(expected, abs=1e-14)
+    _, moved = TransitionBatch(changed, np.zeros((1, 0))).step(np.zeros(1, int), *np.array([[[c]], [[u]], [[0.0]]]))
+    assert moved[0, 0] == pytest.approx(expected, abs=1e-14)
+    compiled = compile_automaton(changed).modes["revolute"]
+    assert float(compiled.step(c, u)) == pytest.approx(expected, abs=1e-14)
+    belief = predict(changed, initial_belief(changed, [c], [0.01]), [u])
+    assert belief.means[0, 0] == pytest.approx(expected, abs=1e-9)
+    _, factor = compiled.predict(c, 0.01, u)
+    slope = 1 + (_displacement(name, c + 1e-6, u) - _displacement(name, c - 1e-6, u)) / 2e-6
+    assert float(factor) ** 2 == pytest.approx((0.01 * slope) ** 2 + 0.001**2, rel=1e-6)
+    assert belief.factors[0, 0, 0] == pytest.approx(abs(float(factor)), rel=1e-6)
+
+
+def _displacement(name, c, u):
+    own, p = form(name), SAMPLES[name]
+    v = own.command(np, u, p)
+    return v + own.force(np, c, v, p)
+
+
+def test_an_effect_of_one_mode_acts_only_there(door) -> None:
+    changed = door.with_effect(effect("gain", modes=("rigid",)))
+    assert step(changed, "revolute", [0.3], [0.1]).x[0] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("name", ["delay", "lag", "backlash"])
+def test_a_channel_with_memory_ends_where_it_was_sent(door, name) -> None:
+    changed = door.with_effect(effect(name))
+    assert has_memory(changed)
+    assert not has_memory(door)
+    channel = InputChannel(changed)
+    passed = [channel.pass_on([u])[0] for u in [0.1] * 5 + [0.0] * 40]
+    assert sum(passed) == pytest.approx(0.5)
+    assert passed[:2] != [0.1, 0.1] or name == "backlash"  # engaged at first: only the reversal loses
+    back = sum(channel.pass_on([-0.1])[0] for _ in range(5)) + sum(channel.pass_on([0.0])[0] for _ in range(40))
+    assert back == pytest.approx(-0.47 if name == "backlash" else -0.5)
+
+
+def test_effects_on_ends_and_geometry_change_the_automaton_itself(door) -> None:
+    shifted = door.with_effect(effect("guard_shift", (-0.1, 1.0)))
+    assert step(shifted, "revolute", [0.8], [0.3]).x[0] == pytest.approx(0.9)
+    assert step(shifted, "revolute", [0.8], [0.3]).mode == "rigid"
+    np.testing.assert_allclose(shifted.mode("rigid").joints[0].position, forward(SWING, 0.9)[0].translation)
+    stopped = door.with_effect(effect("limit", (0.2, -1.0)))
+    assert step(stopped, "revolute", [0.3], [-0.3]).x[0] == pytest.approx(0.2)
+    sticky = door.with_effect(effect("guard_hysteresis", (0.05,)))
+    assert step(sticky, "rigid", [1.0], [-0.04]).x[0] == 1.0
+    assert step(sticky, "rigid", [1.0], [-0.06]).x[0] == pytest.approx(0.94)
+    pitched = door.with_effect(effect("screw_pitch", (0.02,)))
+    assert forward(pitched.mode("revolute").joints[0], 1.0)[0].translation[2] == pytest.approx(0.12)
+    assert pitched.mode("rigid").joints[0].position[2] == pytest.approx(0.12)
+    moved = door.with_effect(effect("axis_offset", (0.01, 0.0)))
+    assert np.linalg.norm(moved.mode("revolute").joints[0].center[:2]) == pytest.approx(0.01)
+    for automaton in (shifted, stopped, sticky, pitched, moved):
+        check_automaton(automaton)
+        assert usable_model(model_text(automaton).encode(), "model") == automaton
+
+
+def test_a_slide_without_ends_can_get_a_limit() -> None:
+    slide = KinematicEdge(BASE, "door", (_segment(prismatic((1.0, 0, 0), (0.0, 0, 0)), 0.0, 0.5, (0, 9)),))
+    limited = build_automaton(KinematicGraph((slide,))).with_effect(effect("limit", (0.3, 1.0)))
+    run = simulate(limited, limited.modes[0].name, [0.1], [[0.1]] * 4)
+    assert run.states[-1, 0] == pytest.approx(0.3)
+
+
+def test_files_keep_effects_with_spread_modes_and_note(door) -> None:
+    automaton = door.with_effect(effect("spring", std=(0.01, 0.02, 0.0), modes=("revolute",), note="since run 3"))
+    assert usable_model(model_text(automaton).encode(), "model") == automaton
+    bad = model_text(automaton).replace("name: spring", "name: sprung")
+    with pytest.raises(InputError, match=r"model, line \d+.*unknown effect 'sprung'.*choose one of gain"):
+        usable_model(bad.encode(), "model")
+    with pytest.raises(InputError, match="missing value of parameter 'rest'"):
+        usable_model(model_text(automaton).replace("    rest: 0.2\n", "").encode(), "model")
+
+
+def test_effects_that_do_not_fit_are_refused(door) -> None:
+    with pytest.raises(InputError, match="must have the parameters gain"):
+        door.with_effect(Effect("gain", "door", (("factor", 1.0),)))
+    with pytest.raises(InputError, match="unknown coordinate 'lid'"):
+        door.with_effect(Effect("gain", "lid", (("gain", 1.0),)))
+    with pytest.raises(InputError, match="width must be finite, 0 to inf"):
+        door.with_effect(effect("dead_zone", (-0.1, 1.0)))
+
+
+class Creep(EffectForm):
+    """v -> v + creep, a user's own."""
+
+    name, layer = "creep", "command"
+    sentence = "It creeps."
+    source = "this test"
+    parameters = (Parameter("creep", "coordinate", 0.0),)
+
+    def command(self, ops, v, p):
+        return v + p[0]
+
+
+def test_a_form_of_ones_own_is_checked_and_then_known(door) -> None:
+    own = Creep()
+    check_form(own)
+    register(own)
+    try:
+        moved = step(door.with_effect(effect("creep", (0.05,))), "revolute", [0.3], [0.1])
+        assert moved.x[0] == pytest.approx(0.45)
+        with pytest.raises(InputError, match="exists already"):
+            register(own)
+    finally:
+        unregister("creep")
+    with pytest.raises(InputError, match="unknown effect 'creep'"):
+        form("creep")
+
+
+def test_conformance_refuses_a_form_that_acts_when_neutral() -> None:
+    class Wrong(Creep):
+        def command(self, ops, v, p):
+            return v + p[0] + 0.1
+
+    with pytest.raises(InputError, match="must change nothing at the neutral parameters"):
+        check_form(Wrong())
