@@ -33,6 +33,7 @@ class Piece:
         fraction: expected share of the step that is left.
         displacement: (n,) nominal motion from start to end, without noise.
         events: how many transitions it took in this step.
+        held: (n,) where the modes that it left at the present instant held its coordinates; NaN: they did not.
         entered: modes that it was in at the present instant; none is entered twice at one instant (no chattering).
     """
 
@@ -42,6 +43,7 @@ class Piece:
     factor: Floats
     fraction: float
     displacement: Floats
+    held: Floats
     events: int = 0
     entered: frozenset[str] = frozenset()
 
@@ -64,7 +66,8 @@ def whole_step(
     noise = np.diag(automaton.free_process_std(mode))
     joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
     ends = np.concatenate([mean, mean + displacement])
-    return Piece(mode_name, probability, ends, joint, 1.0, displacement, entered=frozenset([mode_name]))
+    nowhere = np.full(n, np.nan)
+    return Piece(mode_name, probability, ends, joint, 1.0, displacement, nowhere, entered=frozenset([mode_name]))
 
 
 def cross(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> tuple[Piece | None, Piece | None]:
@@ -101,10 +104,13 @@ def _holds(half_space: HalfSpace, u: Floats) -> bool:
 def _is_met_by_mean(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> bool:
     """Whether the mean is inside the guard or moves towards it.
 
-    Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit.
+    Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit. And
+    what was just held lies where it was held: how well that place is known does not put it behind a guard that begins
+    there.
     """
     margins = np.array([[weights @ piece.mean - offset for weights, offset in _rows(h, piece, u)] for h in half_spaces])
-    is_inside = bool((margins[:, 0] > SMALLEST_STD).all())
+    start = np.where(np.isnan(piece.held), piece.mean[: piece.n], piece.held)
+    is_inside = all(float(h.margin(start, u)) > SMALLEST_STD for h in half_spaces)
     return is_inside or bool((margins[:, 1] - margins[:, 0] > SMALLEST_STD).any())
 
 
@@ -184,9 +190,20 @@ def _event(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats, bind
         factor=factor,
         fraction=share * piece.fraction,
         displacement=displacement,
+        held=_held(automaton, piece, edge) if at_once else np.full(n, np.nan),
         entered=(piece.entered if at_once else frozenset([edge.source])) | {edge.target},
     )
     return arrived if edge.is_self_transition else _entered(automaton, arrived, edge)
+
+
+def _held(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Floats:
+    """(n,) where a piece that takes an edge at once was held before; a reset moves it elsewhere."""
+    if not edge.reset.is_identity:
+        return np.full(piece.n, np.nan)
+    held = piece.held.copy()
+    for pin in automaton.mode(edge.source).pins:
+        held[pin.coordinate] = pin.value
+    return held
 
 
 def _share_behind(piece: Piece, binding: HalfSpace | None, u: Floats) -> tuple[float, Floats]:

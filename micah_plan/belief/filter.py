@@ -59,7 +59,8 @@ def initial_belief(
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
     mode = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
     held = gaussian.condition_on_pins(center, factor, automaton.mode(mode).pins)
-    return _assembled(automaton, [Piece(mode, 1.0, np.tile(held[0], 2), np.tile(held[1], (2, 1)), 0.0, np.zeros(n))])
+    ends = np.tile(held[0], 2), np.tile(held[1], (2, 1))
+    return _assembled(automaton, [Piece(mode, 1.0, *ends, 0.0, np.zeros(n), np.full(n, np.nan))])
 
 
 def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> HybridBelief:

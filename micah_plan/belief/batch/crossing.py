@@ -31,6 +31,7 @@ class Pieces:
         mean, factor: (p, 2n), (p, 2n, K) of start and end of what is left of the step.
         fraction: (p,) expected share of the step that is left.
         displacement: (p, n) nominal motion, without noise.
+        held: (p, n) where the modes left at the present instant held the coordinates; NaN: they did not.
         events: (p,) transitions taken in this step.
         entered: (p, q) modes that it was in at the present instant.
     """
@@ -42,6 +43,7 @@ class Pieces:
     factor: Floats
     fraction: Floats
     displacement: Floats
+    held: Floats
     events: Ints
     entered: Booleans
 
@@ -64,6 +66,7 @@ class Pieces:
             self.factor[chosen],
             self.fraction[chosen],
             self.displacement[chosen],
+            self.held[chosen],
             self.events[chosen],
             self.entered[chosen],
         )
@@ -81,6 +84,7 @@ class Pieces:
             np.concatenate([widened(self.factor, widest), widened(other.factor, widest)]),
             np.concatenate([self.fraction, other.fraction]),
             np.concatenate([self.displacement, other.displacement]),
+            np.concatenate([self.held, other.held]),
             np.concatenate([self.events, other.events]),
             np.concatenate([self.entered, other.entered]),
         )
@@ -107,7 +111,8 @@ def whole_step(
     entered[:, mode] = True
     ends = np.concatenate([mean, mean + displacement], axis=1)
     none = np.zeros(count, dtype=np.int64)
-    return Pieces(mode, owner, probability, ends, joint, np.ones(count), displacement, none, entered)
+    nowhere = np.full((count, n), np.nan)
+    return Pieces(mode, owner, probability, ends, joint, np.ones(count), displacement, nowhere, none, entered)
 
 
 def cross(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, inputs: Floats) -> tuple[Pieces, Pieces]:
@@ -177,10 +182,11 @@ def _with(pieces: Pieces, parts: Parts) -> Pieces:
 def _is_met_by_mean(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Booleans:
     """Whether each mean is inside the guard or moves towards it."""
     inside, towards = np.ones(len(pieces), dtype=bool), np.zeros(len(pieces), dtype=bool)
+    held = np.where(np.isnan(pieces.held), pieces.mean[:, : pieces.n], pieces.held)
     for half_space in half_spaces:
         start = half_space.margin(pieces.mean[:, : pieces.n], u)
         end = half_space.margin(pieces.mean[:, pieces.n :], u)
-        inside &= start > SMALLEST_STD
+        inside &= half_space.margin(held, u) > SMALLEST_STD
         towards |= end - start > SMALLEST_STD
     return inside | towards
 
@@ -249,8 +255,12 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
         new_end_mean = new_start_mean + behind_mean + share[:, None] * change
         new_end = new_start + behind + change[:, :, None] * slope[:, None, :]
     source, target = _index(automaton, edge.source), _index(automaton, edge.target)
-    entered = np.where((share > 1.0 - 1e-9)[:, None], pieces.entered, np.arange(len(automaton.modes)) == source)
+    at_once = (share > 1.0 - 1e-9)[:, None]
+    entered = np.where(at_once, pieces.entered, np.arange(len(automaton.modes)) == source)
     entered[:, target] = True
+    held = pieces.held.copy()
+    for pin in automaton.modes[source].pins:
+        held[:, pin.coordinate] = pin.value
     arrived = Pieces(
         mode=target,
         owner=pieces.owner,
@@ -259,6 +269,7 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
         factor=np.concatenate([np.broadcast_to(new_start, (count, n, 2 * n)), new_end], axis=1) @ pieces.factor,
         fraction=share * pieces.fraction,
         displacement=displacement,
+        held=np.where(at_once & edge.reset.is_identity, held, np.nan),
         events=pieces.events,
         entered=entered,
     )
