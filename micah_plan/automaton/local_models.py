@@ -108,11 +108,19 @@ def _group(index: int, segment: Segment) -> _Group:
 
 
 def _merged(groups: list[_Group]) -> list[_Group]:
-    """Join groups of one model until no two are left that are; each pass makes the list shorter, so it ends."""
-    for i, first in enumerate(groups):
-        for j in range(i + 1, len(groups)):
-            if _is_same_model(first, groups[j]):
-                return _merged([*groups[:i], _joined(first, groups[j]), *groups[i + 1 : j], *groups[j + 1 :]])
+    """Join groups of one model, always the first two that are, until no two are left."""
+    groups, i = list(groups), 0
+    while i < len(groups):
+        same = next((j for j in range(i + 1, len(groups)) if _is_same_model(groups[i], groups[j])), None)
+        if same is None:
+            i += 1
+            continue
+        groups[i] = _joined(groups[i], groups.pop(same))
+        # What it has become may be the model of one that it was not before.
+        before = next((j for j in range(i) if _is_same_model(groups[j], groups[i])), None)
+        while before is not None:
+            groups[before], i = _joined(groups[before], groups.pop(i)), before
+            before = next((j for j in range(i) if _is_same_model(groups[j], groups[i])), None)
     return groups
 
 

@@ -166,6 +166,22 @@ class TestLocalModels:
         assert [m.name for m in models] == ["prismatic_1", "prismatic_2", "revolute"]
         assert [m.lower for m in models] == pytest.approx([-0.3, 0.0, 0.21])
 
+    def test_a_door_that_was_opened_and_shut_two_thousand_times(self) -> None:
+        segments = []
+        for k in range(2000):
+            rows, there = (30 * k, 30 * k + 19), k % 2 == 0
+            ends = (0.0, SHUT) if there else (SHUT, 0.0)
+            segments += [
+                segment(HINGE, rows, *ends),
+                segment(held(ends[1]), (rows[1] + 1, rows[1] + 10), *ends[1:] * 2),
+            ]
+        models = local_models(edge_of(*segments))
+        assert [(m.name, m.lower, m.upper) for m in models] == [
+            ("rigid_1", 0.0, 0.0),
+            ("revolute", 0.0, SHUT),
+            ("rigid_2", SHUT, SHUT),
+        ]
+
     def test_without_a_switch_between_them_neighbours_meet_half_way(self) -> None:
         segments = (
             segment(SLIDE, (0, 20), 0.0, 0.2),
