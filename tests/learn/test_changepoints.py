@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from exact_evidence import ExactEvidence
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import JOINTS, moving_then_held, recorded
@@ -15,7 +16,6 @@ from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import (
     EvidenceColumn,
     EvidenceTable,
-    ExactEvidence,
     segment_sums,
     tabulated,
 )
@@ -129,7 +129,7 @@ def planted_table(positions_only: bool = False) -> EvidenceTable:
 
 def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, ExactEvidence, int]:
     table, kinds = planted_table(positions_only), LearnSettings().kinds
-    return ExactEvidence(table, kinds), ExactEvidence(table, kinds), len(table.charged)
+    return ExactEvidence(table, kinds), ExactEvidence(table, kinds), table.log_density.shape[1]
 
 
 def test_particles_agree_with_the_exact_recursion() -> None:
@@ -170,7 +170,7 @@ def test_the_evidence_of_a_segment_is_the_sum_over_its_rows() -> None:
     for start in range(11):
         for end in range(start, 11):
             total = sum(density[min(row - start, 3), row] for row in range(start, end + 1))
-            assert sums[start, end] == pytest.approx(total)
+            assert sums[:, start, end] == pytest.approx(total)
 
 
 @pytest.mark.parametrize("positions_only", [False, True])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exact_evidence import ExactEvidence
 from planted import JOINTS, START, moving_then_held, recorded
 
 from micah_plan.automaton.graph import Segment
@@ -18,7 +19,7 @@ from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.online import OnlineLearner
 from micah_plan.learn.row_window import RowWindow
 from micah_plan.learn.segmenting.changepoints import most_probable
-from micah_plan.learn.segmenting.evidence import ExactEvidence, tabulated
+from micah_plan.learn.segmenting.evidence import tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses

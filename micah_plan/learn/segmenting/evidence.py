@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
 from micah_plan.learn.segmenting.occam import held_cost, parameter_cost, parameter_count
@@ -55,16 +55,19 @@ class EvidenceTable:
 
     @cached_property
     def sums(self) -> Floats:
-        """(n, n, h) evidence of every segment (first, last row), its joint's parameters paid for by someone else."""
+        """(h, n, n) evidence of every segment (first, last row), its joint's parameters paid for by someone else.
+
+        What is said of last rows before the first means nothing.
+        """
         return segment_sums(self.log_density)
 
-    @cached_property
-    def charged(self) -> Floats:
-        """(n, n, h) the same, less what a segment pays for a joint of its own."""
-        n, h = self.log_density.shape[1:]
-        costs = self.cost(np.arange(h), np.arange(1.0, n + 1)[:, None])
-        lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None], 0)
-        return np.asarray(self.sums - costs[lengths])
+    def charged(self, index: Ints) -> Floats:
+        """(k, n, n) the same of k hypotheses, less what a segment pays for a joint of its own."""
+        n = self.log_density.shape[1]
+        lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
+        costs = self.cost(index, lengths[:, None]).T
+        # The cost of a segment depends on its length alone.
+        return np.asarray(self.sums[index] - sliding_window_view(costs, n, axis=1)[:, ::-1])
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""
@@ -106,23 +109,29 @@ def tabulated(
 
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     """(p + 1, n, h) ln densities across the joints, and (h, n) how much wider than usual a row's noise is."""
-    error = pool.seen.error
-    d = error.shape[2]
+    error, direction = (np.ascontiguousarray(np.moveaxis(x, 2, 0)) for x in (pool.seen.error, pool.seen.direction))
+    d, h, n = error.shape
     size = d - pool.moving[:, None]
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
     log_correlation = float(np.log(np.diag(np.linalg.cholesky(noise.correlation))).sum())
-    table = np.zeros((len(noise.left), error.shape[1], len(error)))
-    squares = np.zeros(error.shape[:2])
-    for order, left in enumerate(noise.left):
-        squares = (noise.whitened(error, order) ** 2).sum(axis=2)
+    table = np.zeros((len(noise.left), n, h))
+    squares = np.zeros((h, n))
+    for order, (left, innovation) in enumerate(zip(noise.left, noise.predicted_back(error), strict=True)):
+        scaling = noise.decorrelation / np.sqrt(left)
+        squares = _squares(scaling, innovation)
         # The direction of motion is not counted here.
-        scaled = (pool.seen.direction / np.sqrt(left)) @ noise.decorrelation.T
-        information = np.where(pool.moving[:, None], (scaled**2).sum(axis=2), 1.0)
-        hidden = -0.5 * np.log(np.maximum(information, 1e-12))
-        tails = -0.5 * (noise.dof + size) * np.log1p(squares / (noise.dof + size))
-        table[order] = (peak + tails - 0.5 * np.log(left).sum() - log_correlation + hidden).T
+        information = np.where(pool.moving[:, None], _squares(scaling, direction), 1.0)
+        hidden = np.log(np.maximum(information, 1e-12))
+        tails = (noise.dof + size) * np.log1p(squares / (noise.dof + size))
+        table[order] = (peak - 0.5 * (np.log(left).sum() + tails + hidden) - log_correlation).T
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
     return table, 1 + (squares - size) / (noise.dof + size)
+
+
+def _squares(scaling: Floats, channels: Floats) -> Floats:
+    """(h, n) squared lengths of channels (d, h, n) that a matrix (d, d) scales."""
+    scaled = scaling @ channels.reshape(len(channels), -1)
+    return np.asarray(np.einsum("dk,dk->k", scaled, scaled).reshape(channels.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,55 +149,23 @@ class EvidenceColumn:
     hypothesis: Ints
 
 
-class ExactEvidence:
-    """Evidence of all segments of a track, given out row by row as a stream's is: the reference for both recursions.
-
-    Args:
-        table: densities; every segment pays for the parameters of its joint.
-        kinds: candidate kinds, in the order of the evidence's columns.
-    """
-
-    def __init__(self, table: EvidenceTable, kinds: tuple[JointKind, ...]) -> None:
-        names = table.pool.hypotheses.joints.kinds
-        members = [np.flatnonzero([name == kind for name in names]) for kind in kinds]
-        n = len(table.charged)
-        self._best = np.full((n, n, len(kinds)), -np.inf)
-        self._which = np.zeros((n, n, len(kinds)), dtype=np.int64)
-        for column, of_kind in enumerate(members):
-            if len(of_kind):
-                evidence = table.charged[:, :, of_kind]
-                self._best[:, :, column] = evidence.max(axis=2)
-                self._which[:, :, column] = of_kind[np.argmax(evidence, axis=2)]
-        self.starts: Ints = np.zeros(0, dtype=np.int64)
-        self.row = -1
-
-    def __len__(self) -> int:
-        return len(self._best)
-
-    def advance(self) -> EvidenceColumn:
-        """Open a segment at the next row and take that row into all open segments."""
-        self.row += 1
-        self.starts = np.append(self.starts, self.row)
-        return EvidenceColumn(self.starts, self._best[self.starts, self.row], self._which[self.starts, self.row])
-
-    def keep(self, index: Ints) -> None:
-        """Go on with these of the open segments only (indices into the last column)."""
-        self.starts = self.starts[index]
-
-
 def segment_sums(log_density: Floats) -> Floats:
-    """(n, n, h) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
+    """(h, n, n) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
 
     The first p rows of a segment have their own densities; those after them are differences of one running sum.
     """
     p, n, h = len(log_density) - 1, log_density.shape[1], log_density.shape[2]
-    running = np.concatenate([np.zeros((1, h)), np.cumsum(log_density[p], axis=0)])
+    running = np.zeros((h, n + 1))
+    np.cumsum(log_density[p].T, axis=1, out=running[:, 1:])
     # Of the row s + k with k rows known before it; 0 beyond the end.
-    begin = np.zeros((n, p + 1, h))
+    begin = np.zeros((p, h, n))
     for k in range(min(p, n)):
-        begin[: n - k, k + 1] = log_density[k, k:]
-    begin = np.cumsum(begin, axis=1)
-    s, t = np.arange(n)[:, None], np.arange(n)[None]
-    known = np.minimum(s + p, n)
-    later = running[np.maximum(t + 1, known)] - running[known]
-    return np.asarray(begin[s, np.clip(t - s + 1, 0, p)] + later)
+        begin[k, :, : n - k] = log_density[k, k:].T
+    begin = np.cumsum(begin, axis=0)
+    later = running[:, np.minimum(np.arange(n) + p, n)]
+    known = begin[-1] - later if p else -later
+    sums = running[:, None, 1:] + known[:, :, None]
+    of_lengths = sums.reshape(h, -1)
+    for k in range(min(p - 1, n)):
+        of_lengths[:, k :: n + 1][:, : n - k] = begin[k, :, : n - k]
+    return np.asarray(sums)

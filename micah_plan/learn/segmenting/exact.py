@@ -1,13 +1,13 @@
 """The exact recursion for the most probable changepoints, over the evidence of all segments at once.
 
-The same as `changepoints.most_probable` on `ExactEvidence` (a test compares them), ten times faster: which model is
-best for a segment does not depend on the others, so it is chosen for all of them before the recursion begins.
+The same as `changepoints.most_probable` where every start is kept (a test compares them), ten times faster: which model
+is best for a segment does not depend on the others, so it is chosen for all of them before the recursion begins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,19 +34,19 @@ def best_segmentation(
         members: hypotheses to choose among; None: all.
         paid: those whose parameters cost a segment nothing (whoever chose them pays).
     """
-    evidence, chosen = _best_models(table, members, paid)
-    n = len(evidence)
-    columns = np.ascontiguousarray((evidence + _length_terms(prior, n)).T) - np.log(kinds)
+    models = _Models(table, members, paid)
+    n = table.log_density.shape[1]
+    columns = np.ascontiguousarray((models.best + _length_terms(prior, n)).T) - np.log(kinds)
     best_before, last = np.zeros(n + 1), np.zeros(n + 1, dtype=np.int64)
     for row in range(n):
         score = best_before[: row + 1] + columns[row, : row + 1]
-        start = int(score.argmax())
+        start = score.argmax()
         best_before[row + 1], last[row + 1] = score[start], start
     pieces: list[Piece] = []
     end = n
     while end > 0:
         start = int(last[end])
-        pieces.append(Piece(start, end - 1, int(chosen[start, end - 1]), float(evidence[start, end - 1])))
+        pieces.append(Piece(start, end - 1, models.which(start, end - 1), float(models.best[start, end - 1])))
         end = start
     return Segmentation(tuple(reversed(pieces)), float(best_before[n]))
 
@@ -62,15 +62,23 @@ def _length_terms(prior: LengthPrior, n: int) -> Floats:
     return np.asarray(terms)
 
 
-def _best_models(
-    table: EvidenceTable, members: Sequence[int] | None, paid: Collection[int]
-) -> tuple[Floats, NDArray[np.int64]]:
-    """(n, n) evidence of the best hypothesis for every segment, and which it is."""
-    if members is None:
-        return table.charged.max(axis=2), np.argmax(table.charged, axis=2)
-    some = np.array(members)
-    layers = [table.sums[:, :, i] if i in paid else table.charged[:, :, i] for i in members]
-    if len(layers) == 1:
-        return layers[0].copy(), np.full(layers[0].shape, some[0])
-    stacked = np.stack(layers)
-    return stacked.max(axis=0), some[np.argmax(stacked, axis=0)]
+class _Models:
+    """The best of some hypotheses for every segment.
+
+    Attributes:
+        best: (n, n) its evidence, by first and last row.
+    """
+
+    def __init__(self, table: EvidenceTable, members: Sequence[int] | None, paid: Collection[int]) -> None:
+        index = range(len(table.rows)) if members is None else members
+        free = [i for i in index if i in paid]
+        charged = np.array([i for i in index if i not in paid], dtype=np.int64)
+        self._layers = {i: table.sums[i] for i in free}
+        if len(charged):
+            self._layers |= dict(zip(charged.tolist(), table.charged(charged), strict=True))
+        self._index = list(index)
+        self.best: Floats = reduce(np.maximum, (self._layers[i] for i in self._index))
+
+    def which(self, start: int, end: int) -> int:
+        """The hypothesis that is best for one segment."""
+        return max(self._index, key=lambda i: float(self._layers[i][start, end]))

@@ -133,22 +133,23 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
 
 def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Innovations (n-1, h, g, k) of signals (h, n, k) and their variances without a step (n-1, h, g)."""
-    h, n, k = signals.shape
-    g = grid.shape[1]
-    innovations = np.zeros((n - 1, h, g, k))
-    variances = np.zeros((n - 1, h, g))
-    state = np.repeat(signals[:, None, 0], g, axis=1)
-    spread = np.broadcast_to(white[:, None], (h, g))
+    n, g = signals.shape[1], grid.shape[1]
+    noise = (white[:, None] * scale).T[1:, :, None]
+    added = grid + renewed[:, None]
+    # How far to trust a row does not depend on the signals.
+    ahead = np.empty((n - 1, len(signals), g))
+    ahead[0] = white[:, None] + added
+    for t in range(1, n - 1):
+        before = ahead[t - 1]
+        np.add(before * noise[t - 1] / (before + noise[t - 1]), added, out=ahead[t])
+    trust = ahead / (ahead + noise)
+    rows = np.ascontiguousarray(signals.transpose(1, 2, 0))[..., None]
+    innovations = np.empty((n - 1, signals.shape[2], len(signals), g))
+    state = np.repeat(rows[0], g, axis=2)
     for t in range(1, n):
-        before = spread + renewed[:, None]
-        noise = white[:, None] * scale[:, t : t + 1]
-        variance = before + grid + noise
-        innovation = signals[:, None, t] - state
-        trust = (before + grid) / variance
-        state = state + trust[..., None] * innovation
-        spread = (before + grid) * (1 - trust)
-        innovations[t - 1], variances[t - 1] = innovation, before + noise
-    return innovations, variances
+        np.subtract(rows[t], state, out=innovations[t - 1])
+        state += trust[t - 1] * innovations[t - 1]
+    return innovations.transpose(0, 2, 3, 1), ahead - grid + noise
 
 
 def _freely(
@@ -209,20 +210,20 @@ def _either(forth: Floats, back: Floats, waiting: Floats) -> Floats:
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
     """
-    density = np.zeros_like(forth)
-    states = np.stack([forth, back, waiting])
-    chance = np.broadcast_to(np.array([0.25, 0.25, 0.5]).reshape(3, *(1,) * (forth.ndim - 1)), states[:, 0].shape)
-    for t in range(len(forth)):
-        highest = states[:, t].max(axis=0)
-        # No state is ever ruled out: a row that only one explains must not leave none.
-        weight = np.maximum(chance, 1e-300) * np.exp(np.maximum(states[:, t] - highest, -300.0))
-        total = weight.sum(axis=0)
-        density[t] = highest + np.log(total)
-        ahead, behind, wait = weight / total
-        start = 0.5 * _STARTING * wait
-        turn = _TURNING * (ahead - behind)
-        chance = np.stack([ahead - turn + start, behind + turn + start, (1 - _STARTING) * wait])
-    return density
+    states = np.stack([forth, back, waiting], axis=1)
+    highest = states.max(axis=1)
+    # No state is ever ruled out: a row that only one explains must not leave none.
+    likelihood = np.exp(np.maximum(states - highest[:, None], -300.0)).reshape(len(states), 3, -1)
+    turned = np.array([[1 - _TURNING, _TURNING], [_TURNING, 1 - _TURNING]])
+    change = np.zeros((3, 3))
+    change[:2, :2], change[:2, 2], change[2, 2] = turned, 0.5 * _STARTING, 1 - _STARTING
+    chance = np.broadcast_to(np.array([[0.25], [0.25], [0.5]]), likelihood.shape[1:])
+    totals = np.empty((len(states), likelihood.shape[2]))
+    for t, likely in enumerate(likelihood):
+        weight = np.maximum(chance, 1e-300) * likely
+        total = weight.sum(axis=0, out=totals[t])
+        chance = change @ (weight / total)
+    return np.asarray(highest + np.log(totals).reshape(highest.shape))
 
 
 def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:

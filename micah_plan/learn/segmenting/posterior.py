@@ -53,7 +53,7 @@ def changepoint_posterior(
     n = table.log_density.shape[1]
     most = min(max(changepoints + 1 + _MORE_SEGMENTS, 2), max(_MOST_SEGMENTS, changepoints + 1), n)
     lengths = np.arange(n)[None] - np.arange(n)[:, None] + 1
-    sums = np.ascontiguousarray(table.sums.transpose(2, 0, 1)) - cost[:, None, None] - np.log(kinds)
+    sums = table.sums - cost[:, None, None] - np.log(kinds)
     valid = np.maximum(lengths, 1)
     inner = np.where(lengths > 0, sums + prior.log_probability(valid), -np.inf)
     last = sums[:, :, -1] + prior.log_survival(valid[:, -1] - 1)

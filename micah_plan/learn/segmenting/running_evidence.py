@@ -1,6 +1,6 @@
 """Evidence of the open segments of a few hypotheses, row by row: what the recursion with particles needs.
 
-Memory is (live starts × hypotheses) and a row costs as much, where `ExactEvidence` holds all (n, n) segments.
+Memory is (live starts × hypotheses) and a row costs as much, where the exact recursion holds all (n, n) segments.
 """
 
 from __future__ import annotations

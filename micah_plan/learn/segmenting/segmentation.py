@@ -88,7 +88,7 @@ def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) ->
     n = len(found.track)
     pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), found.track, found.noise)
     table = tabulated(pool, found.track, found.noise, use_actions, settings.rest)
-    totals = table.sums[0, -1] - table.occam
+    totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
     whole = Segmentation((Piece(0, n - 1, best, float(totals[best])),), float(totals[best]))
