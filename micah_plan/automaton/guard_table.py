@@ -47,6 +47,7 @@ class Exit:
 class ModeTable:
     """A mode: the terms of B per coordinate (None where pinned) and its exits, mode changes before self transitions.
 
+    `pins` are coordinates and their values, `followed` the coordinate that adds to the value of a pinned one.
     `effects` holds what changes the motion of a coordinate, by its index.
     """
 
@@ -55,6 +56,7 @@ class ModeTable:
     exits: tuple[Exit, ...]
     pins: tuple[tuple[int, float], ...]
     effects: dict[int, CoordinateMotion] = field(default_factory=dict)
+    followed: tuple[tuple[int, int], ...] = ()
 
     def pinned(self, x: list[float]) -> list[float]:
         """x with the pinned coordinates at their values."""
@@ -63,6 +65,8 @@ class ModeTable:
         held = list(x)
         for i, value in self.pins:
             held[i] = value
+        for i, j in self.followed:
+            held[i] += x[j]
         return held
 
 
@@ -88,7 +92,8 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
         exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
     exits.sort(key=lambda e: e.is_self)
     acting = motions(automaton.effects, [c.name for c in automaton.coordinates], name)
-    return ModeTable(name, flow, tuple(exits), pins, acting)
+    followed = tuple((pin.coordinate, pin.follows) for pin in mode.pins if pin.follows is not None)
+    return ModeTable(name, flow, tuple(exits), pins, acting, followed)
 
 
 def _guard_rows(guard: Region) -> tuple[Row, ...]:

@@ -83,11 +83,15 @@ class Pin:
     """A coordinate that a mode holds at one value: a rigid joint at its configurational changepoint.
 
     Being in such a mode is information: the coordinate is known to `std`. A state elsewhere is put at `value`.
+
+    Attributes:
+        follows: another coordinate, never pinned, that adds to `value`; None: none (`boundary_states` has such pins).
     """
 
     coordinate: int
     value: float
     std: float
+    follows: int | None = None
 
 
 @dataclass(frozen=True)
@@ -322,6 +326,11 @@ class HybridAutomaton:
         return tuple(
             pin for pin in self.mode(edge.target).pins if any(h.a[pin.coordinate] for h in edge.guard.half_spaces)
         )
+
+    def pins_met_by(self, edge: Edge) -> tuple[Pin, ...]:
+        """The target's other pins that its source does not have: to be held there is one more piece of information."""
+        known = {*self.pins_located_by(edge), *self.mode(edge.source).pins}
+        return tuple(pin for pin in self.mode(edge.target).pins if pin not in known)
 
     def part(self, name: str) -> Part:
         """The part of that name, without shapes if the model describes none."""

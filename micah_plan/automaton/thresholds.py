@@ -9,19 +9,20 @@ configuration, those of the moving joints count.
 from __future__ import annotations
 
 import operator
+from collections.abc import Container
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace, Region
 
 Floats = NDArray[np.float64]
 
 _DIGITS = 9
-_Boundary = tuple[float, ...]
+Boundary = tuple[float, ...]
 """Weights and threshold of a half-space's boundary, scaled so that both sides of it are the same value."""
 
 
@@ -36,12 +37,12 @@ def with_drawn_thresholds(automaton: HybridAutomaton, rng: np.random.Generator) 
 
 def threshold_stds(automaton: HybridAutomaton) -> Floats:
     """(b,) std of each boundary that is not certain, in the unit of its scaled threshold, in the order of the edges."""
-    return np.array(list(_boundary_stds(automaton).values()))
+    return np.array(list(boundary_stds(automaton).values()))
 
 
 def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAutomaton:
     """The automaton with its uncertain boundaries moved by (b,) amounts, in the order of `threshold_stds`."""
-    shifts = {boundary: float(shift) for boundary, shift in zip(_boundary_stds(automaton), by, strict=True)}
+    shifts = {boundary: float(shift) for boundary, shift in zip(boundary_stds(automaton), by, strict=True)}
     guards = [_moved(edge.guard, shifts) for edge in automaton.edges]
     edges = tuple(
         edge if guard is edge.guard else replace(edge, guard=guard)
@@ -51,59 +52,76 @@ def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAut
     return replace(automaton, modes=modes, edges=edges)
 
 
-def _boundary_stds(automaton: HybridAutomaton) -> dict[_Boundary, float]:
+def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
     """Std of every uncertain boundary, in the unit of its scaled threshold, in the order of the edges."""
-    stds: dict[_Boundary, float] = {}
+    stds: dict[Boundary, float] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces if edge.threshold_std > 0 else ():
             if any(half_space.a):
-                boundary, scale = _boundary(half_space)
+                boundary, scale = boundary_of(half_space)
                 stds[boundary] = max(stds.get(boundary, 0.0), edge.threshold_std / abs(scale))
     return stds
 
 
 @lru_cache(maxsize=1024)
-def _boundary(half_space: HalfSpace) -> tuple[_Boundary, float]:
+def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
     """The boundary, and what its scaled threshold is to be multiplied by to give the half-space's."""
     scale = next((weight for weight in (*half_space.a, *half_space.b) if weight), 1.0)
     values = (*half_space.a, *half_space.b, half_space.c)
     return tuple(round(value / scale, _DIGITS) + 0.0 for value in values), scale
 
 
-def _moved(region: Region, shifts: dict[_Boundary, float]) -> Region:
+def _moved(region: Region, shifts: dict[Boundary, float]) -> Region:
     """The region with its uncertain boundaries moved; itself if it has none."""
     rows = []
     for half_space in region.half_spaces:
-        boundary, scale = _boundary(half_space)
+        boundary, scale = boundary_of(half_space)
         known = boundary not in shifts
         rows.append(half_space if known else replace(half_space, c=half_space.c + scale * shifts[boundary]))
     return region if all(map(operator.is_, rows, region.half_spaces)) else Region(tuple(rows))
 
 
-def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[_Boundary, float]) -> Mode:
+def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[Boundary, float]) -> Mode:
     """The mode with its boundaries moved, and its pins with the boundary at which it is entered."""
-    carried = {}
-    for edge in automaton.edges:
-        if edge.target == mode.name:
-            for pin in automaton.pins_located_by(edge):
-                carried[pin.coordinate] = _shift_along(edge, pin.coordinate, shifts)
+    at = boundaries_of_pins(automaton, mode)
+    carried = {coordinate: shifts.get(boundary, 0.0) for coordinate, boundary in at.items()}
     region = _moved(mode.invariant, shifts)
     if not carried and region is mode.invariant:
         return mode
     pins = tuple(replace(pin, value=pin.value + carried.get(pin.coordinate, 0.0)) for pin in mode.pins)
     rows = []
     for before, after in zip(mode.invariant.half_spaces, region.half_spaces, strict=True):
-        along = [i for i, weight in enumerate(before.a) if weight]
-        # The range of a mode that is held at a boundary lies around it, though it does not end there.
-        held = len(along) == 1 and after == before and not any(before.b)
-        moved = replace(before, c=before.c + before.a[along[0]] * carried.get(along[0], 0.0)) if held else after
+        held = held_coordinate(before, carried) if after == before else None
+        moved = after if held is None else replace(before, c=before.c + before.a[held] * carried[held])
         rows.append(moved)
     return replace(mode, invariant=Region(tuple(rows)), pins=pins)
 
 
-def _shift_along(edge: Edge, coordinate: int, shifts: dict[_Boundary, float]) -> float:
-    """How far the boundary on a coordinate alone moves by which an edge enters its target."""
-    for half_space in edge.guard.half_spaces:
-        if [i for i, weight in enumerate(half_space.a) if weight] == [coordinate] and not any(half_space.b):
-            return shifts.get(_boundary(half_space)[0], 0.0)
-    return 0.0
+def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
+    """The boundary, by coordinate, at which a mode holds it: that on the coordinate alone by which it was entered.
+
+    A mode that is only entered from others that hold the coordinate at the same place holds it at their boundary.
+    """
+    found: dict[int, Boundary] = {}
+    for edge in automaton.edges:
+        for pin in automaton.pins_located_by(edge):
+            if edge.target == mode.name or any(
+                (p.coordinate, p.value) == (pin.coordinate, pin.value) for p in mode.pins
+            ):
+                on_it = (h for h in edge.guard.half_spaces if _single_coordinate(h) == pin.coordinate)
+                first = next(on_it, None)
+                if first is not None and (edge.target == mode.name or pin.coordinate not in found):
+                    found[pin.coordinate] = boundary_of(first)[0]
+    return found
+
+
+def held_coordinate(half_space: HalfSpace, held: Container[int]) -> int | None:
+    """The held coordinate around which a half-space bounds a mode's range, though it does not end at its boundary."""
+    coordinate = _single_coordinate(half_space)
+    return coordinate if coordinate is not None and coordinate in held else None
+
+
+def _single_coordinate(half_space: HalfSpace) -> int | None:
+    """The only coordinate that a half-space is about; None if it is about several or about inputs."""
+    along = [i for i, weight in enumerate(half_space.a) if weight]
+    return along[0] if len(along) == 1 and not any(half_space.b) else None

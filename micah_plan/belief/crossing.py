@@ -202,7 +202,7 @@ def _held(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Floats:
         return np.full(piece.n, np.nan)
     held = piece.held.copy()
     for pin in automaton.mode(edge.source).pins:
-        held[pin.coordinate] = pin.value
+        held[pin.coordinate] = pin.value + (0.0 if pin.follows is None else piece.mean[pin.follows])
     return held
 
 
@@ -234,5 +234,5 @@ def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Piece:
     old, new = (np.array(automaton.free_process_std(mode)) for mode in (source, target))
     noise = np.vstack([np.zeros((n, n)), np.diag(piece.fraction * np.where(old == 0, new, 0.0))])
     factor = lower_factor(np.hstack([factor, noise]))
-    mean, factor = condition_on_pins(mean, factor, [pin for pin in target.pins if pin not in located])
+    mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))
     return replace(piece, mean=mean, factor=factor, displacement=displacement)

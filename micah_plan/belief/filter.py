@@ -15,10 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.belief import gaussian
 from micah_plan.belief.crossing import Piece, cross, whole_step
-from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.belief.hybrid_belief import HybridBelief, belief_of, joint_of
 from micah_plan.belief.truncation import mixed, truncate
 from micah_plan.errors import InputError
 
@@ -58,9 +60,12 @@ def initial_belief(
         raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
     mode = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
-    held = gaussian.condition_on_pins(center, factor, automaton.mode(mode).pins)
+    whole, stds = with_boundary_states(automaton), threshold_stds(automaton)
+    center = np.concatenate([center, np.zeros(stds.size)])
+    factor = np.block([[factor, np.zeros((n, stds.size))], [np.zeros((stds.size, n)), np.diag(stds)]])
+    held = gaussian.condition_on_pins(center, factor, whole.mode(mode).pins)
     ends = np.tile(held[0], 2), np.tile(held[1], (2, 1))
-    return _assembled(automaton, [Piece(mode, 1.0, *ends, 0.0, np.zeros(n), np.full(n, np.nan))])
+    return _assembled(whole, n, [Piece(mode, 1.0, *ends, 0.0, np.zeros(whole.n), np.full(whole.n, np.nan))])
 
 
 def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> HybridBelief:
@@ -69,14 +74,15 @@ def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> H
     if applied.shape != (automaton.m,):
         raise InputError(f"an input must have shape ({automaton.m},). Got {applied.shape}")
     arrived: list[Piece] = []
-    for index, mode in enumerate(automaton.modes):
+    whole, (means, factors) = with_boundary_states(automaton), joint_of(automaton, belief)
+    for index, mode in enumerate(whole.modes):
         weight = float(belief.weights[index])
         if weight < NEGLIGIBLE:
             continue
-        travelling = [whole_step(automaton, mode.name, weight, belief.means[index], belief.factors[index], applied)]
+        travelling = [whole_step(whole, mode.name, weight, means[index], factors[index], applied)]
         while travelling:
-            arrived += _through_guards(automaton, travelling.pop(), applied, travelling)
-    return _assembled(automaton, arrived)
+            arrived += _through_guards(whole, travelling.pop(), applied, travelling)
+    return _assembled(whole, automaton.n, arrived)
 
 
 def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> HybridBelief:
@@ -91,12 +97,14 @@ def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> Hy
         raise InputError(f"a measurement must have shape ({automaton.n},). Got {measured.shape}")
     if not np.isfinite(measured).any():
         return belief
-    means, factors = belief.means.copy(), belief.factors.copy()
+    whole, (means, factors) = with_boundary_states(automaton), joint_of(automaton, belief)
+    means, factors = means.copy(), factors.copy()
+    measured = np.concatenate([measured, np.full(whole.n - automaton.n, np.nan)])
     scores = np.full(len(automaton.modes), -np.inf)
-    for index, mode in enumerate(automaton.modes):
-        before = belief.means[index], belief.factors[index]
-        mean, factor, score = gaussian.update(*before, measured, automaton.sensing(mode).std_at(before[0]))
-        for weights, offset in guard_limits(automaton.edges_from(mode.name)):
+    for index, mode in enumerate(whole.modes):
+        before = means[index].copy(), factors[index].copy()
+        mean, factor, score = gaussian.update(*before, measured, whole.sensing(mode).std_at(before[0]))
+        for weights, offset in guard_limits(whole.edges_from(mode.name)):
             score -= truncate(*before, weights, offset)[0]
             outside, inward, narrowed = truncate(mean, factor, weights, offset)
             score += outside
@@ -106,7 +114,7 @@ def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> Hy
         if belief.weights[index] > 0:
             scores[index] = score + np.log(belief.weights[index])
     weights = np.exp(scores - scores.max())
-    return _frozen(weights / weights.sum(), means, factors)
+    return belief_of(weights / weights.sum(), means, factors, automaton.n)
 
 
 def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travelling: list[Piece]) -> list[Piece]:
@@ -129,8 +137,12 @@ def guard_limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
     return [(-np.array(h.a), -h.c) for h in single if any(h.a) and not any(h.b)]
 
 
-def _assembled(automaton: HybridAutomaton, pieces: list[Piece]) -> HybridBelief:
-    """One Gaussian per mode from its pieces; a mode without any gets the mixture's, held at its pins."""
+def _assembled(automaton: HybridAutomaton, n: int, pieces: list[Piece]) -> HybridBelief:
+    """One Gaussian per mode from its pieces; a mode without any gets the mixture's, held at its pins.
+
+    Args:
+        automaton: over states and boundaries, of which the first n are states.
+    """
     weights = np.zeros(len(automaton.modes))
     gaussians: dict[str, tuple[Floats, Floats]] = {}
     for index, mode in enumerate(automaton.modes):
@@ -143,7 +155,8 @@ def _assembled(automaton: HybridAutomaton, pieces: list[Piece]) -> HybridBelief:
         if mode.name not in gaussians:
             gaussians[mode.name] = gaussian.hold_at_pins(*overall, mode.pins)
     ordered = [gaussians[mode.name] for mode in automaton.modes]
-    return _frozen(weights / weights.sum(), np.stack([g[0] for g in ordered]), np.stack([g[1] for g in ordered]))
+    means, factors = (np.stack([pair[i] for pair in ordered]) for i in (0, 1))
+    return belief_of(weights / weights.sum(), means, factors, n)
 
 
 def _merged(pieces: list[Piece]) -> tuple[Floats, Floats]:
@@ -177,9 +190,3 @@ def _root(covariance: Floats) -> Floats:
     if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):
         raise InputError("a covariance must be symmetric and positive semi-definite", remedy="give (n,) stds instead")
     return gaussian.lower_factor(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _frozen(weights: Floats, means: Floats, factors: Floats) -> HybridBelief:
-    for array in (weights, means, factors):
-        array.setflags(write=False)
-    return HybridBelief(weights, means, factors)

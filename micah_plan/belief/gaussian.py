@@ -52,12 +52,17 @@ def update(mean: Floats, factor: Floats, z: Floats, observation_std: ArrayLike) 
     seen = np.flatnonzero(np.isfinite(z) & np.isfinite(std))
     if not seen.size:
         return mean, factor, 0.0
-    k, n = seen.size, mean.size
-    noise = np.diag(np.maximum(std[seen], SMALLEST_STD))
-    joint = np.block([[noise, factor[seen]], [np.zeros((n, k)), factor]])
+    return _given(mean, factor, z[seen] - mean[seen], factor[seen], std[seen])
+
+
+def _given(mean: Floats, factor: Floats, innovation: Floats, rows: Floats, std: Floats) -> tuple[Floats, Floats, float]:
+    """Mean, factor and log likelihood after k measurements: innovations (k,), H L (k, n), noise std (k,)."""
+    k, n = rows.shape
+    noise = np.diag(np.maximum(std, SMALLEST_STD))
+    joint = np.block([[noise, rows], [np.zeros((n, k)), factor]])
     array = lower_factor(joint)
     root, gain_root, posterior = array[:k, :k], array[k:, :k], array[k:, k:]
-    whitened = np.linalg.solve(root, z[seen] - mean[seen])
+    whitened = np.linalg.solve(root, innovation)
     log_likelihood = (
         -0.5 * float(whitened @ whitened) - float(np.log(np.diag(root)).sum()) - 0.5 * k * np.log(2 * np.pi)
     )
@@ -71,11 +76,15 @@ def reset(mean: Floats, factor: Floats, u: Floats, transition: Reset) -> tuple[F
 
 
 def condition_on_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Mean and factor given that a mode holds its pins: each pin is one measurement of its coordinate."""
+    """Mean and factor given that a mode holds its pins: each pin is one measurement of its coordinate.
+
+    A pin that follows another coordinate is one of the difference of the two.
+    """
     for pin in pins:
-        z, std = np.full(mean.size, np.nan), np.full(mean.size, np.inf)
-        z[pin.coordinate], std[pin.coordinate] = pin.value, pin.std
-        mean, factor, _ = update(mean, factor, z, std)
+        away, row = pin.value - mean[pin.coordinate], factor[pin.coordinate]
+        if pin.follows is not None:
+            away, row = away + mean[pin.follows], row - factor[pin.follows]
+        mean, factor, _ = _given(mean, factor, np.array([away]), row[None], np.array([pin.std]))
     return mean, factor
 
 
@@ -83,11 +92,15 @@ def hold_at_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Flo
     """Mean and factor once a mode holds its pins at places that its guard defines.
 
     Where the state was before tells nothing of where exactly it is held, so the pin replaces what was known of the
-    coordinate, whereas `condition_on_pins` adds to it.
+    coordinate, whereas `condition_on_pins` adds to it. A place that follows another coordinate varies with that one.
     """
     mean, factor = mean.copy(), np.hstack([factor, np.zeros((mean.size, len(pins)))])
     for column, pin in enumerate(pins, start=mean.size):
-        mean[pin.coordinate], factor[pin.coordinate], factor[pin.coordinate, column] = pin.value, 0.0, pin.std
+        mean[pin.coordinate], factor[pin.coordinate] = pin.value, 0.0
+        if pin.follows is not None:
+            mean[pin.coordinate] += mean[pin.follows]
+            factor[pin.coordinate] = factor[pin.follows]
+        factor[pin.coordinate, column] = pin.std
     return mean, lower_factor(factor) if pins else factor
 
 

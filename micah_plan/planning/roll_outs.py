@@ -80,7 +80,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> Roll
     index = [mode.name for mode in automaton.modes].index(trajectory.modes[0])
     modes, x = np.full(trials, index), chances.starts
     start = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
-    beliefs = repeated(start, trials)
+    beliefs = repeated(automaton, start, trials)
     for step, knot in enumerate(time_knots(trajectory)):
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]

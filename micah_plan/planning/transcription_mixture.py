@@ -149,7 +149,7 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
         for edge in sorted(automaton.edges_from(mode.name), key=lambda e: e.is_self_transition):
             chance = _guard_chance(edge, held, spread, u, limits)
             a, b, c = edge.reset.matrices(n, m)
-            pins = [(p.coordinate, p.value, p.std) for p in automaton.mode(edge.target).pins]
+            pins = [(p.coordinate, p.value, p.std, p.follows) for p in automaton.mode(edge.target).pins]
             reset = ca.mtimes(ca.DM(a), held) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
             after = hold(reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), pins)
             branches.append((names.index(edge.target), left * chance, *after))
@@ -179,7 +179,7 @@ def _unpacked(z: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 def _flowed(automaton: HybridAutomaton, mode: Mode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Mean and factor after a mode's flow and process noise, its pins held."""
-    held = hold(mean, factor, [(pin.coordinate, pin.value, pin.std) for pin in mode.pins])
+    held = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in mode.pins])
     return held[0] + ca.mtimes(ca.DM(mode.B), u), add_noise(held[1], automaton.free_process_std(mode))
 
 

@@ -167,9 +167,8 @@ def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> Compil
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
     factor = s.factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), s.factor))
     located = automaton.pins_located_by(edge)
-    moved_mean, factor = hold(moved, factor, [(pin.coordinate, pin.value, pin.std) for pin in located])
-    others = tuple(pin for pin in automaton.mode(edge.target).pins if pin not in located)
-    held = _condition(moved_mean, factor, others)
+    moved_mean, factor = hold(moved, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in located])
+    held = _condition(moved_mean, factor, automaton.pins_met_by(edge))
     return CompiledEdge(
         edge=edge,
         guard=_margins("guard", edge.guard, s),
@@ -220,6 +219,6 @@ def _update(mean: ca.SX, factor: ca.SX, stds: list[float | ca.SX], z: ca.SX | No
 
 def _condition(mean: ca.SX, factor: ca.SX, pins: tuple[Pin, ...]) -> tuple[ca.SX, ca.SX]:
     for pin in pins:
-        seen = observe(mean, factor, pin.coordinate, pin.std, pin.value)
+        seen = observe(mean, factor, pin.coordinate, pin.std, pin.value, pin.follows)
         mean, factor = seen.mean, seen.factor
     return ca.densify(mean), factor

@@ -70,37 +70,54 @@ def add_noise(factor: ca.SX, std: tuple[float, ...]) -> ca.SX:
     return _lower(columns, n)
 
 
-def observe(mean: ca.SX, factor: ca.SX, index: int, std: float | ca.SX, value: ca.SX | float | None) -> Observed:
+def observe(
+    mean: ca.SX,
+    factor: ca.SX,
+    index: int,
+    std: float | ca.SX,
+    value: ca.SX | float | None,
+    above: int | None = None,
+) -> Observed:
     """Condition on a measurement of coordinate `index` with that std; value None: the most likely one.
 
     With v the coordinate's row of L and α = v'v + std², the posterior factor is L chol(I - v v'/α), and that Cholesky
     factor is known in closed form: partial sums of v² from the last entry to the first (Carlson 1973).
+
+    Args:
+        above: another coordinate; what is measured is how far `index` lies above it.
     """
     n = factor.shape[0]
     noise = std if isinstance(std, ca.SX) else max(std, SMALLEST_STD)
-    sums: list[ca.SX] = [ca.SX(0)] * (index + 2)
-    sums[index + 1] = ca.SX(noise**2)
-    for j in range(index, -1, -1):
-        sums[j] = sums[j + 1] + factor[index, j] ** 2
+    row, at = factor[index, :], mean[index]
+    if above is not None:
+        row, at = row - factor[above, :], at - mean[above]
+    last = index if above is None else max(index, above)
+    sums: list[ca.SX] = [ca.SX(0)] * (last + 2)
+    sums[last + 1] = ca.SX(noise**2)
+    for j in range(last, -1, -1):
+        sums[j] = sums[j + 1] + row[j] ** 2
     shrink = ca.SX.eye(n)
-    for j in range(index + 1):
+    for j in range(last + 1):
         shrink[j, j] = ca.sqrt(sums[j + 1] / sums[j])
-        for i in range(j + 1, index + 1):
-            shrink[i, j] = -(factor[index, i] / ca.sqrt(sums[j + 1])) * (factor[index, j] / ca.sqrt(sums[j]))
-    innovation = ca.SX(0) if value is None else value - mean[index]
-    gain = ca.mtimes(factor, factor[index, :].T) / sums[0]
+        for i in range(j + 1, last + 1):
+            shrink[i, j] = -(row[i] / ca.sqrt(sums[j + 1])) * (row[j] / ca.sqrt(sums[j]))
+    innovation = ca.SX(0) if value is None else value - at
+    gain = ca.mtimes(factor, row.T) / sums[0]
     return Observed(mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink)), innovation, sums[0])
 
 
-def hold(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float]]) -> tuple[ca.SX, ca.SX]:
-    """Replace what is known of coordinates by (index, value, std), independent of the others."""
+def hold(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float, int | None]]) -> tuple[ca.SX, ca.SX]:
+    """Replace what is known of coordinates by (index, value, std, follows).
+
+    They become independent of the others, but for the coordinate that one follows, which adds to its value.
+    """
     if not places:
         return mean, factor
     mean, spread = ca.SX(mean), ca.SX(factor.shape[0], len(places))
     kept = ca.SX(factor)
-    for column, (index, value, std) in enumerate(places):
-        mean[index] = value
-        kept[index, :] = 0
+    for column, (index, value, std, follows) in enumerate(places):
+        mean[index] = value if follows is None else value + mean[follows]
+        kept[index, :] = 0 if follows is None else factor[follows, :]
         spread[index, column] = std
     return mean, lower_factor(ca.sparsify(ca.horzcat(kept, spread)))
 

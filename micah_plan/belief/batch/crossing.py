@@ -260,7 +260,7 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
     entered[:, target] = True
     held = pieces.held.copy()
     for pin in automaton.modes[source].pins:
-        held[:, pin.coordinate] = pin.value
+        held[:, pin.coordinate] = pin.value + (0.0 if pin.follows is None else pieces.mean[:, pin.follows])
     arrived = Pieces(
         mode=target,
         owner=pieces.owner,
@@ -304,5 +304,5 @@ def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge) -> Pieces:
     noise = np.zeros((len(pieces), 2 * n, n))
     noise[:, n:] = pieces.fraction[:, None, None] * np.diag(np.where(old == 0, new, 0.0))
     factor = lower_factors(np.concatenate([factor, noise], axis=2))
-    mean, factor = condition_on_pins(mean, factor, [pin for pin in target.pins if pin not in located])
+    mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))
     return replace(pieces, mean=mean, factor=factor, displacement=displacement)

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
 from micah_plan.belief.batch.truncation import truncate
 from micah_plan.belief.filter import MOST_EVENTS, NEGLIGIBLE, guard_limits
-from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.belief.hybrid_belief import HybridBelief, joint_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,11 +25,28 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class BeliefBatch:
-    """t hybrid beliefs: weights (t, q), means (t, q, n), factors (t, q, n, n)."""
+    """t hybrid beliefs over states x and uncertain boundaries.
+
+    Attributes:
+        weights: (t, q).
+        joint_means: (t, q, n + b); joint_factors: (t, q, n + b, n + b) lower.
+        n: number of states, which come first.
+    """
 
     weights: Floats
-    means: Floats
-    factors: Floats
+    joint_means: Floats
+    joint_factors: Floats
+    n: int
+
+    @property
+    def means(self) -> Floats:
+        """(t, q, n) of the states."""
+        return self.joint_means[:, :, : self.n]
+
+    @property
+    def factors(self) -> Floats:
+        """(t, q, n, n) of the states."""
+        return self.joint_factors[:, :, : self.n, : self.n]
 
     @property
     def most_likely(self) -> Ints:
@@ -36,22 +54,22 @@ class BeliefBatch:
         return np.asarray(np.argmax(self.weights, axis=1))
 
 
-def repeated(belief: HybridBelief, count: int) -> BeliefBatch:
+def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
     """The same belief `count` times."""
-    weights, means, factors = (
-        np.repeat(values[None], count, axis=0) for values in (belief.weights, belief.means, belief.factors)
-    )
-    return BeliefBatch(weights, means, factors)
+    parts = (belief.weights, *joint_of(automaton, belief))
+    weights, means, factors = (np.repeat(values[None], count, axis=0) for values in parts)
+    return BeliefBatch(weights, means, factors, automaton.n)
 
 
 def predict(automaton: HybridAutomaton, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
     """The beliefs after one step with inputs u (t, m)."""
+    automaton = with_boundary_states(automaton)
     arrived: list[list[Pieces]] = [[] for _ in automaton.modes]
     travelling = []
     for index in range(len(automaton.modes)):
         owner = np.flatnonzero(beliefs.weights[:, index] >= NEGLIGIBLE)
         if owner.size:
-            mean, factor = beliefs.means[owner, index], beliefs.factors[owner, index]
+            mean, factor = beliefs.joint_means[owner, index], beliefs.joint_factors[owner, index]
             travelling.append(
                 whole_step(automaton, index, owner, beliefs.weights[owner, index], mean, factor, u[owner])
             )
@@ -65,15 +83,17 @@ def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> Belie
     """The beliefs after measuring z (t, n); columns that are not measured are NaN for all."""
     if not np.isfinite(z).any():
         return beliefs
-    means, factors = beliefs.means.copy(), beliefs.factors.copy()
+    whole, n = with_boundary_states(automaton), automaton.n
+    z = np.hstack([z, np.full((len(z), whole.n - n), np.nan)])
+    means, factors = beliefs.joint_means.copy(), beliefs.joint_factors.copy()
     scores = np.full(beliefs.weights.shape, -np.inf)
-    for index, mode in enumerate(automaton.modes):
+    for index, mode in enumerate(whole.modes):
         owner = np.flatnonzero(beliefs.weights[:, index] > 0)
         if not owner.size:
             continue
-        before = beliefs.means[owner, index], beliefs.factors[owner, index]
-        mean, factor, score = gaussian.update(*before, z[owner], automaton.sensing(mode).std_at(before[0]))
-        for weights, offset in guard_limits(automaton.edges_from(mode.name)):
+        before = means[owner, index], factors[owner, index]
+        mean, factor, score = gaussian.update(*before, z[owner], whole.sensing(mode).std_at(before[0]))
+        for weights, offset in guard_limits(whole.edges_from(mode.name)):
             score = score - truncate(*before, weights, offset)[0]
             outside, inward, narrowed = truncate(mean, factor, weights, offset)
             score = score + outside
@@ -83,7 +103,7 @@ def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> Belie
         means[owner, index], factors[owner, index] = mean, factor
         scores[owner, index] = score + np.log(beliefs.weights[owner, index])
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
-    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors)
+    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors, n)
 
 
 def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, travelling: list[Pieces]) -> list[Pieces]:
@@ -106,12 +126,12 @@ def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, trave
 def _assembled(automaton: HybridAutomaton, before: BeliefBatch, arrived: list[list[Pieces]]) -> BeliefBatch:
     """One Gaussian per belief and mode from its pieces."""
     weights = np.zeros_like(before.weights)
-    means, factors = np.zeros_like(before.means), np.zeros_like(before.factors)
+    means, factors = np.zeros_like(before.joint_means), np.zeros_like(before.joint_factors)
     for index in range(len(automaton.modes)):
         if arrived[index]:
             owners, weight, mean, factor = _merged(arrived[index])
             weights[owners, index], means[owners, index], factors[owners, index] = weight, mean, factor
-    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors)
+    return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors, before.n)
 
 
 def _merged(parts: list[Pieces]) -> tuple[Ints, Floats, Floats, Floats]:

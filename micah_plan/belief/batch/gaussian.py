@@ -35,13 +35,20 @@ def update(means: Floats, factors: Floats, z: Floats, observation_std: ArrayLike
     seen = np.flatnonzero(np.isfinite(z).all(axis=0) & np.isfinite(std).all(axis=0))
     if not seen.size:
         return means, factors, np.zeros(len(means))
-    count, n, k = *means.shape, seen.size
+    return _given(means, factors, (z - means)[:, seen], factors[:, seen], std[:, seen])
+
+
+def _given(
+    means: Floats, factors: Floats, innovations: Floats, rows: Floats, std: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Means, factors and log likelihoods after k measurements: innovations (p, k), H L (p, k, n), std (p, k)."""
+    count, k, n = rows.shape
     joint = np.zeros((count, k + n, k + n))
-    joint[:, np.arange(k), np.arange(k)] = np.maximum(std[:, seen], SMALLEST_STD)
-    joint[:, :k, k:], joint[:, k:, k:] = factors[:, seen], factors
+    joint[:, np.arange(k), np.arange(k)] = np.maximum(std, SMALLEST_STD)
+    joint[:, :k, k:], joint[:, k:, k:] = rows, factors
     array = lower_factors(joint)
     root, gain_root, posterior = array[:, :k, :k], array[:, k:, :k], array[:, k:, k:]
-    whitened = np.linalg.solve(root, (z - means)[:, seen, None])
+    whitened = np.linalg.solve(root, innovations[:, :, None])
     logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     log_likelihood = -0.5 * np.square(whitened).sum(axis=(1, 2)) - logs - 0.5 * k * np.log(2 * np.pi)
     return means + (gain_root @ whitened)[:, :, 0], posterior, np.asarray(log_likelihood)
@@ -50,9 +57,10 @@ def update(means: Floats, factors: Floats, z: Floats, observation_std: ArrayLike
 def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
     """Means and factors given that a mode holds its pins: each pin is one measurement of its coordinate."""
     for pin in pins:
-        z, std = np.full(means.shape, np.nan), np.full(means.shape[1], np.inf)
-        z[:, pin.coordinate], std[pin.coordinate] = pin.value, pin.std
-        means, factors, _ = update(means, factors, z, std)
+        away, rows = pin.value - means[:, pin.coordinate], factors[:, pin.coordinate]
+        if pin.follows is not None:
+            away, rows = away + means[:, pin.follows], rows - factors[:, pin.follows]
+        means, factors, _ = _given(means, factors, away[:, None], rows[:, None], np.full((len(rows), 1), pin.std))
     return means, factors
 
 
@@ -64,5 +72,8 @@ def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[F
     means, factors = means.copy(), np.concatenate([factors, np.zeros((count, n, len(pins)))], axis=2)
     for column, pin in enumerate(pins, start=factors.shape[2] - len(pins)):
         means[:, pin.coordinate], factors[:, pin.coordinate] = pin.value, 0.0
+        if pin.follows is not None:
+            means[:, pin.coordinate] += means[:, pin.follows]
+            factors[:, pin.coordinate] = factors[:, pin.follows]
         factors[:, pin.coordinate, column] = pin.std
     return means, lower_factors(factors)

@@ -1,0 +1,72 @@
+"""Boundaries as states: a step of (x, s) is a step of x by the object whose boundaries are shifted by s."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from automaton_examples import cabinet, detent, door, two_rails
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from micah_plan.automaton.boundary_states import with_boundary_states
+from micah_plan.automaton.hybrid import HybridAutomaton, Reset
+from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.transition import step
+
+
+def blurred(automaton: HybridAutomaton, std: float = 0.03) -> HybridAutomaton:
+    """Thresholds on the state known to `std`; pins at them no better."""
+    edges = tuple(edge if edge.is_self_transition else replace(edge, threshold_std=std) for edge in automaton.edges)
+    modes = tuple(replace(q, pins=tuple(replace(p, std=max(p.std, std)) for p in q.pins)) for q in automaton.modes)
+    return replace(automaton, edges=edges, modes=modes)
+
+
+def thrown() -> HybridAutomaton:
+    """Two rails with a reset that moves the state and depends on the input."""
+    automaton = two_rails()
+    first = replace(automaton.edges[0], reset=Reset(((0.9,),), ((0.2,),), (0.05,)))
+    return replace(automaton, edges=(first, *automaton.edges[1:]))
+
+
+OBJECTS = {"two rails": two_rails, "door": door, "cabinet": cabinet, "detent": detent, "thrown": thrown}
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_a_step_is_that_of_the_shifted_object(name: str, seed: int) -> None:
+    automaton, rng = blurred(OBJECTS[name]()), np.random.default_rng(seed)
+    whole, n = with_boundary_states(automaton), automaton.n
+    shift = 0.03 * rng.standard_normal(threshold_stds(automaton).size)
+    object_ = with_shifted_thresholds(automaton, shift)
+    mode, x = automaton.modes[rng.integers(len(automaton.modes))].name, rng.uniform(-0.1, 1.3, n)
+    for mine, other in zip(whole.modes, object_.modes, strict=True):
+        margins = mine.invariant.margins(np.concatenate([x, shift]), np.zeros(automaton.m))
+        np.testing.assert_allclose(margins, other.invariant.margins(x, np.zeros(automaton.m)), atol=1e-12)
+    for _ in range(12):
+        u = rng.uniform(-0.3, 0.3, automaton.m)
+        expected = step(object_, mode, x, u)
+        found = step(whole, mode, np.concatenate([x, shift]), u)
+        assert found.mode == expected.mode
+        np.testing.assert_allclose(found.x[:n], expected.x, atol=1e-12)
+        assert np.array_equal(found.x[n:], shift)
+        mode, x = expected.mode, expected.x
+
+
+def test_pins_at_a_boundary_follow_it_and_share_their_std_with_it() -> None:
+    automaton = blurred(door(), 0.03)
+    (pin,) = automaton.modes[1].pins
+    automaton = replace(
+        automaton, modes=(automaton.modes[0], replace(automaton.modes[1], pins=(replace(pin, std=0.05),)))
+    )
+    (found,) = with_boundary_states(automaton).modes[1].pins
+    assert found.follows == automaton.n
+    assert found.std == pytest.approx(0.04)
+
+
+def test_a_certain_automaton_is_left_alone() -> None:
+    assert with_boundary_states(automaton := door()) is automaton
+    uncertain = blurred(door())
+    assert with_boundary_states(uncertain) is with_boundary_states(uncertain)
