@@ -53,6 +53,7 @@ def _mode(automaton: HybridAutomaton, mode: Mode, stds: dict[Boundary, float], n
         invariant=_region(mode.invariant, numbers, {i: numbers[b] for i, b in at.items()}),
         inputs=_region(mode.inputs, numbers),
         pins=tuple(_pin(pin, at[pin.coordinate], stds, numbers) if pin.coordinate in at else pin for pin in mode.pins),
+        ties=tuple(replace(tie, weights=tie.weights + (0.0,) * len(numbers)) for tie in mode.ties),
     )
 
 

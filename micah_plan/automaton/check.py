@@ -10,7 +10,7 @@ import numpy as np
 
 from micah_plan.automaton.consistency import check_connected, check_entry, check_held, check_pin
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Tie
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError, shown
 
@@ -128,6 +128,20 @@ def _check_mode(automaton: HybridAutomaton, mode: Mode) -> None:
                 f"{where}: observation_std of {name} must be a finite number > 0, here and in the model's noise. "
                 f"Got {std} and {everywhere}"
             )
+    for tie in mode.ties:
+        _check_tie(automaton, mode, tie)
+
+
+def _check_tie(automaton: HybridAutomaton, mode: Mode, tie: Tie) -> None:
+    n, where = automaton.n, f"mode {mode.name}: a tie"
+    if not 0 <= tie.coordinate < n or len(tie.weights) != n or tie.weights[tie.coordinate] != 0:
+        raise InputError(f"{where} needs {n} weights, 0 for its own coordinate. Got {tie.coordinate}, {tie.weights}")
+    if not all(map(math.isfinite, (*tie.weights, tie.offset))):
+        raise InputError(f"{where}: weights and offset must be finite. Got {tie.weights}, {tie.offset}")
+    flow = np.array(tie.weights) @ mode.B
+    if not np.allclose(flow, mode.B[tie.coordinate], rtol=1e-9, atol=1e-12):
+        name = automaton.coordinates[tie.coordinate].name
+        raise InputError(f"{where}: the flow must keep it. Got B = {mode.B[tie.coordinate]} for '{name}', not {flow}")
 
 
 def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:

@@ -49,6 +49,7 @@ class ModeTable:
 
     `pins` are coordinates and their values, `followed` the coordinate that adds to the value of a pinned one.
     `effects` holds what changes the motion of a coordinate, by its index.
+    A tie is (coordinate, weights of the others, offset).
     """
 
     name: str
@@ -57,16 +58,19 @@ class ModeTable:
     pins: tuple[tuple[int, float], ...]
     effects: dict[int, CoordinateMotion] = field(default_factory=dict)
     followed: tuple[tuple[int, int], ...] = ()
+    ties: tuple[tuple[int, Terms, float], ...] = ()
 
     def pinned(self, x: list[float]) -> list[float]:
-        """x with the pinned coordinates at their values."""
-        if not self.pins:
+        """x with the pinned and the tied coordinates at their values."""
+        if not self.pins and not self.ties:
             return x
         held = list(x)
         for i, value in self.pins:
             held[i] = value
         for i, j in self.followed:
             held[i] += x[j]
+        for i, terms, offset in self.ties:
+            held[i] = offset + sum(w * held[j] for j, w in terms)
         return held
 
 
@@ -91,9 +95,10 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
         a, b, c = (None,) * 3 if identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
         exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
     exits.sort(key=lambda e: e.is_self)
+    ties = tuple((tie.coordinate, _terms(tie.weights), tie.offset) for tie in mode.ties)
     acting = motions(automaton.effects, [c.name for c in automaton.coordinates], name)
     followed = tuple((pin.coordinate, pin.follows) for pin in mode.pins if pin.follows is not None)
-    return ModeTable(name, flow, tuple(exits), pins, acting, followed)
+    return ModeTable(name, flow, tuple(exits), pins, acting, followed, ties)
 
 
 def _guard_rows(guard: Region) -> tuple[Row, ...]:

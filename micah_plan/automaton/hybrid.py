@@ -95,6 +95,25 @@ class Pin:
 
 
 @dataclass(frozen=True)
+class Tie:
+    """A coordinate that a mode lets follow others: x[coordinate] = offset + weights'x, as a contact makes an angle
+    follow a height. No noise of its own moves it: what moves the others moves it too.
+
+    Attributes:
+        weights: (n,) with 0 for the coordinate itself.
+        offset: in the coordinate's unit.
+    """
+
+    coordinate: int
+    weights: tuple[float, ...]
+    offset: float
+
+    def value(self, x: Floats) -> Floats:
+        """x[coordinate] for states x (..., n)."""
+        return np.asarray(self.offset + x @ np.array(self.weights))
+
+
+@dataclass(frozen=True)
 class Reset:
     """The affine map x⁺ = A x + B u + c that a transition applies. A None stands for the identity A and zero B, c."""
 
@@ -131,6 +150,7 @@ class Mode:
         pins: coordinates that the mode holds fixed.
         observation_std: (coordinate, std) of what the mode measures in its own way, wherever it is [rad or m]; the rest
             is measured as the model's noise says.
+        ties: coordinates that follow others. The flow must keep them, and transitions into the mode establish them.
     """
 
     name: str
@@ -140,6 +160,7 @@ class Mode:
     inputs: Region = field(default_factory=Region)
     pins: tuple[Pin, ...] = ()
     observation_std: tuple[tuple[int, float], ...] = ()
+    ties: tuple[Tie, ...] = ()
 
     @cached_property
     def B(self) -> Floats:  # noqa: N802 (the mathematics calls it B)
@@ -309,8 +330,8 @@ class HybridAutomaton:
         return tuple(edge for edge in self.edges if edge.source == name)
 
     def free_process_std(self, mode: Mode) -> tuple[float, ...]:
-        """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that the mode holds."""
-        held = {pin.coordinate for pin in mode.pins}
+        """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that it holds or ties."""
+        held = {pin.coordinate for pin in mode.pins} | {tie.coordinate for tie in mode.ties}
         return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
 
     def sensing(self, mode: Mode) -> Sensing:
@@ -320,6 +341,13 @@ class HybridAutomaton:
         for i, own in mode.observation_std:
             std[i], growth[i] = own, 0.0
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
+
+    def process_factor(self, mode: Mode) -> Floats:
+        """(n, n) N with N N' the covariance of a step's process noise in a mode: tied coordinates move with others."""
+        factor = np.diag(self.free_process_std(mode))
+        for tie in mode.ties:
+            factor[tie.coordinate] = np.array(tie.weights) @ factor
+        return factor
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
         """The target's pins on coordinates that the edge's guard constrains: the guard is where they are held."""

@@ -313,6 +313,8 @@ def _displacement(table: ModeTable, x: list[float], u: list[float], pushed: list
         if i in table.effects:
             moved = float(table.effects[i].displacement(np, x[i], moved))
         d.append(moved if pushed is None else moved + pushed[i])
+    for i, weights, _ in table.ties:
+        d[i] = sum(w * d[j] for j, w in weights)
     return d
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.motion import CoordinateMotion
 from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_tables
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Tie
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import step
 
@@ -29,7 +29,9 @@ class _Mode:
 
     Attributes:
         pinned: (p,) coordinates; pins: (t, p) where [rad or m].
-        B: (n, m) input matrix, rows of pinned coordinates zero; moved: (n,) 0 for those, else 1.
+        B: (n, m) input matrix, rows of pinned coordinates zero; moved: (n, n) what a disturbance moves: nothing that is
+            pinned, and what is tied as the others.
+        ties: of the mode.
         states, inputs: (r, n), (r, m) scaled weights; thresholds, tolerances: (t, r); strict: (r,).
         first: (e,) first half-space of each exit.
         effects: what changes the motion of a coordinate, by its index.
@@ -39,6 +41,7 @@ class _Mode:
     pins: Floats
     B: Floats
     moved: Floats
+    ties: tuple[Tie, ...]
     states: Floats
     inputs: Floats
     thresholds: Floats
@@ -79,7 +82,12 @@ class TransitionBatch:
             mode, chosen = self._modes[index], np.flatnonzero(modes == index)
             start = x[chosen]
             start[:, mode.pinned] = mode.pins[chosen]
-            d = _displacement(mode, start, u[chosen]) + disturbance[chosen] * mode.moved
+            for tie in mode.ties:
+                start[:, tie.coordinate] = tie.value(start)
+            d = _displacement(mode, start, u[chosen])
+            for tie in mode.ties:
+                d[:, tie.coordinate] = d @ np.array(tie.weights)
+            d = d + disturbance[chosen] @ mode.moved.T
             fires = _fires(mode, chosen, start, d, u[chosen])
             quiet = chosen[~fires]
             x[quiet] = (start + d)[~fires]
@@ -125,11 +133,16 @@ def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], 
     thresholds = _affine([row.c for row in rows], [[r.c for e in t.exits for r in e.rows] for t in moved], shifts)
     pins = _affine([value for _, value in table.pins], [[value for _, value in t.pins] for t in moved], shifts)
     free = np.array([flow is not None for flow in table.flow], dtype=float)
+    ties = automaton.mode(table.name).ties
+    moved_by = np.diag(free)
+    for tie in ties:
+        moved_by[tie.coordinate] = np.array(tie.weights) @ moved_by
     return _Mode(
         pinned=np.array([i for i, _ in table.pins], dtype=np.int64),
         pins=pins,
         B=automaton.mode(table.name).B * free[:, None],
-        moved=free,
+        moved=moved_by,
+        ties=ties,
         states=_matrix(rows, [row.states for row in rows], n),
         inputs=_matrix(rows, [row.inputs for row in rows], m),
         thresholds=thresholds,

@@ -63,8 +63,12 @@ def whole_step(
     mode = automaton.mode(mode_name)
     n = mean.size
     displacement, slope = displaced(automaton, mode, mean, u)
-    noise = np.diag(automaton.free_process_std(mode))
+    noise = automaton.process_factor(mode)
     joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
+    for tie in mode.ties:
+        weights = np.array(tie.weights)
+        displacement[tie.coordinate] = weights @ displacement
+        joint[n + tie.coordinate] = weights @ joint[n:]
     ends = np.concatenate([mean, mean + displacement])
     nowhere = np.full(n, np.nan)
     return Piece(mode_name, probability, ends, joint, 1.0, displacement, nowhere, entered=frozenset([mode_name]))
@@ -231,6 +235,10 @@ def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Piece:
     for pin in target.pins:
         mean[n + pin.coordinate], factor[n + pin.coordinate] = mean[pin.coordinate], factor[pin.coordinate]
         displacement[pin.coordinate] = 0.0
+    for tie in target.ties:
+        weights, i = np.array(tie.weights), tie.coordinate
+        mean[n + i], factor[n + i] = tie.offset + weights @ mean[n:], weights @ factor[n:]
+        displacement[i] = weights @ displacement
     old, new = (np.array(automaton.free_process_std(mode)) for mode in (source, target))
     noise = np.vstack([np.zeros((n, n)), np.diag(piece.fraction * np.where(old == 0, new, 0.0))])
     factor = lower_factor(np.hstack([factor, noise]))

@@ -6,7 +6,7 @@ sets with linear programmes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,8 +117,13 @@ class Polytope:
 
 
 def mode_states(mode: Mode, lower: Floats, upper: Floats, max_step: Floats) -> Polytope:
-    """The states of a mode: its invariant and its pins, within bounds (n,) on every coordinate."""
+    """The states of a mode: its invariant, its pins and ties, within bounds (n,) on every coordinate."""
     states = Polytope(lower, upper, np.zeros((0, len(lower))), np.zeros(0)).intersect(mode.invariant, max_step)
     for pin in mode.pins:
         states = states.fix(pin.coordinate, pin.value)
+    for tie in mode.ties:
+        row = np.eye(states.n)[tie.coordinate] - np.array(tie.weights)
+        states = replace(
+            states, A=np.vstack([states.A, row, -row]), b=np.concatenate([states.b, [tie.offset, -tie.offset]])
+        )
     return states

@@ -121,7 +121,17 @@ def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
 def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
     sensing = automaton.sensing(mode)
     flowed = _flow(automaton, mode, s)
-    spread = add_noise(_carried(flowed, s) if automaton.effects else s.factor, automaton.free_process_std(mode))
+    carried = _carried(flowed, s) if automaton.effects else s.factor
+    if mode.ties:
+        # The state keeps to the ties already, so its factor does; so must what an effect or noise does to it.
+        tied = ca.SX.eye(automaton.n)
+        for tie in mode.ties:
+            tied[tie.coordinate, :] = ca.DM(tie.weights).T
+            flowed[tie.coordinate] = tie.offset + ca.dot(ca.DM(tie.weights), flowed)
+        noise = ca.sparsify(ca.DM(automaton.process_factor(mode)))
+        spread = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(ca.sparsify(tied), carried), noise)))
+    else:
+        spread = add_noise(carried, automaton.free_process_std(mode))
     updated = _update(s.x, s.factor, _std_at(sensing, s.x), s.z)
     stepped = _update(flowed, spread, _std_at(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)

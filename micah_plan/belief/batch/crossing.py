@@ -106,7 +106,11 @@ def whole_step(
     joint = np.zeros((count, 2 * n, 2 * n))
     joint[:, :n, :n] = factor
     joint[:, n:, :n] = slope[:, :, None] * factor
-    joint[:, n:, n:] = np.diag(automaton.free_process_std(q))
+    joint[:, n:, n:] = automaton.process_factor(q)
+    for tie in q.ties:
+        weights = np.array(tie.weights)
+        displacement[:, tie.coordinate] = displacement @ weights
+        joint[:, n + tie.coordinate] = weights @ joint[:, n:]
     entered = np.zeros((count, len(automaton.modes)), dtype=bool)
     entered[:, mode] = True
     ends = np.concatenate([mean, mean + displacement], axis=1)
@@ -300,6 +304,10 @@ def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge) -> Pieces:
     for pin in target.pins:
         mean[:, n + pin.coordinate], factor[:, n + pin.coordinate] = mean[:, pin.coordinate], factor[:, pin.coordinate]
         displacement[:, pin.coordinate] = 0.0
+    for tie in target.ties:
+        weights, i = np.array(tie.weights), tie.coordinate
+        mean[:, n + i], factor[:, n + i] = tie.offset + mean[:, n:] @ weights, weights @ factor[:, n:]
+        displacement[:, i] = displacement @ weights
     old, new = (np.array(automaton.free_process_std(mode)) for mode in (source, target))
     noise = np.zeros((len(pieces), 2 * n, n))
     noise[:, n:] = pieces.fraction[:, None, None] * np.diag(np.where(old == 0, new, 0.0))

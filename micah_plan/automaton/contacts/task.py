@@ -1,0 +1,102 @@
+"""A held object among bodies, as values: how a hand holds it, what it may touch, and what stands around.
+
+**Hinge frame.** Shapes of a held object are given in a frame that any model of it has, learned from whichever camera:
+its origin lies on the joint's axis, y is the axis, and as the joint's coordinate grows the moving part turns from x
+towards z (with a prismatic joint: moves along z). Both parts are described at one configuration, the datum: where the
+object latches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from micah_plan.automaton.hybrid import Primitive
+from micah_plan.automaton.joint import Vector3
+
+
+@dataclass(frozen=True)
+class HeldPart:
+    """One of the two parts of the object.
+
+    Attributes:
+        name: as the automaton will call it.
+        shapes: its solids in the hinge frame, with the joint at the datum [m].
+    """
+
+    name: str
+    shapes: tuple[Primitive, ...]
+
+
+@dataclass(frozen=True)
+class Grip:
+    """How a hand holds an object by one part while the other swings freely.
+
+    Attributes:
+        held, moving: the two parts.
+        point: of the hand, in the hinge frame [m]. Its position in the base frame is the state (x, y, z).
+        rotation: rotation vector from the hinge frame to the base frame while nothing presses [rad]; the hand keeps it.
+        pivots: whether the held part may turn in the hand about the hinge's direction when it is pressed on.
+        travel: how far the joint opens from the datum [rad or m], towards smaller values.
+        datum: configuration at which shapes are given; None: where the learned object latches.
+        coordinate: name of the joint's coordinate.
+    """
+
+    held: HeldPart
+    moving: HeldPart
+    point: Vector3
+    rotation: Vector3
+    travel: float
+    pivots: bool = False
+    datum: float | None = None
+    coordinate: str = "theta"
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A body of the surroundings: a box along the axes of the base frame, between two corners [m]."""
+
+    name: str
+    lower: Vector3
+    upper: Vector3
+
+
+@dataclass(frozen=True)
+class Face:
+    """A side of a solid that the moving part may touch.
+
+    Attributes:
+        solid: its name.
+        axis: 0, 1 or 2 for x, y, z; sign: +1 or -1, which way it looks.
+        position: along the axis [m].
+    """
+
+    solid: str
+    axis: int
+    sign: int
+    position: float
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What stands around.
+
+    Attributes:
+        solids: bodies that the object must not hit, but for contacts.
+        faces: which faces the moving part may touch.
+        lower, upper: corners of where the hand may go [m].
+    """
+
+    solids: tuple[Solid, ...]
+    faces: tuple[Face, ...]
+    lower: Vector3
+    upper: Vector3
+
+
+@dataclass(frozen=True)
+class HandNoise:
+    """Std of the hand's position: process (per step) and observation, per axis [m]; release: the upward step [m] that
+    ends a contact."""
+
+    process: Vector3 = (0.001, 0.001, 0.001)
+    observation: Vector3 = (0.005, 0.005, 0.005)
+    release: float = 0.0
