@@ -24,9 +24,11 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("outputs",),
     ("recording",),
     ("automaton",),
+    ("scene",),
     ("planning.problem", "planning.plan"),
     ("planning.start_state",),
     ("spec", "learn", "symbolic"),
+    ("robot",),
     ("belief",),
     ("planning",),
     ("execution",),
@@ -53,7 +55,18 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "rich": (("cli",), False),
 }
 SLOW_TO_LOAD = ("ompl", "pinocchio", "coal", "meshcat", "mujoco", "casadi", "matplotlib")
-LIGHT = ("errors", "files", "recording", "automaton", "planning.problem", "planning.plan", "spec", "learn", "workflow")
+LIGHT = (
+    "errors",
+    "files",
+    "recording",
+    "automaton",
+    "scene",
+    "planning.problem",
+    "planning.plan",
+    "spec",
+    "learn",
+    "workflow",
+)
 
 
 def _sources(root: Path) -> dict[str, ast.Module]:

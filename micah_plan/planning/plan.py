@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Outcome = Literal["solved", "no_plan", "not_verified"]
-Level = Literal["start", "goal", "search", "optimisation", "verification"]
+Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,31 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
+class ArmTrajectory:
+    """The arm along a plan: joint positions at each of the K knots of its trajectory, straight lines in between.
+
+    Attributes:
+        joints: (J,) names, from the arm's root to its tool.
+        positions: (K, J) [rad or m].
+        manipulability: (K,) Yoshikawa's sqrt(det(J J')) of the tool; 0 at singularities.
+        clearance: (K,) smallest distance at each knot between things that must not meet [m]; None where nothing can.
+        least_clearance: the smallest distance at and between all knots [m]; None if nothing can meet.
+        closest_pair: names of the two that come so close; empty if nothing can meet.
+        closest_knot: the knot at or after which they do.
+        deviation: largest distance of the tool, halfway between knots, from the middle of its positions at them [m].
+    """
+
+    joints: tuple[str, ...]
+    positions: Floats
+    manipulability: Floats
+    clearance: tuple[float | None, ...]
+    least_clearance: float | None
+    closest_pair: tuple[str, ...]
+    closest_knot: int
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """What `solve` returns. A plan without success has no trajectory, so it cannot be executed by mistake.
 
@@ -101,6 +126,7 @@ class Plan:
         success_interval: 95 % interval of the probability of success, given that share; None if it was not verified.
         obstacles: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
             part.
+        arm: the robot along the trajectory; None if the problem has none.
     """
 
     outcome: Outcome
@@ -116,6 +142,7 @@ class Plan:
     timings: dict[str, float] = field(default_factory=dict)
     success_interval: tuple[float, float] | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    arm: ArmTrajectory | None = None
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

@@ -1,0 +1,268 @@
+"""Clearances of an arm, of what it holds and of the object's other parts: `ClearanceModel`.
+
+Distances come from Coal (GJK), and where solids overlap minus the depth of penetration (EPA): how far they would
+have to move apart. Source: Montaut et al., "Collision detection accelerated: an optimization perspective", RSS 2022.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.hybrid import Part
+from micah_plan.errors import InputError
+from micah_plan.robot.arm import Arm
+from micah_plan.robot.load_arm import link_name
+from micah_plan.robot.solids import solid
+from micah_plan.scene.body import Body, Shape
+
+Floats = NDArray[np.float64]
+Pair = tuple[str, str]
+PartPoses = Mapping[str, RigidTransform]
+
+_POSTURES = 200
+_TOLERANCE = 1e-8
+_DEPTH_TOLERANCE = 1e-6
+_ITERATIONS = 256
+
+
+class Clearance(NamedTuple):
+    """The smallest distance at one configuration.
+
+    Attributes:
+        distance: [m]; negative: depth of penetration. Infinite if there is nothing to meet.
+        pair: names of the two: links of the arm, parts of the object, bodies of the scene.
+    """
+
+    distance: float
+    pair: Pair
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceModel:
+    """Everything that must not meet; made by `clearance_model`.
+
+    Attributes:
+        arm: the arm.
+        geometry: Pinocchio geometry of arm, scene and parts, with the pairs that are checked.
+        names: (P, 2) names of each pair.
+        parts: numbers of geometries by part, and their poses in the part's frame.
+        held: parts that move with the tool.
+        first, second: (P,) numbers of the geometries of each pair.
+        scratch, results: room for Coal's results, reused with every question.
+    """
+
+    arm: Arm
+    geometry: Any
+    names: tuple[Pair, ...]
+    parts: Mapping[str, tuple[tuple[int, Any], ...]]
+    held: frozenset[str]
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    scratch: Any
+    results: tuple[Any, ...]
+
+    def fresh(self) -> ClearanceModel:
+        """The same model without memory: Coal starts from its last answers, which decide the last digits (1e-8 m)."""
+        scratch = _scratch(self.geometry)
+        return replace(self, scratch=scratch, results=_results(scratch))
+
+    def distances(self, q: Floats, parts: PartPoses) -> Floats:
+        """(P,) distance of every pair [m] at q (n,), with the pose (single) of each part in the base frame."""
+        missing = [name for name in self.parts if name not in parts]
+        if missing:
+            raise InputError(f"clearances need the poses of all parts, missing {', '.join(missing)}")
+        return self.placed_distances(q, {name: pin.SE3(parts[name].as_matrix()) for name in self.parts})
+
+    def placed_distances(self, q: Floats, parts: Mapping[str, Any]) -> Floats:
+        """As `distances`, with the poses of the parts as Pinocchio has them."""
+        pin.updateGeometryPlacements(self.arm.model, self.arm.data, self.geometry, self.scratch, q)
+        for name, items in self.parts.items():
+            for number, placement in items:
+                self.scratch.oMg[number] = parts[name] * placement
+        pin.computeDistances(self.geometry, self.scratch)
+        found = np.array([result.min_distance for result in self.results])
+        # Where the depth cannot be computed the solids do overlap.
+        return np.where(np.isfinite(found), found, -_DEPTH_TOLERANCE)
+
+    def at(self, q: Floats, parts: PartPoses | None = None, ignored: frozenset[Pair] = frozenset()) -> Clearance:
+        """The smallest distance at q (n,).
+
+        Args:
+            parts: pose (single) of each part in the base frame.
+            ignored: pairs, as `names` has them, that may meet now.
+        """
+        return self.smallest(self.distances(q, parts or {}), ignored)
+
+    def smallest(self, distances: Floats, ignored: frozenset[Pair] = frozenset()) -> Clearance:
+        """The smallest of the distances (P,) of all pairs."""
+        counted = self.counted(ignored)
+        if not counted.any():
+            return Clearance(np.inf, ("", ""))
+        index = int(np.flatnonzero(counted)[np.argmin(distances[counted])])
+        return Clearance(float(distances[index]), self.names[index])
+
+    def counted(self, ignored: frozenset[Pair]) -> NDArray[np.bool_]:
+        """(P,) whether a pair is not among those that may meet."""
+        return np.array([pair not in ignored for pair in self.names], dtype=bool)
+
+    def along(
+        self, q: ArrayLike, parts: PartPoses | None = None, ignored: Sequence[frozenset[Pair]] | None = None
+    ) -> tuple[Clearance, ...]:
+        """The smallest distance at each of the configurations q (k, n).
+
+        Args:
+            parts: (k,) poses of each part in the base frame.
+            ignored: (k,) pairs that may meet there; None: none.
+        """
+        rows = self.arm.checked(q)
+        found = []
+        for i, row in enumerate(rows):
+            poses = {name: pose[i] for name, pose in (parts or {}).items()}
+            found.append(self.at(row, poses, frozenset() if ignored is None else ignored[i]))
+        return tuple(found)
+
+    def gradient(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[Clearance, Floats]:
+        """The smallest distance and its derivative by q (n,): the relative velocity of the nearest points along the
+        normal. Parts that are held move with the tool, others stand still."""
+        distances = self.distances(q, parts)
+        closest = self.smallest(distances, ignored)
+        if not np.isfinite(closest.distance):
+            return closest, np.zeros(self.arm.n)
+        index = int(np.argmin(np.where(self.counted(ignored), distances, np.inf)))
+        result = self.results[index]
+        pin.computeJointJacobians(self.arm.model, self.arm.data, q)
+        ends = (self.first[index], result.getNearestPoint1()), (self.second[index], result.getNearestPoint2())
+        velocities = [self._point_jacobian(int(number), np.asarray(point)) for number, point in ends]
+        return closest, np.asarray(np.asarray(result.normal) @ (velocities[1] - velocities[0]))
+
+    def _point_jacobian(self, geometry: int, point: Floats) -> Floats:
+        """(3, n) derivative of a point of a solid by q, the point in the base frame."""
+        joint = int(self.geometry.geometryObjects[geometry].parentJoint)
+        if any(geometry == number for name in self.held for number, _ in self.parts[name]):
+            joint = self.arm.tool_joint
+        if joint == 0:
+            return np.zeros((3, self.arm.n))
+        columns = pin.getJointJacobian(self.arm.model, self.arm.data, joint, pin.WORLD)
+        return np.asarray(columns[:3] + np.cross(columns[3:].T, point).T)
+
+
+def clearance_model(
+    arm: Arm, scene: Sequence[Body] = (), parts: Sequence[Part] = (), held: Sequence[str] = ()
+) -> ClearanceModel:
+    """Arm, scene and the object's parts, with the pairs that must not meet.
+
+    Checked are: links of the arm against each other, the scene and the parts; parts against the scene. Not checked are
+    links that a joint connects or nothing moves, pairs that an SRDF excludes, that touch in every posture or, two
+    joints apart, in none, the hand against the first of the held parts, and parts against each other.
+
+    Args:
+        scene: bodies that do not move.
+        parts: of the object, with their shapes; their poses are given with every question.
+        held: names of the parts that move with the tool; the first is the grasped one.
+
+    Raises:
+        InputError: for names that occur twice.
+    """
+    geometry = pin.GeometryModel(arm.geometry)
+    links = list(range(geometry.ngeoms))
+    labels = [link_name(item) for item in geometry.geometryObjects]
+    taken = [*dict.fromkeys(labels), *(body.name for body in scene), *(part.name for part in parts)]
+    twice = next((name for name in taken if taken.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"two things are called '{twice}' among the robot's links, the scene and the parts")
+    still = [_added(geometry, labels, body.name, body.shapes, pin.SE3(body.pose.as_matrix())) for body in scene]
+    moved = {part.name: _added(geometry, labels, part.name, part.shapes, pin.SE3.Identity()) for part in parts}
+    scene_numbers = [number for group in still for number, _ in group]
+    part_numbers = [(name, number) for name, group in moved.items() for number, _ in group]
+    pairs = _arm_pairs(arm, geometry, links)
+    pairs += [(a, b) for a, b in product(links, scene_numbers) if geometry.geometryObjects[a].parentJoint > 0]
+    grasped = held[0] if held else None
+    pairs += [
+        (a, b)
+        for a, (name, b) in product(links, part_numbers)
+        if not (name == grasped and geometry.geometryObjects[a].parentJoint == arm.tool_joint)
+    ]
+    pairs += [(a, b) for (_, a), b in product(part_numbers, scene_numbers)]
+    geometry.removeAllCollisionPairs()
+    for a, b in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(a, b))
+    scratch = _scratch(geometry)
+    return ClearanceModel(
+        arm=arm,
+        geometry=geometry,
+        names=tuple((labels[a], labels[b]) for a, b in pairs),
+        parts={name: tuple(group) for name, group in moved.items()},
+        held=frozenset(held),
+        first=np.array([a for a, _ in pairs], dtype=np.int64),
+        second=np.array([b for _, b in pairs], dtype=np.int64),
+        scratch=scratch,
+        results=_results(scratch),
+    )
+
+
+def _scratch(geometry: Any) -> Any:
+    """Room for the results; depths of penetration are computed, too."""
+    for item in geometry.geometryObjects:
+        item.geometry.computeLocalAABB()
+    data = geometry.createData()
+    for request in data.distanceRequests:
+        request.enable_signed_distance = True
+        # Starting from the solids' boxes takes half the time of the default.
+        request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+        request.gjk_tolerance, request.epa_tolerance = _TOLERANCE, _DEPTH_TOLERANCE
+        request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
+    return data
+
+
+def _results(scratch: Any) -> tuple[Any, ...]:
+    """The results, which Coal fills anew with every question."""
+    return tuple(scratch.distanceResults[i] for i in range(len(scratch.distanceResults)))
+
+
+def _added(geometry: Any, labels: list[str], name: str, shapes: Sequence[Shape], pose: Any) -> list[tuple[int, Any]]:
+    """(number, pose in its owner's frame) of each solid of a body or part, added to the geometry."""
+    found = []
+    for i, shape in enumerate(shapes):
+        form, placement = solid(shape)
+        item = pin.GeometryObject(f"{name}/{i}", 0, pose * placement, form)
+        found.append((int(geometry.addGeometryObject(item)), placement))
+        labels.append(name)
+    return found
+
+
+def _arm_pairs(arm: Arm, geometry: Any, links: Sequence[int]) -> list[tuple[int, int]]:
+    """Pairs of the arm's solids that can meet."""
+    objects = geometry.geometryObjects
+    pairs = []
+    for a, b in combinations(links, 2):
+        first, second = sorted((int(objects[a].parentJoint), int(objects[b].parentJoint)))
+        names = sorted((objects[a].name, objects[b].name))
+        if first != second and arm.model.parents[second] != first and (names[0], names[1]) not in arm.separate:
+            pairs.append((a, b))
+    geometry.removeAllCollisionPairs()
+    for a, b in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(a, b))
+    data = _scratch(geometry)
+    met = np.zeros(len(pairs), dtype=np.int64)
+    for q in arm.sample(np.random.default_rng(0), _POSTURES):  # fixed: which pairs count is a property of the arm
+        pin.computeDistances(arm.model, arm.data, geometry, data, q)
+        met += np.array([result.min_distance < 0 for result in data.distanceResults], dtype=bool)
+    near = np.array([_joints_between(arm, objects, pair) <= 2 for pair in pairs], dtype=bool)
+    # Over the two joints between them, the postures are dense: links that never met there are kept apart by design.
+    checked = (met < _POSTURES) & ~(near & (met == 0))
+    return [pair for pair, counts in zip(pairs, checked, strict=True) if counts]
+
+
+def _joints_between(arm: Arm, objects: Any, pair: tuple[int, int]) -> int:
+    """How many joints move two solids of the arm against each other."""
+    chains = [set(map(int, arm.model.supports[objects[number].parentJoint])) for number in pair]
+    return len(chains[0] ^ chains[1])

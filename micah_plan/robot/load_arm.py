@@ -1,0 +1,227 @@
+"""A robot's description -> the arm: `load_arm`, and `describe_robot` for a file on its own."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
+from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes
+from micah_plan.robot.arm import Arm
+from micah_plan.robot.checked_robot import NO_LIMIT, CheckedRobot
+from micah_plan.robot.mjcf_text import check_mjcf
+from micah_plan.robot.urdf_text import check_urdf
+from micah_plan.robot.xml_text import LARGEST_XML_BYTES, parse_xml
+from micah_plan.scene.robot_description import RobotDescription
+
+_MOST_JOINTS = 100
+_MOST_LISTED = 12
+
+
+def describe_robot(
+    path: str | Path, tool: str, position: Vector3 = (0.0, 0.0, 0.0), quaternion: Quaternion = IDENTITY
+) -> RobotDescription:
+    """The description of a robot from its file (URDF or MJCF), standing at a pose in the base frame.
+
+    Raises:
+        InputError: if the file cannot be read or is no text.
+    """
+    try:
+        text = read_bytes(path, LARGEST_XML_BYTES).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError("expected UTF-8 text", source=path, remedy="give a URDF or MJCF file") from None
+    return RobotDescription(str(path), text, tool, position, quaternion, folder=str(Path(path).parent))
+
+
+def load_arm(description: RobotDescription) -> Arm:
+    """The chain of joints from the root to the tool; all other joints are held still.
+
+    Raises:
+        InputError: if the file is no URDF or MJCF, has a mistake, leads out of its folder, or the tool, a joint or the
+            chain is not usable; one line with the place and the remedy.
+    """
+    checked = check_robot(description)
+    model, geometry = _parsed(checked, description.path)
+    tool = _tool(model, description)
+    chain = [int(joint) for joint in list(model.supports[model.frames[tool].parentJoint]) if joint > 0]
+    _check_chain(model, chain, checked, description)
+    positions = _held_positions(model, description)
+    locked = [joint for joint in range(1, model.njoints) if joint not in chain]
+    if locked:
+        try:
+            model, (geometry,) = pin.buildReducedModel(model, [geometry], locked, positions)
+        except ValueError as error:  # bodies or frames with the same name
+            said = " ".join(str(error).split())[:160]
+            raise InputError(f"cannot be read as a robot: {said}", source=description.path) from None
+    _place(model, geometry, description)
+    return Arm(
+        name=Path(description.path).name,
+        model=model,
+        geometry=geometry,
+        tool=_tool(model, description),
+        rest=_rest(model, description),
+        colors=_colors(geometry, checked),
+        separate=_separate(geometry, description),
+        data=model.createData(),
+    )
+
+
+def check_robot(description: RobotDescription) -> CheckedRobot:
+    """The robot's file after the checks.
+
+    Raises:
+        InputError: for the first mistake in it.
+    """
+    root, source = parse_xml(description.text, description.path), description.path
+    if root.tag == "robot":
+        return check_urdf(root, source, description.folder, dict(description.packages))
+    if root.tag == "mujoco":
+        return check_mjcf(root, source, description.folder)
+    raise InputError(f"expected <robot> (URDF) or <mujoco> (MJCF), found <{root.tag[:40]}>", source=source)
+
+
+def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any]:
+    """Model and collision geometry, meshes replaced by their convex hulls."""
+    try:
+        if checked.kind == "urdf":
+            model = pin.buildModelFromXML(checked.text)
+            geometry = pin.buildGeomFromUrdfString(model, checked.text, pin.GeometryType.COLLISION, package_dirs="/")
+        else:
+            with tempfile.TemporaryDirectory() as folder:  # this parser reads files only
+                file = Path(folder, "robot.xml")
+                file.write_text(checked.text, encoding="utf-8")
+                model = pin.buildModelFromMJCF(str(file))
+                geometry = pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+        for item in geometry.geometryObjects:
+            if hasattr(item.geometry, "buildConvexRepresentation"):
+                item.geometry.buildConvexRepresentation(False)
+                item.geometry = item.geometry.convex
+    except (ValueError, RuntimeError, IndexError, KeyError, TypeError) as error:
+        said = " ".join(str(error).split())[:160]
+        raise InputError(f"cannot be read as a robot: {said}", source=source, remedy="correct the file") from None
+    if model.njoints - 1 > _MOST_JOINTS:
+        raise InputError(f"expected at most {_MOST_JOINTS} joints, found {model.njoints - 1}", source=source)
+    unlimited_low, unlimited_high = model.lowerPositionLimit <= -NO_LIMIT, model.upperPositionLimit >= NO_LIMIT
+    model.lowerPositionLimit = np.where(unlimited_low, -np.inf, model.lowerPositionLimit)
+    model.upperPositionLimit = np.where(unlimited_high, np.inf, model.upperPositionLimit)
+    return model, geometry
+
+
+def _tool(model: Any, description: RobotDescription) -> int:
+    """The tool's frame; a body or site before a joint of the same name, the first of several."""
+    named = [i for i, frame in enumerate(model.frames) if frame.name == description.tool]
+    if not named:
+        known = [frame.name for frame in model.frames if frame.type != pin.FrameType.JOINT and frame.name != "universe"]
+        listed = ", ".join(known[-_MOST_LISTED:])
+        problem = f"the robot has no frame {shown(description.tool)} to hold with"
+        raise InputError(problem, source=description.path, remedy=f"choose one, for instance of {listed}")
+    joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    return min(named, key=lambda i: model.frames[i].type in joints)
+
+
+def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, description: RobotDescription) -> None:
+    source = description.path
+    if not chain:
+        problem = f"no joint moves the frame {shown(description.tool)}"
+        raise InputError(problem, source=source, remedy="name a frame at the arm's end")
+    for joint in chain:
+        name = model.names[joint]
+        if model.joints[joint].nq != 1:
+            kind = model.joints[joint].shortname().removeprefix("JointModel")
+            raise InputError(
+                f"joint {shown(name)} is of kind {kind}", source=source, remedy="use revolute or prismatic"
+            )
+        if name in checked.mimics:
+            raise InputError(f"joint {shown(name)} follows another one and moves the tool", source=source)
+        low, high = (
+            float(limits[model.idx_qs[joint]]) for limits in (model.lowerPositionLimit, model.upperPositionLimit)
+        )
+        if not low < high:
+            raise InputError(f"joint {shown(name)} has limits {low:g} and {high:g}", source=source, remedy="widen them")
+
+
+def _held_positions(model: Any, description: RobotDescription) -> Any:
+    """(nq,) positions of all joints at which those outside the chain stand."""
+    q = pin.neutral(model)
+    for joint in range(1, model.njoints):
+        index = model.idx_qs[joint]
+        if model.joints[joint].nq == 1:
+            low, high = model.lowerPositionLimit[index], model.upperPositionLimit[index]
+            q[index] = (low + high) / 2 if np.isfinite(low) and np.isfinite(high) else np.clip(0.0, low, high)
+    for name, value in description.held:
+        joint = _joint(model, name, description)
+        if model.joints[joint].nq == 1:
+            q[model.idx_qs[joint]] = value
+    return q
+
+
+def _joint(model: Any, name: str, description: RobotDescription) -> int:
+    names = list(model.names)[1:]
+    if name not in names:
+        remedy = f"choose one of {', '.join(names[:_MOST_LISTED])}"
+        raise InputError(f"the robot has no joint {shown(name)}", source=description.path, remedy=remedy)
+    return int(model.getJointId(name))
+
+
+def _rest(model: Any, description: RobotDescription) -> np.ndarray[Any, np.dtype[np.float64]]:
+    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    bounded = np.isfinite(low) & np.isfinite(high)
+    rest = np.where(bounded, (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)) / 2, np.clip(0.0, low, high))
+    for name, value in description.rest:
+        index = model.idx_qs[_joint(model, name, description)]
+        if not low[index] <= value <= high[index]:
+            problem = f"the rest posture has {shown(name)} at {value:g}, outside {low[index]:g} to {high[index]:g}"
+            raise InputError(problem, source=description.path, remedy="choose a value within the limits")
+        rest[index] = value
+    return np.asarray(rest, dtype=float)
+
+
+def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
+    """Move the robot's root to its pose in the base frame."""
+    base = pin.SE3(description.pose.as_matrix())
+    for joint in range(1, model.njoints):
+        if model.parents[joint] == 0:
+            model.jointPlacements[joint] = base * model.jointPlacements[joint]
+    for frame in model.frames:
+        if frame.parentJoint == 0:
+            frame.placement = base * frame.placement
+    for item in geometry.geometryObjects:
+        if item.parentJoint == 0:
+            item.placement = base * item.placement
+
+
+def _colors(geometry: Any, checked: CheckedRobot) -> dict[str, str]:
+    found: dict[str, str] = {}
+    count: dict[str, int] = {}
+    for item in geometry.geometryObjects:
+        link = link_name(item)
+        number = count[link] = count.get(link, -1) + 1
+        colors = checked.colors.get(link, ())
+        if colors:
+            found[item.name] = colors[min(number, len(colors) - 1)]
+    return found
+
+
+def link_name(item: Any) -> str:
+    """The link that a geometry belongs to, by its name: Pinocchio numbers the shapes of a link."""
+    return str(item.name).rpartition("_")[0] or str(item.name)
+
+
+def _separate(geometry: Any, description: RobotDescription) -> frozenset[tuple[str, str]]:
+    """Pairs of geometries whose links an SRDF says need no check."""
+    if not description.srdf:
+        return frozenset()
+    root = parse_xml(description.srdf, f"{description.path} (SRDF)")
+    links: dict[str, list[str]] = {}
+    for item in geometry.geometryObjects:
+        links.setdefault(link_name(item), []).append(item.name)
+    pairs = set()
+    for entry in root.all("disable_collisions"):
+        ends = [links.get(entry.attributes.get(key, ""), []) for key in ("link1", "link2")]
+        pairs |= {(min(a, b), max(a, b)) for a in ends[0] for b in ends[1]}
+    return frozenset(pairs)

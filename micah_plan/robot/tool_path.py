@@ -1,0 +1,330 @@
+"""Joint trajectories that carry the tool along a path: `follow`.
+
+From several start postures (the seed chooses them) the path is followed in small steps: damped least squares onto the
+next pose, and within the null space downhill in `posture_cost` (Liégeois, "Automatic supervisory control of the
+configuration and behavior of multibody mechanisms", IEEE T-SMC 1977). Each step between knots is then checked as it
+will be driven, straight in the joints: limits, jumps, singularities, and clearance all along the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+from micah_plan.errors import InputError
+from micah_plan.planning.plan import ArmTrajectory
+from micah_plan.robot.arm import Arm
+from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
+from micah_plan.robot.inverse_kinematics import Reached, null_step, pose_error, reach_pose
+from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
+from micah_plan.robot.sweep import MotionBound, motion_bound, sweep
+
+Floats = NDArray[np.float64]
+FailureKind = Literal["unreachable", "joint limit", "singularity", "collision", "jump"]
+
+_SUBSTEP_M, _SUBSTEP_RAD = 0.02, 0.08
+_NULL_RATE = 0.5
+_LONGEST_NULL_STEP = 0.06
+_SAME_START = 0.2
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """What a joint trajectory must keep, and how hard it is searched for.
+
+    Attributes:
+        margin: smallest distance between things that must not meet [m].
+        limit_margin: distance kept from joint limits [rad or m], for the feedback to move in.
+        least_manipulability: smallest manipulability, as a share of that of the rest posture.
+        longest_step: largest motion of a joint from knot to knot [rad or m], beyond which it counts as a jump.
+        starts: random configurations that start postures are sought from.
+        followed: how many of the best start postures are followed at most, from each end of the path.
+        enough: how many complete trajectories the best is chosen among.
+    """
+
+    margin: float = 0.003
+    limit_margin: float = 0.02
+    least_manipulability: float = 0.05
+    longest_step: float = 0.6
+    starts: int = 60
+    followed: int = 6
+    enough: int = 2
+    weights: PostureWeights = field(default_factory=PostureWeights)
+
+
+@dataclass(frozen=True)
+class ArmFailure:
+    """Why the arm cannot carry the tool along the path; of all tries, the one that came furthest.
+
+    Attributes:
+        knot: where it ends.
+        kind: what ended it.
+        names: the joint at its limit, or the pair that meets; empty for others.
+        amount: how far the tool stays behind, how deep the pair meets, or how far a joint would jump [m or rad].
+        sentence, remedy: the same in words.
+    """
+
+    knot: int
+    kind: FailureKind
+    names: tuple[str, ...]
+    amount: float
+    sentence: str
+    remedy: str
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPath:
+    """What the tool shall do, at K knots.
+
+    Attributes:
+        tool: (K,) poses of the tool in the base frame.
+        parts: (K,) poses of the object's parts in the base frame, by part.
+        touching: (K,) pairs that may meet at each knot, and on the way to and from it; None: none.
+    """
+
+    tool: RigidTransform
+    parts: Mapping[str, RigidTransform] = field(default_factory=dict)
+    touching: Sequence[frozenset[Pair]] | None = None
+
+    def __post_init__(self) -> None:
+        lengths = {len(self.tool), *map(len, self.parts.values())}
+        lengths |= set() if self.touching is None else {len(self.touching)}
+        if len(lengths) != 1 or not len(self.tool):
+            raise InputError(f"a tool path needs the same number of knots of all, at least one. Got {sorted(lengths)}")
+
+    def backwards(self) -> ToolPath:
+        """The same knots from the last to the first."""
+        parts = {name: poses[::-1] for name, poses in self.parts.items()}
+        return ToolPath(self.tool[::-1], parts, None if self.touching is None else self.touching[::-1])
+
+    def at(self, knot: int) -> dict[str, RigidTransform]:
+        """Pose of each part at a knot."""
+        return {name: poses[knot] for name, poses in self.parts.items()}
+
+    def allowed(self, *knots: int) -> frozenset[Pair]:
+        """Pairs that may meet at any of the knots."""
+        return frozenset() if self.touching is None else frozenset().union(*(self.touching[knot] for knot in knots))
+
+
+def follow(
+    model: ClearanceModel, path: ToolPath, seed: int = 0, settings: PathSettings | None = None
+) -> ArmTrajectory | ArmFailure:
+    """A joint trajectory that takes the tool through the poses of a path, or what stands in the way.
+
+    Args:
+        model: of the arm with its surroundings, for the parts that the path gives.
+        path: K knots.
+        seed: of the start postures; the same seed gives the same trajectory.
+        settings: None: the defaults.
+    """
+    follower = _Follower(model.fresh(), settings or PathSettings(), seed)
+    found: list[tuple[float, Floats]] = []
+    failures: list[ArmFailure] = []
+    last = len(path.tool) - 1
+    for way in (path, path.backwards()) if last else (path,):
+        backwards = way is not path
+        starts = follower.starts(way)
+        if isinstance(starts, ArmFailure):
+            failures.append(_renumbered(starts, last, backwards))
+            continue
+        for start in starts:
+            rows = follower.followed(way, start)
+            if isinstance(rows, ArmFailure):
+                failures.append(_renumbered(rows, last, backwards))
+                continue
+            rows = rows[::-1] if backwards else rows
+            found.append((follower.cost(path, rows), rows))
+            if len(found) >= follower.settings.enough:
+                break
+        if found:
+            best = min(found, key=lambda pair: pair[0])[1]
+            return follower.summary(path, best)
+    return _furthest(failures, last)
+
+
+def _renumbered(failure: ArmFailure, last: int, backwards: bool) -> ArmFailure:
+    if not backwards:
+        return failure
+    knot = last - failure.knot
+    sentence = failure.sentence.replace(f"at knot {failure.knot}", f"at knot {knot}, coming from the end", 1)
+    return ArmFailure(knot, failure.kind, failure.names, failure.amount, sentence, failure.remedy)
+
+
+def _furthest(failures: Sequence[ArmFailure], last: int) -> ArmFailure:
+    """The failure of the try that came furthest, forwards ones first: their knots are what a reader counts."""
+    forwards = [failure for failure in failures if "coming from the end" not in failure.sentence]
+    return max(forwards, key=lambda failure: failure.knot) if forwards else min(failures, key=lambda f: last - f.knot)
+
+
+class _Follower:
+    """The search, with what stays the same over all tries."""
+
+    def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int) -> None:
+        self.model, self.arm, self.settings = model, model.arm, settings
+        self._generator = np.random.default_rng(seed)
+        self._bound: MotionBound = motion_bound(model)
+        lower, upper = self.arm.lower + settings.limit_margin, self.arm.upper - settings.limit_margin
+        middle = np.clip(self.arm.rest, self.arm.lower, self.arm.upper)
+        self._limits = np.minimum(lower, middle), np.maximum(upper, middle)
+        self._least = settings.least_manipulability * float(self.arm.manipulability(self.arm.rest)[0])
+
+    def starts(self, path: ToolPath) -> list[Floats] | ArmFailure:
+        """Configurations at the first knot, best first."""
+        target = path.tool[0].as_matrix()
+        seeds = np.vstack([self.arm.rest, self.arm.sample(self._generator, self.settings.starts)])
+        found: list[tuple[float, Floats]] = []
+        nearest: Reached | None = None
+        blocked: list[ArmFailure] = []
+        for seed in seeds:
+            reached = reach_pose(self.arm, target, np.clip(seed, *self._limits), self._limits)
+            if not reached.done:
+                nearer = nearest is None or np.linalg.norm(reached.error) < np.linalg.norm(nearest.error)
+                nearest = reached if nearer else nearest
+                continue
+            if any(np.abs(reached.q - q).max() < _SAME_START for _, q in found):
+                continue
+            failure = self._standing(path, 0, reached.q)
+            if failure is not None:
+                blocked.append(failure)
+                continue
+            cost = posture_cost(self.model, reached.q, path.at(0), path.allowed(0), self.settings.weights)
+            found.append((cost, reached.q))
+        if found:
+            return [q for _, q in sorted(found, key=lambda pair: pair[0])[: self.settings.followed]]
+        if blocked:
+            return min(blocked, key=lambda failure: abs(failure.amount))
+        closest = nearest or Reached(seeds[0], np.full(6, np.inf), np.zeros(self.arm.n, dtype=bool))
+        return self._out_of_reach(0, closest)
+
+    def followed(self, path: ToolPath, start: Floats) -> Floats | ArmFailure:
+        """(K, n) configurations along the path from a configuration at its first knot."""
+        rows = [start]
+        for knot in range(1, len(path.tool)):
+            reached = self._step(path, knot, rows[-1])
+            failure = self._out_of_reach(knot, reached) if not reached.done else self._standing(path, knot, reached.q)
+            failure = failure or self._on_the_way(path, knot, rows[-1], reached.q)
+            if failure is not None:
+                return failure
+            rows.append(reached.q)
+        return np.stack(rows)
+
+    def cost(self, path: ToolPath, rows: Floats) -> float:
+        """Of a whole trajectory: the worst posture, and the motion of the joints."""
+        costs = [
+            posture_cost(self.model, q, path.at(k), path.allowed(k), self.settings.weights) for k, q in enumerate(rows)
+        ]
+        return float(np.max(costs) + np.mean(costs) + 0.1 * np.abs(np.diff(rows, axis=0)).sum())
+
+    def summary(self, path: ToolPath, rows: Floats) -> ArmTrajectory:
+        """The trajectory with what it keeps."""
+        clearances, swept = [], []
+        for k, q in enumerate(rows):
+            clearances.append(self.model.at(q, path.at(k), path.allowed(k)))
+            swept.append((clearances[-1], k))
+            if k + 1 < len(rows):
+                swept.append((self._sweep(path, k, q, rows[k + 1], None), k))
+        closest, knot = min(swept, key=lambda pair: pair[0].distance)
+        met = np.isfinite(closest.distance)
+        return ArmTrajectory(
+            joints=self.arm.joints,
+            positions=rows,
+            manipulability=self.arm.manipulability(rows),
+            clearance=tuple(c.distance if np.isfinite(c.distance) else None for c in clearances),
+            least_clearance=closest.distance if met else None,
+            closest_pair=closest.pair if met else (),
+            closest_knot=knot,
+            deviation=_deviation(self.arm, rows),
+        )
+
+    def _step(self, path: ToolPath, knot: int, q: Floats) -> Reached:
+        """From the configuration at the knot before to this one, in steps small enough to stay on one branch."""
+        before, after = path.tool[knot - 1], path.tool[knot]
+        way = pose_error(after.as_matrix(), before.as_matrix())
+        count = int(np.ceil(max(np.linalg.norm(way[:3]) / _SUBSTEP_RAD, np.linalg.norm(way[3:]) / _SUBSTEP_M)))
+        if not count:  # a transition takes no time: the arm stands still
+            return reach_pose(self.arm, after.as_matrix(), q, self._limits)
+        shares = np.linspace(0.0, 1.0, count + 1)[1:]
+        turns = Slerp([0.0, 1.0], Rotation.concatenate([before.rotation, after.rotation]))(shares)
+        places = before.translation + shares[:, None] * (after.translation - before.translation)
+        reached = Reached(q, np.zeros(6), np.zeros(self.arm.n, dtype=bool))
+        for target in RigidTransform.from_components(places, turns).as_matrix():
+            wish = self._downhill(path, knot, q)
+            start = np.clip(q + null_step(self.arm, q, wish, self._limits), *self._limits)
+            reached = reach_pose(self.arm, target, start, self._limits)
+            if not reached.done:
+                reached = reach_pose(self.arm, target, q, self._limits)
+            if not reached.done:
+                return reached
+            q = reached.q
+        return reached
+
+    def _downhill(self, path: ToolPath, knot: int, q: Floats) -> Floats:
+        gradient = posture_gradient(self.model, q, path.at(knot), path.allowed(knot - 1, knot), self.settings.weights)
+        wish = -_NULL_RATE * gradient
+        return np.asarray(wish * min(1.0, _LONGEST_NULL_STEP / max(float(np.abs(wish).max()), 1e-12)))
+
+    def _standing(self, path: ToolPath, knot: int, q: Floats) -> ArmFailure | None:
+        """What is wrong with a configuration at a knot."""
+        measure = float(self.arm.manipulability(q)[0])
+        if measure < self._least:
+            sentence = f"the arm is near a singularity at knot {knot}: manipulability {measure:.2g}"
+            return ArmFailure(knot, "singularity", (), measure, sentence, "move the robot's base or the grasp")
+        clearance = self.model.at(q, path.at(knot), path.allowed(knot))
+        return self._collision(knot, clearance) if clearance.distance < self.settings.margin else None
+
+    def _on_the_way(self, path: ToolPath, knot: int, before: Floats, after: Floats) -> ArmFailure | None:
+        """What is wrong with the motion from the knot before, straight in the joints."""
+        moved = np.abs(after - before)
+        if moved.max() > self.settings.longest_step:
+            name = self.arm.joints[int(np.argmax(moved))]
+            sentence = f"joint '{name}' would jump by {moved.max():.2f} at knot {knot}"
+            remedy = "take smaller steps (planner.max_step), or move the robot's base"
+            return ArmFailure(knot, "jump", (name,), float(moved.max()), sentence, remedy)
+        closest = self._sweep(path, knot - 1, before, after, self.settings.margin)
+        return self._collision(knot, closest) if closest.distance < self.settings.margin else None
+
+    def _sweep(self, path: ToolPath, knot: int, before: Floats, after: Floats, margin: float | None) -> Clearance:
+        ends = (before, path.at(knot)), (after, path.at(knot + 1))
+        allowed = path.allowed(knot, knot + 1)
+        return sweep(self.model, self._bound, *ends, margin, allowed).clearance
+
+    def _collision(self, knot: int, clearance: Clearance) -> ArmFailure:
+        first, second = clearance.pair
+        depth = -1000 * clearance.distance
+        says = f"meets {second}, {depth:.0f} mm deep" if depth > 0 else f"comes within {-depth:.1f} mm of {second}"
+        remedy = "move the robot's base, the grasp or the scene"
+        return ArmFailure(
+            knot, "collision", clearance.pair, clearance.distance, f"{first} {says}, at knot {knot}", remedy
+        )
+
+    def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
+        away = float(np.linalg.norm(reached.error[3:]))
+        turned = float(np.linalg.norm(reached.error[:3]))
+        misses = f"the tool stays {1000 * away:.0f} mm and {turned:.2f} rad from its pose at knot {knot}"
+        stopped = np.flatnonzero(reached.stopped)
+        if len(stopped):
+            lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]
+            ends = [
+                f"'{self.arm.joints[i]}' ({'lower' if low else 'upper'})" for i, low in zip(stopped, lower, strict=True)
+            ]
+            sentence = f"{misses}: joint limit of {', '.join(ends)}"
+            names = tuple(self.arm.joints[i] for i in stopped)
+            return ArmFailure(
+                knot, "joint limit", names, max(away, turned), sentence, "move the robot's base or the grasp"
+            )
+        sentence = f"{misses}: it is out of reach"
+        return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, "move the robot's base nearer")
+
+
+def _deviation(arm: Arm, rows: Floats) -> float:
+    """How far the tool strays halfway between knots [m]."""
+    places = arm.poses(rows).translation
+    if len(rows) < 2:
+        return 0.0
+    halfway = arm.poses((rows[:-1] + rows[1:]) / 2).translation
+    return float(np.linalg.norm(halfway - (places[:-1] + places[1:]) / 2, axis=1).max())

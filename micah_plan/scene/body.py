@@ -1,0 +1,72 @@
+"""Bodies of a scene: solids that do not move, such as a table, a stack of books or the walls of a corridor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.hybrid import Primitive
+from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hull:
+    """A convex solid, given by its corners; what a mesh becomes.
+
+    Attributes:
+        vertices: corners in the shape's frame [m], at least four that span a volume.
+        position, quaternion: pose of the shape's frame in the body's frame.
+        color: ``"#rrggbb"``.
+    """
+
+    vertices: tuple[Vector3, ...]
+    position: Vector3 = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = IDENTITY
+    color: str = "#9aa5b1"
+
+
+Shape = Primitive | Hull
+
+
+@dataclass(frozen=True)
+class Body:
+    """A solid of the scene.
+
+    Attributes:
+        name: as messages and plans call it.
+        shapes: its solids in its own frame.
+        position, quaternion: pose of its frame in the base frame.
+    """
+
+    name: str
+    shapes: tuple[Shape, ...]
+    position: Vector3 = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = IDENTITY
+
+    @property
+    def pose(self) -> RigidTransform:
+        """Of the body's frame in the base frame (single)."""
+        return transform(self.position, self.quaternion)
+
+
+def transform(position: Vector3, quaternion: Quaternion) -> RigidTransform:
+    """The pose (single) with a position [m] and an orientation, scalar last."""
+    return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+
+
+def corners(shape: Shape) -> Floats:
+    """(k, 3) corners of a hull, or of the box around a primitive, in the frame of the body [m]."""
+    if isinstance(shape, Hull):
+        points = np.array(shape.vertices)
+    else:
+        size = np.array(shape.size)
+        half = size / 2 if shape.kind == "box" else np.full(3, size[0])
+        if shape.kind == "cylinder":
+            half[2] = size[1] / 2
+        points = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return np.asarray(transform(shape.position, shape.quaternion).apply(points))
