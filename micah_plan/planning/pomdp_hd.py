@@ -100,7 +100,7 @@ def _optimise(
     problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, clock: _Clock
 ) -> tuple[BeliefPath | None, str, list[Obstacle]]:
     """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
-    knots, said = 0, "not tried"
+    knots, said = -1, "not tried"
     for stretch in _STRETCHES:
         if clock.seconds >= problem.settings.solve_time_limit_s:
             return None, *_out_of_time(problem, sequence, said)

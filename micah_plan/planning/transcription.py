@@ -12,14 +12,12 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
@@ -28,11 +26,11 @@ from micah_plan.planning.problem import Problem
 from micah_plan.planning.transcription_corridor import CorridorRow, corridor
 from micah_plan.planning.transcription_guess import STRICT_SHARE, PhaseGuess
 from micah_plan.planning.transcription_rows import Row, RowNames
-from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
+from micah_plan.planning.transcription_state import entries, factor_of, factor_pattern, pack, packed
+from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledEdge, CompiledMode
 from micah_plan.symbolic.square_root import norm as smooth_norm
 
 Floats = NDArray[np.float64]
-Expression = TypeVar("Expression", ca.MX, ca.SX)
 
 # Cost of one step's length of slack: above the other multipliers, so slack remains only where nothing else is possible.
 _SLACK_WEIGHT = 10.0
@@ -54,6 +52,7 @@ class Transcription:
 
     Attributes:
         guess: the phases with their warm start.
+        pattern: of the factors.
         phases: the symbols of each phase.
         cost: expression.
         w, w_lower, w_upper, w_start: decision variables, bounds and start point, in blocks.
@@ -61,6 +60,7 @@ class Transcription:
     """
 
     guess: tuple[PhaseGuess, ...]
+    pattern: ca.Sparsity
     phases: list[PhaseVariables] = field(default_factory=list)
     cost: ca.MX = field(default_factory=lambda: ca.MX(0))
     w: list[ca.MX] = field(default_factory=list)
@@ -89,7 +89,8 @@ def transcribe(
     problem: Problem, limits: Limits, compiled: CompiledAutomaton, guess: tuple[PhaseGuess, ...]
 ) -> Transcription:
     """The nonlinear programme of a mode sequence."""
-    nlp = Transcription(guess)
+    taken = [phase.edge for phase in guess if phase.edge is not None]
+    nlp = Transcription(guess, factor_pattern(compiled, guess[0].factors[0], [phase.mode for phase in guess], taken))
     for phase in guess:
         _add_phase(nlp, problem, limits, compiled, phase)
     for before, after in zip(range(len(guess) - 1), range(1, len(guess)), strict=True):
@@ -98,40 +99,12 @@ def transcribe(
     return nlp
 
 
-def lower_entries(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of a lower triangular matrix in CasADi's (column-major) order."""
-    column, row = np.triu_indices(n)
-    return row, column
-
-
-def pack(means: Floats, factors: Floats) -> Floats:
-    """(n + l, K) states of the transcription from means (K, n) and factors (K, n, n)."""
-    row, column = lower_entries(means.shape[1])
-    return np.asarray(np.hstack([means, factors[:, row, column]]).T)
-
-
-def unpack(states: Floats, n: int) -> tuple[Floats, Floats]:
-    """Means (K, n) and factors (K, n, n) from states (n + l, K)."""
-    row, column = lower_entries(n)
-    factors = np.zeros((states.shape[1], n, n))
-    factors[:, row, column] = states[n:].T
-    return np.ascontiguousarray(states[:n].T), factors
-
-
-def _factor(state: Expression, n: int) -> Expression:
-    """The (n, n) lower factor in a packed state (n + l, 1)."""
-    return type(state)(ca.Sparsity.lower(n), state[n:])
-
-
-def _packed(pair: Sequence[Expression], n: int) -> Expression:
-    """The packed state (n + l, 1) of a mean and a factor."""
-    return ca.vertcat(pair[0], ca.vec(ca.project(pair[1], ca.Sparsity.lower(n)).nz[:]))
-
-
-def _step_function(mode: CompiledMode, n: int, m: int) -> ca.Function:
+def _step_function(mode: CompiledMode, pattern: ca.Sparsity, m: int) -> ca.Function:
     """(state, u) -> state: the belief step on packed states."""
-    state, u = ca.SX.sym("z", n + n * (n + 1) // 2), ca.SX.sym("u", m)
-    return ca.Function("belief", [state, u], [_packed(mode.belief_step.call([state[:n], _factor(state, n), u]), n)])
+    n = pattern.rows()
+    state, u = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("u", m)
+    stepped = mode.belief_step.call([state[:n], factor_of(state, pattern), u])
+    return ca.Function("belief", [state, u], [packed(stepped, pattern)])
 
 
 def _add_phase(
@@ -139,9 +112,9 @@ def _add_phase(
 ) -> None:
     """Variables, dynamics, effort, inputs and the corridor of one phase."""
     automaton, settings = problem.automaton, problem.settings
-    n, m, steps = automaton.n, automaton.m, guess.steps
+    m, steps = automaton.m, guess.steps
     mode = compiled.modes[guess.mode]
-    start = pack(guess.means, guess.factors)
+    start = pack(guess.means, guess.factors, nlp.pattern)
     lower, upper = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
     if not nlp.phases:
         lower[:, 0] = upper[:, 0] = start[:, 0]
@@ -150,24 +123,34 @@ def _add_phase(
     inputs = nlp.variables((m, steps), guess.inputs.T, -largest, largest)
     rows = corridor(automaton, limits, guess)
     soft = sum(row.uncertain for row in rows)
-    k = float(norm.ppf(settings.confidence))
+    k = float(ndtri(settings.confidence))
     slack_start = np.array([row.slack_start(k) for row in rows if row.uncertain]).reshape(soft, 1)
     slacks = nlp.variables((soft, 1), slack_start, np.zeros((soft, 1)), np.full((soft, 1), np.inf))
     nlp.phases.append(PhaseVariables(states, inputs, slacks, rows))
     if steps:
-        stepped = _step_function(mode, n, m).map(steps)(states[:, :-1], inputs)
-        nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess))
+        stepped = _step_function(mode, nlp.pattern, m).map(steps)(states[:, :-1], inputs)
+        nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess, nlp.pattern))
         scaled = inputs / ca.DM(largest)
         nlp.cost += settings.weight_effort * ca.sumsqr(scaled)
     _require_inputs(nlp, problem, limits, compiled, guess, states, inputs)
     _require_corridor(nlp, problem, guess, nlp.phases[-1])
 
 
-def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess) -> list[Row]:
+def _crossing_function(edge: CompiledEdge, pattern: ca.Sparsity, m: int) -> ca.Function:
+    """(state, u of the guard, u of the reset) -> (margins, stds, state after it)."""
+    n = pattern.rows()
+    state, u, v = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("u", m), ca.SX.sym("v", m)
+    factor = factor_of(state, pattern)
+    margins, stds = edge.guard_belief.call([state[:n], factor, u])
+    after = packed(edge.belief_reset.call([state[:n], factor, v]), pattern)
+    return ca.Function("crossing", [state, u, v], [margins, stds, after])
+
+
+def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Sparsity) -> list[Row]:
     units = [coordinate.unit for coordinate in automaton.coordinates]
     names = [f"the dynamics of '{coordinate.name}'" for coordinate in automaton.coordinates]
     labels = list(zip(names, units, strict=True))
-    for i, j in zip(*lower_entries(automaton.n), strict=True):
+    for i, j in zip(*entries(pattern), strict=True):
         labels.append((f"the covariance of '{automaton.coordinates[i].name}', '{automaton.coordinates[j].name}'", ""))
     knots = range(guess.first_knot + 1, guess.first_knot + guess.steps + 1)
     return [Row(guess.mode, knot, name, unit, 0.0, 0.0) for knot in knots for name, unit in labels]
@@ -185,10 +168,10 @@ def _require_inputs(
     """Rows that depend on the input: admissible inputs, invariants, and guards on inputs that must not be triggered."""
     automaton, mode = problem.automaton, compiled.modes[guess.mode]
     groups = [(mode.inputs, mode.mode.inputs.half_spaces, 1.0), (mode.invariant, mode.mode.invariant.half_spaces, 1.0)]
-    for edge in compiled.edges:
-        rows = edge.edge.guard.half_spaces
-        if edge.edge.source == guess.mode and not edge.edge.is_self_transition and len(rows) == 1 and any(rows[0].b):
-            groups.append((edge.guard, rows, -1.0))
+    for number, edge in enumerate(automaton.edges):
+        rows = edge.guard.half_spaces
+        if edge.source == guess.mode and not edge.is_self_transition and len(rows) == 1 and any(rows[0].b):
+            groups.append((compiled.edges[number].guard, rows, -1.0))
     for function, half_spaces, sign in groups:
         chosen = [i for i, h in enumerate(half_spaces) if any(h.b)]
         if not chosen or not guess.steps:
@@ -217,14 +200,14 @@ def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, p
     """The boundaries between the ends of the phase: hard for the mean, with a slack that costs at k-sigma."""
     if not phase.corridor:
         return
-    n, settings = problem.automaton.n, problem.settings
+    settings = problem.settings
     directions = np.array([row.sign * np.array(row.half_space.a) for row in phase.corridor]).T
     offsets = np.array([row.sign * row.half_space.c for row in phase.corridor])
     at = phase.states[:, [row.step for row in phase.corridor]]
-    margins, stds = _margin_function(n).map(len(phase.corridor))(at, directions, offsets[None, :])
+    margins, stds = _margin_function(nlp.pattern).map(len(phase.corridor))(at, directions, offsets[None, :])
     uncertain = [i for i, row in enumerate(phase.corridor) if row.uncertain]
     scales = ca.DM([phase.corridor[i].scale for i in uncertain])
-    k = float(norm.ppf(settings.confidence))
+    k = float(ndtri(settings.confidence))
 
     def named(i: int, suffix: str, spread: float | None = None) -> Row:
         row = phase.corridor[i]
@@ -239,10 +222,11 @@ def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, p
         nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
 
 
-def _margin_function(n: int) -> ca.Function:
+def _margin_function(pattern: ca.Sparsity) -> ca.Function:
     """(state, a, c) -> (a'mean - c, ||L'a||)."""
-    state, a, c = ca.SX.sym("z", n + n * (n + 1) // 2), ca.SX.sym("a", n), ca.SX.sym("c")
-    std = smooth_norm(ca.mtimes(_factor(state, n).T, a))
+    n = pattern.rows()
+    state, a, c = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("a", n), ca.SX.sym("c")
+    std = smooth_norm(ca.mtimes(factor_of(state, pattern).T, a))
     return ca.Function("margin", [state, a, c], [ca.dot(a, state[:n]) - c, std])
 
 
@@ -263,8 +247,11 @@ def _join(
     edge = compiled.edges[guess.edge if guess.edge is not None else 0]
     state = nlp.phases[before].states[:, -1]
     u = target.inputs[:, 0] if nlp.guess[after].steps else ca.DM.zeros(automaton.m)
-    margins, stds = edge.guard_belief(state[:n], _factor(state, n), u)
-    k, knot = float(norm.ppf(problem.settings.confidence)), guess.first_knot + guess.steps
+    by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
+    last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)
+    crossing = _crossing_function(edge, nlp.pattern, automaton.m)
+    margins, stds, reset = crossing(state, u, ca.MX(u) if by_input else last)
+    k, knot = float(ndtri(problem.settings.confidence)), guess.first_knot + guess.steps
     pinned = {pin.coordinate for pin in automaton.mode(guess.mode).pins}
     for i, half_space in enumerate(edge.edge.guard.half_spaces):
         # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
@@ -280,21 +267,18 @@ def _join(
         spread = float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2)
         row = Row(guess.mode, knot, name, unit, low, np.inf, "guard", half_space, 1.0, None if certain else spread)
         nlp.require(margins[i] - (0.0 if certain else k) * _total_std(stds[i], spread), [row])
-    by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
-    last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)
-    reset = edge.belief_reset.call([state[:n], _factor(state, n), ca.MX(u) if by_input else last])
     first = nlp.guess[after].first_knot
-    names = [f"the reset of '{edge.edge.name}'"] * (n + n * (n + 1) // 2)
+    names = [f"the reset of '{edge.edge.name}'"] * (n + nlp.pattern.nnz())
     rows = [Row(edge.edge.target, first, name, "", 0.0, 0.0) for name in names]
-    nlp.require(target.states[:, 0] - _packed(reset, n), rows)
+    nlp.require(target.states[:, 0] - reset, rows)
 
 
 def _add_goal(nlp: Transcription, problem: Problem) -> None:
     """The goal at the last knot: the mean within the tolerance, error and variance in the cost."""
-    automaton, settings, n = problem.automaton, problem.settings, problem.automaton.n
+    automaton, settings = problem.automaton, problem.settings
     last = nlp.guess[-1]
     state = nlp.phases[-1].states[:, -1]
-    factor = _factor(state, n)
+    factor = factor_of(state, nlp.pattern)
     for index, value, tolerance in problem.goal.target:
         coordinate = automaton.coordinates[index]
         error = state[index] - value

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits
@@ -127,7 +127,7 @@ def _divide(
 
 def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
     """Steps that the feedback needs to make up for a start that is k standard deviations off."""
-    k = float(norm.ppf(problem.settings.confidence))
+    k = float(ndtri(problem.settings.confidence))
     moved = problem.automaton.mode(mode).B.any(axis=1)
     return float(np.max(k * np.array(problem.start.std) / limits.speed, where=moved, initial=0.0))
 
@@ -214,7 +214,7 @@ def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, s
 
     What counts is the belief before the last measurement: that one comes too late for any input.
     """
-    k, rest = float(norm.ppf(problem.settings.confidence)), np.zeros(problem.automaton.m)
+    k, rest = float(ndtri(problem.settings.confidence)), np.zeros(problem.automaton.m)
     mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
     for extra in range(min(spare, _MOST_LOCALISING_STEPS) + 1):
         prior = _belief(mode.predict(mean, factor, rest))[1]
@@ -231,7 +231,7 @@ def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, s
 
 def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
     """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
-    k = float(norm.ppf(problem.settings.confidence))
+    k = float(ndtri(problem.settings.confidence))
     u = np.zeros(problem.automaton.m)
     moved = x.copy()
     taken = problem.automaton.edges[edge]

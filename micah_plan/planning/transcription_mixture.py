@@ -19,12 +19,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.transcription_solve import ipopt_options
-from micah_plan.symbolic.square_root import add_noise, hold, lower_factor, observe
+from micah_plan.symbolic.compiled import CompiledMode, compile_automaton, sensing_std
+from micah_plan.symbolic.square_root import SMALLEST_STD, hold, lower_factor, observe
 
 Floats = NDArray[np.float64]
 
@@ -143,8 +144,9 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     mean, factor, weights = _unpacked(z, n)
     branches: list[tuple[int, ca.SX, ca.SX, ca.SX]] = []
     names = [mode.name for mode in automaton.modes]
+    compiled = compile_automaton(automaton)
     for number, mode in enumerate(automaton.modes):
-        held, spread = _flowed(automaton, mode, mean, factor, u)
+        held, spread = _flowed(compiled.modes[mode.name], mean, factor, u)
         left = weights[number]
         for edge in sorted(automaton.edges_from(mode.name), key=lambda e: e.is_self_transition):
             chance = _guard_chance(edge, held, spread, u, limits)
@@ -164,9 +166,9 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
         root = ca.sqrt(ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT**2)
         columns += [root * spread, root * (center - middle)]
     mixed = lower_factor(ca.sparsify(ca.horzcat(*columns)))
-    for index, std in enumerate(automaton.noise.observation_std):
-        if np.isfinite(std):
-            seen = observe(middle, mixed, index, std, None)
+    for index, information in enumerate(_information(automaton, middle, arrived)):
+        if not information.is_zero():
+            seen = observe(middle, mixed, index, 1 / ca.sqrt(information), None)
             middle, mixed = seen.mean, seen.factor
     packed = ca.vec(ca.project(mixed, ca.Sparsity.lower(n)).nz[:])
     return ca.Function("mixture", [z, u], [ca.densify(ca.vertcat(middle, packed, *arrived))])
@@ -177,10 +179,21 @@ def _unpacked(z: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
     return z[:n], ca.SX(ca.Sparsity.lower(n), z[n : n + entries]), z[n + entries :]
 
 
-def _flowed(automaton: HybridAutomaton, mode: Mode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _information(automaton: HybridAutomaton, mean: ca.SX, weights: list[ca.SX]) -> list[ca.SX]:
+    """Inverse variance of a measurement of each coordinate: that of the modes, by their weights."""
+    total = [ca.SX(0)] * automaton.n
+    for mode, weight in zip(automaton.modes, weights, strict=True):
+        for index, std in enumerate(sensing_std(automaton.sensing(mode), mean)):
+            if isinstance(std, ca.SX) or np.isfinite(std):
+                total[index] += (ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT) / (std**2 + SMALLEST_STD**2)
+    return total
+
+
+def _flowed(compiled: CompiledMode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Mean and factor after a mode's flow and process noise, its pins held."""
-    held = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in mode.pins])
-    return held[0] + ca.mtimes(ca.DM(mode.B), u), add_noise(held[1], automaton.free_process_std(mode))
+    held = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in compiled.mode.pins])
+    after = compiled.predict.call([*held, u])
+    return ca.densify(after[0]), ca.sparsify(after[1])
 
 
 def _guard_chance(edge: Edge, mean: ca.SX, factor: ca.SX, u: ca.SX, limits: Limits) -> ca.SX:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.transcription import Transcription, unpack
+from micah_plan.planning.transcription import Transcription
 from micah_plan.planning.transcription_rows import Row, Shortfall
+from micah_plan.planning.transcription_state import unpack
 
 Floats = NDArray[np.float64]
 
@@ -128,7 +129,7 @@ def unmet(nlp: Transcription, problem: Problem) -> list[Shortfall]:
     rows = np.array(ca.Function("rows", [w], [g])(result), dtype=float).ravel()
     rows = np.where(lower < upper, rows, lower)
     violated = ((nlp.rows.rows[i], rows[i]) for i in nlp.rows.worst_indices(rows))
-    return [_shortfall(nlp, problem, result, row, row.violation(float(value))) for row, value in violated]
+    return [_shortfall(nlp, result, row, row.violation(float(value))) for row, value in violated]
 
 
 def ipopt_options(time_limit_s: float) -> dict[str, Any]:
@@ -172,7 +173,7 @@ def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[
             if slack > max(_VISIBLE_SLACK, worst[key][0] if key in worst else 0.0):
                 place = named[guess.mode, guess.first_knot + row.step, row.name + suffix]
                 worst[key] = (float(slack), place, float(slack) * row.scale)
-    return [_shortfall(nlp, problem, values, row, amount) for _, row, amount in worst.values()]
+    return [_shortfall(nlp, values, row, amount) for _, row, amount in worst.values()]
 
 
 def _in_part_text(shortfall: Shortfall, problem: Problem) -> str:
@@ -181,13 +182,13 @@ def _in_part_text(shortfall: Shortfall, problem: Problem) -> str:
     return f"{name} holds with less than {confidence} around knot {row.knot} in mode '{row.mode}'"
 
 
-def _shortfall(nlp: Transcription, problem: Problem, values: Floats, row: Row, amount: float) -> Shortfall:
+def _shortfall(nlp: Transcription, values: Floats, row: Row, amount: float) -> Shortfall:
     """The row with what the belief of its knot makes of it."""
     if row.spread is None or row.half_space is None:
         return Shortfall(row, amount)
     number = next(i for i, guess in enumerate(nlp.guess) if row.knot <= guess.first_knot + guess.steps)
     states = _blocks(nlp, values)[number][0]
-    factor = unpack(states, problem.automaton.n)[1][row.knot - nlp.guess[number].first_knot]
+    factor = unpack(states, nlp.pattern)[1][row.knot - nlp.guess[number].first_knot]
     std = float(np.sqrt(np.square(np.array(row.half_space.a) @ factor).sum() + row.spread))
     others = [r for r in nlp.rows.rows if (r.mode, r.knot) == (row.mode, row.knot) and r.kind in ("boundary", "guard")]
     widths = [width for width in (_width(row, other) for other in others) if width is not None]
@@ -213,7 +214,7 @@ def _path(
         if number:
             inputs.append(np.zeros((1, problem.automaton.m)))
             transitions.append(True)
-        phase_means, phase_factors = unpack(states, problem.automaton.n)
+        phase_means, phase_factors = unpack(states, nlp.pattern)
         means.append(phase_means)
         factors.append(phase_factors)
         inputs.append(steps.T)

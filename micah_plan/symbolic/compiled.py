@@ -12,8 +12,9 @@ what was known: where the state was before tells nothing of where exactly it is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import casadi as ca
 import numpy as np
@@ -24,6 +25,8 @@ from micah_plan.automaton.region import Region
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
+
+_MEMO = "compiled"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +95,14 @@ class CompiledEdge:
 
 @dataclass(frozen=True, eq=False)
 class CompiledAutomaton:
-    """A compiled automaton: `modes` by name, `edges` in the order of `automaton.edges`."""
+    """A compiled automaton: `modes` by name, `edges` in the order of `automaton.edges`.
+
+    Each is compiled when it is first asked for: of 64 modes a plan visits a few.
+    """
 
     automaton: HybridAutomaton
     modes: Mapping[str, CompiledMode]
-    edges: tuple[CompiledEdge, ...]
+    edges: Sequence[CompiledEdge]
 
 
 @dataclass(frozen=True)
@@ -109,13 +115,58 @@ class _Symbols:
     z: ca.SX
 
 
+class _Modes(Mapping[str, CompiledMode]):
+    """The modes of an automaton by name, compiled when asked for."""
+
+    def __init__(self, automaton: HybridAutomaton, symbols: _Symbols) -> None:
+        self._automaton, self._symbols = automaton, symbols
+        self._made: dict[str, CompiledMode] = {}
+
+    def __getitem__(self, name: str) -> CompiledMode:
+        if name not in self._made:
+            self._made[name] = _compile_mode(self._automaton, self._automaton.mode(name), self._symbols)
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return (mode.name for mode in self._automaton.modes)
+
+    def __len__(self) -> int:
+        return len(self._automaton.modes)
+
+
+class _Edges(Sequence[CompiledEdge]):
+    """The edges of an automaton in its order, compiled when asked for."""
+
+    def __init__(self, automaton: HybridAutomaton, symbols: _Symbols) -> None:
+        self._automaton, self._symbols = automaton, symbols
+        self._made: dict[int, CompiledEdge] = {}
+
+    @overload
+    def __getitem__(self, index: int) -> CompiledEdge: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[CompiledEdge]: ...
+    def __getitem__(self, index: int | slice) -> CompiledEdge | list[CompiledEdge]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        number = range(len(self))[index]
+        if number not in self._made:
+            self._made[number] = _compile_edge(self._automaton, self._automaton.edges[number], self._symbols)
+        return self._made[number]
+
+    def __len__(self) -> int:
+        return len(self._automaton.edges)
+
+
 def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
-    """All CasADi functions of an automaton. Pure: the same automaton gives the same functions."""
-    n, m = automaton.n, automaton.m
-    symbols = _Symbols(ca.SX.sym("x", n), ca.SX.sym("L", ca.Sparsity.lower(n)), ca.SX.sym("u", m), ca.SX.sym("z", n))
-    modes = {mode.name: _compile_mode(automaton, mode, symbols) for mode in automaton.modes}
-    edges = tuple(_compile_edge(automaton, edge, symbols) for edge in automaton.edges)
-    return CompiledAutomaton(automaton, modes, edges)
+    """All CasADi functions of an automaton, kept with it: asked again, for a replan, they are there already."""
+    if _MEMO not in automaton.derived:
+        n, m = automaton.n, automaton.m
+        z, u = ca.SX.sym("z", n), ca.SX.sym("u", m)
+        symbols = _Symbols(ca.SX.sym("x", n), ca.SX.sym("L", ca.Sparsity.lower(n)), u, z)
+        modes, edges = _Modes(automaton, symbols), _Edges(automaton, symbols)
+        automaton.derived[_MEMO] = CompiledAutomaton(automaton, modes, edges)
+    compiled: CompiledAutomaton = automaton.derived[_MEMO]
+    return compiled
 
 
 def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
@@ -132,8 +183,8 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         spread = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(ca.sparsify(tied), carried), noise)))
     else:
         spread = add_noise(carried, automaton.free_process_std(mode))
-    updated = _update(s.x, s.factor, _std_at(sensing, s.x), s.z)
-    stepped = _update(flowed, spread, _std_at(sensing, flowed), None)
+    updated = _update(s.x, s.factor, sensing_std(sensing, s.x), s.z)
+    stepped = _update(flowed, spread, sensing_std(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)
     belief = [s.x, s.factor, s.u]
     names = ["mean", "factor"]
@@ -144,7 +195,7 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         inputs=_margins("inputs", mode.inputs, s),
         invariant_belief=_margins_of_belief("invariant_belief", mode.invariant, s),
         observation=ca.Function("observation", [s.x], [s.x], ["x"], ["z"]),
-        observation_std=ca.Function("observation_std", [s.x], [ca.vertcat(*_std_at(sensing, s.x))], ["x"], ["std"]),
+        observation_std=ca.Function("observation_std", [s.x], [ca.vertcat(*sensing_std(sensing, s.x))], ["x"], ["std"]),
         predict=ca.Function("predict", belief, [flowed, spread], [*names, "u"], ["mean_next", "factor_next"]),
         update=ca.Function(
             "update", [s.x, s.factor, s.z], list(updated), [*names, "z"], ["mean_next", "factor_next", "log_likelihood"]
@@ -205,7 +256,7 @@ def _margin_rows(region: Region, s: _Symbols) -> ca.SX:
     return ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
 
 
-def _std_at(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:
+def sensing_std(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:
     """Std of a measurement of each coordinate at x: numbers where it is the same everywhere."""
     squared = ca.sumsqr(ca.vertcat(*[x[i] - value for i, value in sensing.at])) if sensing.at else ca.SX(0)
     # A floor keeps the square root differentiable at a light whose own std is tiny.

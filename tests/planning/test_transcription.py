@@ -19,10 +19,11 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.mode_search import search_modes
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.transcription import Transcription, pack, transcribe, unpack
+from micah_plan.planning.transcription import Transcription, transcribe
 from micah_plan.planning.transcription_guess import guess
 from micah_plan.planning.transcription_rows import Row, RowNames
 from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
+from micah_plan.planning.transcription_state import factor_pattern, pack, unpack
 from micah_plan.symbolic.compiled import compile_automaton
 
 GUARD_MESSAGE = (
@@ -52,7 +53,8 @@ def rows_at_start(nlp: Transcription) -> np.ndarray:
 def test_pack_and_unpack_are_inverse() -> None:
     rng = np.random.default_rng(0)
     means, factors = rng.normal(size=(5, 3)), np.tril(rng.normal(size=(5, 3, 3)))
-    again = unpack(pack(means, factors), 3)
+    pattern = ca.Sparsity.lower(3)
+    again = unpack(pack(means, factors, pattern), pattern)
     np.testing.assert_array_equal(again[0], means)
     np.testing.assert_array_equal(again[1], factors)
 
@@ -60,8 +62,19 @@ def test_pack_and_unpack_are_inverse() -> None:
 def test_packed_order_is_casadis() -> None:
     lower = np.tril(np.arange(1.0, 10.0).reshape(3, 3))
     np.testing.assert_array_equal(
-        pack(np.zeros((1, 3)), lower[None])[3:, 0], np.array(ca.project(ca.DM(lower), ca.Sparsity.lower(3)).nonzeros())
+        pack(np.zeros((1, 3)), lower[None], ca.Sparsity.lower(3))[3:, 0],
+        np.array(ca.project(ca.DM(lower), ca.Sparsity.lower(3)).nonzeros()),
     )
+
+
+def test_factors_have_the_entries_that_resets_fill_and_no_others() -> None:
+    automaton = planar_problem().automaton
+    mixing = replace(automaton.edges[0], reset=Reset(A=((1.0, 0.0), (0.5, 1.0))))
+    for edges, entries in ((automaton.edges, 2), ((mixing, *automaton.edges[1:]), 3)):
+        compiled = compile_automaton(replace(automaton, edges=edges))
+        assert factor_pattern(compiled, np.eye(2), ["left", "right"], [0]).nnz() == entries
+        assert factor_pattern(compiled, np.eye(2), ["left"], []).nnz() == 2
+        assert factor_pattern(compiled, np.tril(np.ones((2, 2))), ["left"], []).nnz() == 3
 
 
 @pytest.mark.parametrize(
