@@ -14,6 +14,8 @@ from micah_plan.spec.problem_file import load_problem
 
 OBJECTS = ("microwave", "drawer", "cabinet")
 PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))
+# Domains of the literature, whose walls and lights are no mechanism.
+WITHOUT_PHYSICS = ("light_dark.yaml", "walled_domain.yaml")
 WITHOUT_A_PLAN = "slot_unsure.yaml"  # on purpose: it shows what `explain` says
 
 
@@ -79,8 +81,9 @@ def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_phys
     problem = load_problem(repository / "problems" / name)
     plan = workflow.solve(problem)
     assert plan.outcome == "solved", plan.reason
-    physics = workflow.execute(problem, plan, plant="mujoco", trials=5)
-    assert physics.successes == 5, physics.failures
+    if name not in WITHOUT_PHYSICS:
+        physics = workflow.execute(problem, plan, plant="mujoco", trials=5)
+        assert physics.successes == 5, physics.failures
     nominal = workflow.execute(problem, plan, trials=20)
     # As often as the confidence lets expect, within two and a half standard errors.
     p = problem.settings.confidence

@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count, islice
 
 import numpy as np
@@ -44,6 +45,12 @@ class JoinedRoadmap:
     goals: Mapping[str, Ints]
     goal_costs: Mapping[str, Floats]
 
+    @cached_property
+    def offsets(self) -> dict[str, int]:
+        """Number of each mode's first vertex where the vertices of all modes are counted in one row."""
+        sizes = [graph.shape[0] for graph in self.graphs.values()]
+        return dict(zip(self.graphs, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+
 
 @dataclass(frozen=True)
 class VertexPath:
@@ -75,12 +82,16 @@ class _Prefix:
         return (*(self.parent.modes if self.parent else ()), self.mode)
 
 
-def cheapest_sequences(roadmap: JoinedRoadmap, k: int, *, allow_revisits: bool = False) -> list[VertexPath]:
-    """At most k sequences with different edges, cheapest first; empty if the goal is not connected to the start."""
-    return list(islice(_sequences(roadmap, allow_revisits), k))
+def cheapest_sequences(roadmap: JoinedRoadmap, k: int, *, revisits: int = 0) -> list[VertexPath]:
+    """At most k sequences with different edges, cheapest first; empty if the goal is not connected to the start.
+
+    Args:
+        revisits: how many times a sequence may come back to a mode that it has been in.
+    """
+    return list(islice(_sequences(roadmap, revisits), k))
 
 
-def _sequences(roadmap: JoinedRoadmap, allow_revisits: bool) -> Iterator[VertexPath]:
+def _sequences(roadmap: JoinedRoadmap, revisits: int) -> Iterator[VertexPath]:
     search = _Search(roadmap)
     queue: list[tuple[float, int, _Prefix, bool]] = []
     ticket = count()
@@ -103,7 +114,7 @@ def _sequences(roadmap: JoinedRoadmap, allow_revisits: bool) -> Iterator[VertexP
         if prefix.mode in roadmap.goals:
             push(float(search.ending(prefix.mode, reached).min(initial=np.inf)), prefix, True)
         for edge, (source, target) in roadmap.ends.items():
-            if source != prefix.mode or (target in prefix.modes and not allow_revisits):
+            if source != prefix.mode or prefix.modes.count(target) > revisits:
                 continue
             child = search.follow(prefix, reached, edge, target)
             push(float(np.min(child.entry + search.to_go[target])), child, False)
@@ -166,10 +177,18 @@ class _Search:
 
 def _cost_to_go(roadmap: JoinedRoadmap) -> dict[str, Floats]:
     """(v,) cheapest cost from each vertex of each mode to any goal, revisits allowed."""
-    offsets, total = {}, 0
-    for mode, graph in roadmap.graphs.items():
-        offsets[mode] = total
-        total += graph.shape[0]
+    graph = joined_graph(roadmap)
+    distance = dijkstra(graph.T.tocsr(), indices=graph.shape[0] - 1) - 1.0
+    offsets = roadmap.offsets
+    return {mode: distance[offsets[mode] : offsets[mode] + g.shape[0]] for mode, g in roadmap.graphs.items()}
+
+
+def joined_graph(roadmap: JoinedRoadmap) -> csr_array:
+    """(V+1, V+1) costs of all motions and transitions; the last vertex lies behind all goals.
+
+    Arriving there from a goal costs one step more than it counts: a sparse graph would drop a cost of zero.
+    """
+    offsets, total = roadmap.offsets, sum(graph.shape[0] for graph in roadmap.graphs.values())
     parts = [(graph.tocoo(), offsets[mode]) for mode, graph in roadmap.graphs.items()]
     rows = [part.row + offset for part, offset in parts]
     columns = [part.col + offset for part, offset in parts]
@@ -182,7 +201,6 @@ def _cost_to_go(roadmap: JoinedRoadmap) -> dict[str, Floats]:
     for mode, vertices in roadmap.goals.items():
         rows.append(vertices + offsets[mode])
         columns.append(np.full(len(vertices), total))
-        # A sparse graph drops a cost of zero, so arriving costs one more for all, taken off again below.
         costs.append(roadmap.goal_costs[mode] + 1.0)
     data = np.concatenate(costs)
     row, column = np.concatenate(rows), np.concatenate(columns)
@@ -191,6 +209,4 @@ def _cost_to_go(roadmap: JoinedRoadmap) -> dict[str, Floats]:
     # coo -> csr adds duplicates up; two edges between the same vertices must stay the cheaper of the two.
     first = np.ones(len(row), dtype=bool)
     first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
-    backward = coo_array((data[first], (column[first], row[first])), shape=(total + 1, total + 1)).tocsr()
-    distance = dijkstra(backward, indices=total) - 1.0
-    return {mode: distance[offsets[mode] : offsets[mode] + graph.shape[0]] for mode, graph in roadmap.graphs.items()}
+    return coo_array((data[first], (row[first], column[first])), shape=(total + 1, total + 1)).tocsr()

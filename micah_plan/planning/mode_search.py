@@ -9,6 +9,7 @@ NumPy batch.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,11 @@ from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.localising_paths import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.mode_motion import ModeMotion, motions_of
 from micah_plan.planning.mode_paths import JoinedRoadmap, cheapest_sequences
 from micah_plan.planning.mode_samples import sample_modes
+from micah_plan.planning.path_beliefs import PathBeliefs
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.search_reasons import why_disconnected, why_unreachable
 
@@ -42,12 +45,19 @@ class ModeSequence:
         edges: (P-1,) indices into the automaton's edges.
         waypoints: per mode (w, n) corners of the path, w >= 1, from entering to leaving the mode [rad or m].
         cost: length of the path in steps of the largest input, one per transition, and the goal error left, in steps.
+        uncertainty: what the uncertainty that it is predicted to leave costs, in steps; the sum ranks sequences.
     """
 
     modes: tuple[str, ...]
     edges: tuple[int, ...]
     waypoints: tuple[Floats, ...]
     cost: float
+    uncertainty: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """What sequences are ranked by [steps]."""
+        return self.cost + self.uncertainty
 
 
 @dataclass(frozen=True)
@@ -58,10 +68,11 @@ class SearchResult:
     reason: str = ""
 
 
-def search_modes(
-    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, allow_revisits: bool = False
-) -> SearchResult:
-    """The cheapest mode sequences from the start to the goal. The same seed gives the same result."""
+def search_modes(problem: Problem, limits: Limits, start_mode: str, seed: int = 0) -> SearchResult:
+    """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
+
+    The shortest sequences compete with detours that localise (`localising_paths`) by length and predicted uncertainty.
+    """
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed))
     reason = why_unreachable(problem, limits, samples, start_mode)
     if reason:
@@ -73,23 +84,41 @@ def search_modes(
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
     roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
-    paths = cheapest_sequences(roadmap, problem.settings.candidates, allow_revisits=allow_revisits)
-    if not paths:
+    revisits, candidates = problem.settings.revisits, problem.settings.candidates
+    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits)
+    if not shortest:
         return SearchResult((), why_disconnected(problem, start_mode, samples))
-    return SearchResult(
-        tuple(
-            ModeSequence(
-                path.modes,
-                path.edges,
-                tuple(
-                    motions[name].shortcut(points[name][list(visited)])
-                    for name, visited in zip(path.modes, path.vertices, strict=True)
-                ),
-                path.cost,
-            )
-            for path in paths
-        )
-    )
+    beliefs = PathBeliefs(problem, limits, roadmap, points)
+    localising = LocalisingSearch(roadmap, beliefs, revisits)
+    best: dict[tuple[int, ...], ScoredPath] = {}
+    for path in [*map(localising.score, shortest), *localising.paths()]:
+        taken = _edges(path, beliefs)
+        # A detour through the same modes must be worth it: rounding is no reason.
+        if taken not in best or path.cost < best[taken].cost - WORTH_A_DETOUR:
+            best[taken] = path
+    chosen = sorted(best.values(), key=lambda path: path.cost)[:candidates]
+    return SearchResult(tuple(_mode_sequence(path, beliefs, motions) for path in chosen))
+
+
+def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:
+    """The automaton's edges that a path takes."""
+    mode, pairs = beliefs.mode_of, pairwise(path.vertices)
+    return tuple(beliefs.edge_of[i, j] for i, j in pairs if mode[i] != mode[j])
+
+
+def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, ModeMotion]) -> ModeSequence:
+    """The path divided into its modes, its corners cut between the stops."""
+    names, mode_of = list(beliefs.index), beliefs.mode_of[list(path.vertices)]
+    points = beliefs.points[list(path.vertices)]
+    begins = [0, *(np.flatnonzero(np.diff(mode_of)) + 1).tolist(), len(mode_of)]
+    modes, waypoints = [], []
+    for begin, end in pairwise(begins):
+        name = names[mode_of[begin]]
+        ends = [begin, *(stop for stop in path.stops if begin < stop < end - 1), end - 1]
+        parts = [motions[name].shortcut(points[i : j + 1]) for i, j in pairwise(ends)]
+        modes.append(name)
+        waypoints.append(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
+    return ModeSequence(tuple(modes), _edges(path, beliefs), tuple(waypoints), path.length, path.uncertainty)
 
 
 def _goal_costs(problem: Problem, points: Floats) -> Floats:

@@ -48,7 +48,7 @@ class Candidate:
 
     Attributes:
         modes: the sequence.
-        search_cost: cost of its cheapest roadmap path.
+        search_cost: of its best roadmap path, predicted uncertainty included, in steps.
         cost: optimised cost; None if the optimisation failed.
         message: what the optimisation said, in words a user understands (the failed constraint by name).
     """

@@ -82,7 +82,7 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
         path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock)
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
-        candidates.append(Candidate(sequence.modes, sequence.cost, cost, message))
+        candidates.append(Candidate(sequence.modes, sequence.total, cost, message))
         missed += in_the_way
         if path is not None and usable and (best is None or path.cost < best[0].cost):
             best = path, sequence

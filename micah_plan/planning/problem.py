@@ -49,6 +49,7 @@ class PlannerSettings:
             the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
         candidates: how many of the cheapest mode sequences are optimised.
+        revisits: how many times a mode sequence may come back to a mode that it has been in.
         max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,
             else a twentieth of the coordinate's range.
         max_knots: upper limit of knots over the whole plan.
@@ -63,6 +64,7 @@ class PlannerSettings:
     confidence: float = 0.95
     samples_per_mode: int = 100
     candidates: int = 4
+    revisits: int = 0
     max_step: tuple[float, ...] | None = None
     max_knots: int = 60
     weight_goal: float = 1.0

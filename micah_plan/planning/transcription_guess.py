@@ -12,19 +12,15 @@ from scipy.special import ndtri
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_search import ModeSequence
+from micah_plan.planning.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
 from micah_plan.planning.polytope import mode_states
 from micah_plan.planning.problem import Problem
 from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
 
 Floats = NDArray[np.float64]
 
-# Share of the largest step that the path is divided by: what is left is for the feedback and the optimisation.
-_PACE = 0.6
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
-# Steps added for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
-_MOST_LOCALISING_STEPS = 20
-_WORTH_A_STEP = 0.98
 # How far inside a strict guard a plan must be, as a share of a step, where no uncertainty asks for more.
 STRICT_SHARE = 1e-3
 
@@ -106,7 +102,7 @@ def _divide(
     """Steps per phase for the least numbers of steps, or the reason why they do not fit into max_knots."""
     automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
     least = [int(np.ceil(steps - 1e-9)) for steps in needed]
-    wanted = [int(np.ceil(steps / _PACE - 1e-9)) for steps in needed]
+    wanted = [int(np.ceil(steps / PACE - 1e-9)) for steps in needed]
     moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
     if moving is not None:
         wanted[moving] += int(_steps_to_correct_start(problem, limits, sequence.modes[moving]))
@@ -216,17 +212,17 @@ def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, s
     """
     k, rest = float(ndtri(problem.settings.confidence)), np.zeros(problem.automaton.m)
     mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
-    for extra in range(min(spare, _MOST_LOCALISING_STEPS) + 1):
+    for extra in range(min(spare, MOST_LOCALISING_STEPS) + 1):
         prior = _belief(mode.predict(mean, factor, rest))[1]
         shares = [k * float(np.linalg.norm(prior[i])) / tolerance for i, _, tolerance in problem.goal.target]
         widest = max(shares, default=0.0)
         if widest <= 1.0:
             return extra
-        if widest > _WORTH_A_STEP * before:
+        if widest > WORTH_A_STEP * before:
             return extra - 1
         before = widest
         mean, factor = _belief(mode.belief_step(mean, factor, rest))
-    return min(spare, _MOST_LOCALISING_STEPS)
+    return min(spare, MOST_LOCALISING_STEPS)
 
 
 def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:

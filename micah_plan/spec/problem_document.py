@@ -58,6 +58,10 @@ class PlannerDocument(Document):
     candidates: Count = Field(
         default=PlannerSettings.candidates, description="How many of the cheapest mode sequences are optimised."
     )
+    revisits: Annotated[int, Field(ge=0, le=10)] = Field(
+        default=PlannerSettings.revisits,
+        description="How many times a mode sequence may come back to a mode that it has been in, e.g. to leave a wall.",
+    )
     max_step: dict[Name, Positive] | None = Field(
         default=None, description="Largest input per step, by input [rad or m]; default: from the model."
     )

@@ -204,6 +204,6 @@ def test_revisits_only_when_asked() -> None:
     ends = {0: ("a", "b"), 1: ("b", "a")}
     roadmap = JoinedRoadmap(graphs, exits, ends, ("a", 0), {"a": np.array([1])}, {"a": np.array([0.0])})
     assert cheapest_sequences(roadmap, 1) == []
-    (found,) = cheapest_sequences(roadmap, 1, allow_revisits=True)
+    (found,) = cheapest_sequences(roadmap, 1, revisits=1)
     assert found.modes == ("a", "b", "a")
     assert found.cost == pytest.approx(2 * TRANSITION_COST)
