@@ -18,10 +18,12 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
-from micah_plan.learn.online import METHODS, Method, OnlineLearner, is_long
+from micah_plan.learn.inliers import find_inliers
+from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segmenting.noise import MeasurementNoise
+from micah_plan.learn.segmenting.steps import is_long
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, part_track
@@ -72,7 +74,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
     for i, run in enumerate(recording.runs):
         rng = np.random.default_rng([seed, i])
         track = part_track(recording, run, part)
-        if is_long(track):
+        if is_long(track, find_inliers(track)):
             learner = OnlineLearner(settings, method, seed, part=part, run=run)
             learner.take(track)
             own = list(learner.segments())

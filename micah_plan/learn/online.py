@@ -320,18 +320,6 @@ def _cut(window: LearnedWindow, middle: int) -> tuple[int, int]:
     return (middle, n // 2) if chosen is None else (chosen, window.pieces[chosen].start)
 
 
-def is_long(track: PartTrack) -> bool:
-    """Whether a part moves to and fro more often than is learned at once: then it is learned in windows."""
-    end = _FIRST_LOOK
-    while True:
-        rows = track.take(slice(0, end))
-        if sweeps_of(rows.take(np.flatnonzero(find_inliers(rows)))) > MOST_SWEEPS:
-            return True
-        if end >= len(track):
-            return False
-        end *= 2
-
-
 def joined(first: Segment, second: Segment) -> Segment:
     """Two neighbouring segments of one joint as one."""
     rows = np.array([one.end - one.start + 1.0 for one in (first, second)])

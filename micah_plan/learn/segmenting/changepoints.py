@@ -109,8 +109,8 @@ class MapRecursion:
         self._last, self._closed = self._best(*self._open, self._log_length)
         if self._particles is not None and len(column.starts) > self._particles:
             # The weight of a start sums over the models of its segment.
-            of_kinds = np.log(np.exp(column.log_evidence - best[:, None]).sum(axis=1))
-            filtering = joint + of_kinds + self._log_survival[self._row - column.starts]
+            of_kinds = np.logaddexp.reduce(column.log_evidence, axis=1) - log(column.log_evidence.shape[1])
+            filtering = of_kinds + self._best_before + self._log_survival[self._row - column.starts]
             kept = resample(np.exp(filtering - filtering.max()), self._particles, self._rng)[0]
             self._stream.keep(kept)
             self._best_before = self._best_before[kept]

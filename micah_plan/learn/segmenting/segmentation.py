@@ -29,6 +29,7 @@ _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
+_CLOSE = 10.0  # nats; outcomes further apart under their own noises are not compared under others
 _SAME_ROWS = 0.6  # of the rows of either
 
 
@@ -60,7 +61,8 @@ def segment_track(
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
-    (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
+    (under which there may be one). What each proposes settles on its own, and the outcome is taken that is the most
+    probable one under the noises that close ones leave.
 
     Args:
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
@@ -80,7 +82,7 @@ def segment_track(
             proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = [_settled(one, prior, settings, use_actions) for one in proposals]
-    return max(settled, key=lambda one: one.log_probability)
+    return _most_probable(settled, prior, settings, use_actions)
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
@@ -143,6 +145,25 @@ def _settled(start: Segmented, prior: LengthPrior, settings: LearnSettings, use_
         if grown <= _CONVERGED:
             break
     return best
+
+
+def _most_probable(
+    settled: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
+) -> Segmented:
+    """The outcome with the best odds against the others, on average over the noises that they leave.
+
+    Every outcome is told too exactly under the noise fitted to it, by more than there is between two close ones.
+    """
+    different = _different(settled)
+    close = [one for one in different if one.log_probability > different[0].log_probability - _CLOSE]
+    totals = np.diag([one.log_probability for one in close])
+    for i, one in enumerate(close):
+        pool, used = one.table.pool.hypotheses, _rows_of_joints(one)[0]
+        for k, other in enumerate(close):
+            if k != i:
+                table = tabulated(pool, one.track, other.noise, use_actions, settings.rest)
+                totals[i, k] = shared(table, used, prior, settings).log_probability
+    return close[int(np.argmax(totals.mean(axis=1)))]
 
 
 def _rows_of_joints(found: Segmented) -> tuple[list[int], Bools]:

@@ -22,6 +22,9 @@ _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
 MOST_SWEEPS = 4.0
 _STD_PER_MAD = 1.4826
 _FINE_STRIDE = 0.02  # of the extent
+_GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
+_LARGEST_NOISE = 0.25  # of the extent
+_FIRST_STRETCH, _MOVED = 64, 0.5  # rows; of the extent of the whole run
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,25 +85,46 @@ def averaged(track: PartTrack, inlier: Bools, first: Ints) -> PartTrack:
 
 def sweeps_of(track: PartTrack) -> float:
     """Path over that of once there and back, of position or rotation, whichever is clearer."""
+    return _clearest(track)[1]
+
+
+def is_long(track: PartTrack, inlier: Bools) -> bool:
+    """Whether a part moves to and fro more than `MOST_SWEEPS` times.
+
+    Looked at from the start on, in stretches that double: in all rows, many motions would pass for noise. A stretch in
+    which the part has hardly moved yet shows how it trembles.
+    """
+    values = _clearest(track.take(np.flatnonzero(inlier)))[2]
+    extent = float(np.linalg.norm(np.ptp(values, axis=0)))
+    end = _FIRST_STRETCH
+    while True:
+        reached = float(np.linalg.norm(np.ptp(values[:end], axis=0)))
+        if reached >= _MOVED * extent and _clarity_and_sweeps(values[:end])[1] > MOST_SWEEPS:
+            return True
+        if end >= len(values):
+            return False
+        end *= 2
+
+
+def _clearest(track: PartTrack) -> tuple[float, float, Floats]:
+    """Extent over noise, path over there and back, and rows, of position or rotation, whichever is clearer."""
     channels = [track.position]
     if track.quaternion is not None:
         channels.append(2 * track.quaternion)
-    found = [_clarity_and_sweeps(values) for values in channels]
-    return max(found)[1]
+    return max(((*_clarity_and_sweeps(values), values) for values in channels), key=lambda found: found[0])
 
 
 def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
     """Extent over noise, and path over there and back, of rows (n, k)."""
-    bends = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    if len(bends) < 2:
+    # Noise of a finer time scale than the finest steps does not matter, and looks different at every sampling rate.
+    values = _block_means(values, len(values) / _BLOCKS)
+    if len(values) < 4:
         return 0.0, 1.0
-    level = float(np.linalg.norm(_STD_PER_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(1.5)))
     extent = float(np.linalg.norm(np.ptp(values, axis=0)))
+    lag, level = _noise(values, extent)
     # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
     fine = _FINE_STRIDE * max(extent, 1e-12)
-    window = int(np.clip((level / fine) ** 2, len(values) / _BLOCKS, max(len(values) / _FEWEST_BLOCKS, 1)))
-    begins = np.arange(0, len(values), max(window, 1))
-    means = np.add.reduceat(values, begins, axis=0) / np.diff(np.append(begins, len(values)))[:, None]
+    means = _block_means(values, min(lag * (level / fine) ** 2, len(values) / _FEWEST_BLOCKS))
     anchor, path = means[0], 0.0
     for point in means[1:]:
         length = float(np.linalg.norm(point - anchor))
@@ -108,3 +132,27 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
             path, anchor = path + length, point
     reached = float(np.linalg.norm(np.ptp(means, axis=0)))
     return extent / max(level, 1e-12), 0.5 * path / max(reached, 1e-12)
+
+
+def _noise(values: Floats, extent: float) -> tuple[int, float]:
+    """After how many rows (n, k) their noise forgets, and its std.
+
+    How far rows are from the middle of those `lag` before and after grows with the lag where that is motion, and where
+    rows were interpolated between noisy ones; it stays where it is noise that the rows between have forgotten.
+    """
+    found: list[float] = []
+    lags = [2**i for i in range(16) if 4 * 2**i <= len(values)]
+    for lag in lags:
+        bends = values[lag:-lag] - 0.5 * (values[: -2 * lag] + values[2 * lag :])
+        found.append(float(np.linalg.norm(_STD_PER_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(1.5))))
+        if len(found) > 1 and found[-1] < _GROWTH * found[-2] and found[-2] < _LARGEST_NOISE * extent:
+            return lags[len(found) - 2], found[-2]
+    return 1, found[0]
+
+
+def _block_means(values: Floats, size: float) -> Floats:
+    """Means of neighbouring rows (n, k), about `size` of them at a time."""
+    count = max(round(len(values) / max(size, 1.0)), 1)
+    begins = np.unique(np.linspace(0, len(values), count, endpoint=False).astype(np.int64))
+    sums = np.add.reduceat(values, begins, axis=0)
+    return np.asarray(sums / np.diff(np.append(begins, len(values)))[:, None])
