@@ -52,65 +52,68 @@ def changepoint_posterior(
     """
     n = table.log_density.shape[1]
     most = min(max(changepoints + 1 + _MORE_SEGMENTS, 2), max(_MOST_SEGMENTS, changepoints + 1), n)
-    lengths = np.arange(n)[None] - np.arange(n)[:, None] + 1
-    sums = table.sums - cost[:, None, None] - np.log(kinds)
-    valid = np.maximum(lengths, 1)
-    inner = np.where(lengths > 0, sums + prior.log_probability(valid), -np.inf)
-    last = sums[:, :, -1] + prior.log_survival(valid[:, -1] - 1)
-    ahead = _forward(inner, apart, most)
-    behind = _backward(inner, last, apart, most)
-    totals = np.array([_log_sum(ahead[m] + behind[0].T) for m in range(most)])
-    log_evidence = float(_log_sum(totals))
-    counts = np.exp(totals - log_evidence)
+    every = np.arange(1, n + 1)
+    lengths = np.arange(n)[None] - np.arange(n)[:, None]
+    of_length = np.where(lengths >= 0, prior.log_probability(every)[np.maximum(lengths, 0)], -np.inf)
+    paid = (cost + np.log(kinds))[:, None, None]
+    inner = table.sums - paid + of_length
+    last = table.sums[:, :, -1] - paid[:, 0] + prior.log_survival(every - 1)[::-1]
+    reached = _reached(inner)
+    # Everything is counted relative to the best segments before a row: sums are products of matrices then, and what is
+    # too small for a number is too small to matter.
+    best = float((last + reached[:-1]).max())
+    chances = np.exp(inner + (reached[:-1, None] - reached[1:]))
+    follows = np.exp(-apart)
+    ahead = _forward(chances, follows, most)
+    behind = _backward(chances, np.exp(last + reached[:-1] - best), follows, most)
+    totals = np.array([np.sum(one * behind[0]) for one in ahead])
+    counts = totals / totals.sum()
     changepoint = np.zeros(n)
     starts = np.zeros((changepoints, n))
     for m in range(1, most):
         for j in range(1, m + 1):
-            share = _normalised(_log_sum(ahead[j] + behind[m - j].T, axis=1))
+            share = _normalised((ahead[j] * behind[m - j]).sum(axis=0))
             changepoint += counts[m] * share
             if m == changepoints:
                 starts[j - 1] = share
+    log_evidence = best + float(np.log(totals.sum()))
     return ChangepointPosterior(counts, starts, np.minimum(changepoint, 1.0), log_evidence)
 
 
-def _forward(inner: Floats, apart: Floats, most: int) -> list[Floats]:
-    """(n, h) each: ln probability of the rows before s in j segments and that one of hypothesis h may begin at s."""
-    h, n, _ = inner.shape
-    first = np.full((n, h), -np.inf)
-    first[0] = 0.0
+def _reached(inner: Floats) -> Floats:
+    """(n + 1,) ln probability of the rows before each under their best segments, whatever follows what."""
+    columns = np.ascontiguousarray(inner.max(axis=0).T)
+    reached = np.zeros(len(columns) + 1)
+    for row, column in enumerate(columns):
+        reached[row + 1] = (reached[: row + 1] + column[: row + 1]).max()
+    return reached
+
+
+def _forward(chances: Floats, follows: Floats, most: int) -> list[Floats]:
+    """(h, n) each: probability of the rows before s in j segments and that one of hypothesis h may begin at s."""
+    h, n, _ = chances.shape
+    first = np.zeros((h, n))
+    first[:, 0] = 1.0
     found = [first]
     for _ in range(1, most):
         # Rows up to t explained, the last segment of hypothesis h; then what may follow it at t + 1.
-        ended = np.stack([_log_sum(found[-1][:, i, None] + inner[i], axis=0) for i in range(h)], axis=1)
-        follows = np.full((n, h), -np.inf)
-        follows[1:] = _log_sum(ended[:-1, :, None] - apart[None], axis=1)
-        found.append(follows)
+        ended = (found[-1][:, None] @ chances)[:, 0]
+        begun = np.zeros((h, n))
+        begun[:, 1:] = follows.T @ ended[:, :-1]
+        found.append(begun)
     return found
 
 
-def _backward(inner: Floats, last: Floats, apart: Floats, most: int) -> list[Floats]:
-    """(h, n) each: ln probability of the rows from s on, in 1, 2, ... segments, the first of hypothesis h."""
-    h, n, _ = inner.shape
+def _backward(chances: Floats, last: Floats, follows: Floats, most: int) -> list[Floats]:
+    """(h, n) each: probability of the rows from s on, in 1, 2, ... segments, the first of hypothesis h."""
     found = [last]
     for _ in range(1, most):
-        after = np.full((h, n), -np.inf)
-        after[:, :-1] = _log_sum(found[-1][None, :, 1:] - apart[:, :, None], axis=1)
-        found.append(np.stack([_log_sum(inner[i] + after[i][None], axis=1) for i in range(h)]))
+        after = np.zeros_like(last)
+        after[:, :-1] = follows @ found[-1][:, 1:]
+        found.append((chances @ after[:, :, None])[..., 0])
     return found
 
 
-def _normalised(log_weights: Floats) -> Floats:
-    top = log_weights.max()
-    if not np.isfinite(top):
-        return np.zeros(len(log_weights))
-    weights = np.exp(log_weights - top)
-    return np.asarray(weights / weights.sum())
-
-
-def _log_sum(values: Floats, axis: int | None = None) -> Floats:
-    """ln of the sum of exponentials, -inf where all are; without the general one's overhead on small arrays."""
-    top = values.max(axis=axis, keepdims=True)
-    top = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):
-        total = np.log(np.exp(values - top).sum(axis=axis))
-    return np.asarray(total + (top.squeeze(axis) if axis is not None else top.ravel()[0]))
+def _normalised(weights: Floats) -> Floats:
+    total = weights.sum()
+    return np.asarray(weights / total) if total > 0 else np.zeros(len(weights))
