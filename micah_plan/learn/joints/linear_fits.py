@@ -36,31 +36,47 @@ def linear_fits(
     Returns:
         the joints, and (h,) whether the rows determine them (where not, the joint means nothing).
     """
-    share = used / np.maximum(used.sum(axis=1, keepdims=True), 1)
+    kind_of = np.array(kinds, dtype=object)
+    rigid, sliding = kind_of == "rigid", kind_of == "prismatic"
+    turning = ~(rigid | sliding)
+    # Joints of several kinds are fitted to the same rows: what does not depend on the kind is found once.
+    known: dict[bytes, int] = {}
+    stretch = np.array([known.setdefault(row.tobytes(), len(known)) for row in used], dtype=np.int64)
+    rows = used[np.unique(stretch, return_index=True)[1]]
+    share = rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)
     mean = share @ position
     centred = position[None] - mean[:, None]
-    values, vectors = np.linalg.eigh(np.einsum("hn,hni,hnj->hij", share, centred, centred))
-    rigid = np.array([kind == "rigid" for kind in kinds])
-    sliding = np.array([kind == "prismatic" for kind in kinds])
+    values, vectors = np.linalg.eigh(_squared(share, centred))
     slid = np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
-    if quaternion is None:
-        axis, center, start, curved = _circles(share, centred, vectors)
-        axis, center, start = axis, center + mean, start + mean
-        middle = np.tile([0.0, 0.0, 0.0, 1.0], (len(mean), 1))
-        pitch, turned = np.zeros(len(mean)), curved
-    else:
-        middle = np.linalg.eigh(np.einsum("hn,ni,nj->hij", share, quaternion, quaternion))[1][:, :, 3]
-        axis, center, start, pitch, turned = _turning(share, centred, middle, position, quaternion)
-    straight = (rigid | sliding)[:, None]
-    arrays = JointArrays(
-        tuple(kinds),
-        np.where(rigid[:, None], 0.0, np.where(sliding[:, None], vectors[:, :, 2], axis)),
-        np.where(straight, 0.0, center),
-        np.where(straight, mean, start),
-        middle,
-        np.where([kind == "screw" for kind in kinds], pitch, 0.0),
+    middle = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1))
+    if quaternion is not None:
+        products = (quaternion[:, :, None] * quaternion[:, None]).reshape(-1, 16)
+        middle = np.linalg.eigh((share @ products).reshape(-1, 4, 4))[1][:, :, 3]
+    axis, center, start = (
+        np.where(rigid[:, None], 0.0, vectors[stretch, :, 2]),
+        np.zeros((len(kinds), 3)),
+        mean[stretch],
     )
-    return arrays, rigid | (sliding & slid) | (~rigid & ~sliding & turned)
+    pitch, turned = np.zeros(len(kinds)), np.zeros(len(kinds), dtype=bool)
+    if turning.any():
+        some = np.unique(stretch[turning])
+        at = np.searchsorted(some, stretch[turning])
+        if quaternion is None:
+            axes, centers, starts, fixed = _circles(share[some], centred[some], vectors[some])
+            centers, starts, pitches = centers + mean[some], starts + mean[some], np.zeros(len(some))
+        else:
+            axes, centers, starts, pitches, fixed = _turning(
+                share[some], centred[some], middle[some], position, quaternion
+            )
+        axis[turning], center[turning], start[turning] = axes[at], centers[at], starts[at]
+        pitch[turning], turned[turning] = np.where(kind_of[turning] == "screw", pitches[at], 0.0), fixed[at]
+    arrays = JointArrays(tuple(kinds), axis, center, start, middle[stretch], pitch)
+    return arrays, rigid | (sliding & slid[stretch]) | turned
+
+
+def _squared(share: Floats, vectors: Floats) -> Floats:
+    """(h, 3, 3) weighted sums of the squares of vectors (h, n, 3)."""
+    return np.asarray((vectors * share[..., None]).swapaxes(1, 2) @ vectors)
 
 
 def _turning(
@@ -69,15 +85,15 @@ def _turning(
     """Axes (h, 3), points on them (h, 3), origins in the middle (h, 3), pitches (h,) and whether anything turned."""
     relative = times(np.broadcast_to(quaternion, (len(share), *quaternion.shape)), conjugate(middle)[:, None])
     turns = rotation_vector(relative)
-    values, vectors = np.linalg.eigh(np.einsum("hn,hni,hnj->hij", share, turns, turns))
+    values, vectors = np.linalg.eigh(_squared(share, turns))
     axis = vectors[:, :, 2]
     across = np.eye(3) - axis[:, :, None] * axis[:, None]
     matrices = Rotation.from_quat(quaternion).as_matrix()
-    mean_matrix = across @ np.einsum("hn,nij->hij", share, matrices)
-    left = np.einsum("hij,njk->hnik", across, matrices) - mean_matrix[:, None]
-    right = -np.einsum("hij,hnj->hni", across, centred)
-    normal = np.einsum("hn,hnki,hnkj->hij", share, left, left)
-    pulled = np.einsum("hn,hnki,hnk->hi", share, left, right)
+    mean_matrix = across @ (share @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
+    left = (across[:, None] @ matrices - mean_matrix[:, None]).reshape(len(share), -1, 3)
+    right = (centred @ across).reshape(len(share), -1, 1)
+    weighted = (left * np.repeat(share, 3, axis=1)[..., None]).swapaxes(1, 2)
+    normal, pulled = weighted @ left, -(weighted @ right)[..., 0]
     # What the point has along the axis stays open: the least norm fixes it.
     in_part = (np.linalg.pinv(normal, rcond=1e-6, hermitian=True) @ pulled[..., None])[..., 0]
     mean = share @ position

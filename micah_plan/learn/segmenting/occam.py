@@ -65,21 +65,28 @@ def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floa
     n = used.shape[1]
     joints = np.flatnonzero(pool.moving & (used.sum(axis=1) >= n / _HELD_SHARE))
     result = cost.copy()
-    if not len(joints):
+    if not len(joints) or pool.moving.all():
         return result
     reach = np.ptp(pool.seen.configuration[joints], axis=1)
     information = trust * noise.information_share[:, None] * np.linalg.inv(noise.innovation)
     error, direction = pool.seen.error[joints], pool.seen.direction[joints]
-    for i in np.flatnonzero(~pool.moving):
-        rows = np.flatnonzero(used[i])
-        middle = rows[len(rows) // 2]
-        missed_by = np.median(error[:, rows], axis=1)
-        along = direction[:, middle] * reach[:, None]
-        prior = np.diag(noise.slow + noise.white) + along[:, :, None] * along[:, None, :]
-        size = np.linalg.slogdet(np.eye(prior.shape[1]) + prior @ information * len(rows))[1]
-        missed = np.einsum("jd,jd->j", missed_by, np.linalg.solve(prior, missed_by[..., None])[..., 0])
-        result[i] = min(result[i], float(np.min(0.5 * (size + missed))))
+    rigid = np.flatnonzero(~pool.moving)
+    rows = [np.flatnonzero(used[i]) for i in rigid]
+    missed_by = np.array([_median(error[:, own]) for own in rows])
+    along = direction[:, [own[len(own) // 2] for own in rows]].swapaxes(0, 1) * reach[:, None]
+    prior = np.diag(noise.slow + noise.white) + along[..., :, None] * along[..., None, :]
+    count = np.array([len(own) for own in rows])[:, None, None, None]
+    size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
+    missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
+    result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1))
     return result
+
+
+def _median(values: Floats) -> Floats:
+    """(j, d) medians over the rows of values (j, n, d), without the overhead of the general one."""
+    middle = values.shape[1] // 2
+    ordered = np.sort(values, axis=1)
+    return np.asarray(0.5 * (ordered[:, (values.shape[1] - 1) // 2] + ordered[:, middle]))
 
 
 def _rests(pool: Pool) -> Bools:

@@ -6,7 +6,9 @@ and the recursion runs with them alone: joints are dropped while that pays, and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -24,14 +26,19 @@ _PROMISING = 3
 def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings) -> list[Segmentation]:
     """Segmentations that may be the most probable one, each with its log probability, the best first."""
     apart = best_segmentation(table, prior, len(settings.kinds))
-    found = [_fewest(table, apart, prior, settings)]
+
+    @cache
+    def under(*members: int) -> Segmentation:
+        return shared(table, list(members), prior, settings)
+
+    found = [_fewest(apart, under)]
     moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
     rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
     for joint in _promising(table):
         members = [joint, *(i for i in rests if i != joint)]
         with_rests = best_segmentation(table, prior, len(settings.kinds), members, {joint})
         used = sorted({piece.hypothesis for piece in with_rests.pieces})
-        found += [shared(table, some, prior, settings) for some in ([joint], used)]
+        found += [under(joint), under(*used)]
     unique = {tuple((p.start, names[p.hypothesis], p.hypothesis) for p in one.pieces): one for one in found}
     return sorted(unique.values(), key=lambda one: -one.log_probability)
 
@@ -51,18 +58,13 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     return Segmentation(merged(found.pieces), found.log_probability - float(cost))
 
 
-def _fewest(
-    table: EvidenceTable,
-    apart: Segmentation,
-    prior: LengthPrior,
-    settings: LearnSettings,
-) -> Segmentation:
+def _fewest(apart: Segmentation, under: Callable[..., Segmentation]) -> Segmentation:
     """Segments of the joints of a segmentation, of which some are dropped while that pays."""
     members = sorted({piece.hypothesis for piece in apart.pieces})
-    best = shared(table, members, prior, settings)
+    best = under(*members)
     while len(members) > 1:
         fewer = [[m for m in members if m != dropped] for dropped in members]
-        tried = [shared(table, some, prior, settings) for some in fewer]
+        tried = [under(*some) for some in fewer]
         i = max(range(len(tried)), key=lambda k: tried[k].log_probability)
         if tried[i].log_probability <= best.log_probability:
             break
