@@ -6,11 +6,11 @@ asked for. Stages are imported when they are used, so that reading a recording d
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -122,19 +122,16 @@ def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, 
 def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) -> Plan:
     """Plan by the settings' method and check the plan by rolling out the true hybrid system from sampled states.
 
+    Where the roll-outs fail too often, POMDP-HD plans again with more room (`planning.tightening`).
+
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
-    from micah_plan.planning.verification import verify
+    from micah_plan.planning.tightening import verified_plan
 
-    found = _planner(problem.settings.method)(problem, seed=seed, progress=progress)
-    if found.trajectory is None:
-        return found
-    begin = time.perf_counter()
-    verified = verify(problem, found, problem.settings.verification_trials, seed)
-    spent = time.perf_counter() - begin
-    timings = {**found.timings, "verify": spent, "total": found.timings["total"] + spent}
-    return dataclasses.replace(verified, timings=timings)
+    method = problem.settings.method
+    rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
+    return verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
 
 
 def _planner(method: PlanningMethod) -> Callable[..., Plan]:

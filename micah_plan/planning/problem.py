@@ -58,6 +58,9 @@ class PlannerSettings:
         time_limit_s: wall-clock limit of each optimisation [s].
         solve_time_limit_s: wall-clock limit after which no further optimisation begins or goes on [s].
         verification_trials: roll-outs that check a plan.
+        tightening_rounds: how often a plan that roll-outs fail too often is made anew with more room.
+        replan_every: steps after which execution plans anew from its belief (receding horizon); 0: only where the
+            belief leaves the plan.
     """
 
     method: Method = "pomdp-hd"
@@ -73,6 +76,8 @@ class PlannerSettings:
     time_limit_s: float = 20.0
     solve_time_limit_s: float = 60.0
     verification_trials: int = 1000
+    tightening_rounds: int = 3
+    replan_every: int = 0
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,14 @@ class PlannerDocument(Document):
     verification_trials: Count = Field(
         default=PlannerSettings.verification_trials, description="Roll-outs that check a plan."
     )
+    tightening_rounds: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=PlannerSettings.tightening_rounds,
+        description="How often a plan that roll-outs fail too often is made anew with more room.",
+    )
+    replan_every: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        default=PlannerSettings.replan_every,
+        description="Steps after which execution plans anew from its belief; 0: only where the belief leaves the plan.",
+    )
 
 
 class PlantDocument(Document):
