@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.planning.limits import Limits
@@ -64,7 +64,7 @@ class PathBeliefs:
             np.array([one.growth for one in sensing]),
         )
         self._light = sensing[0].at
-        self._k = float(norm.ppf(problem.settings.confidence))
+        self._k = float(ndtri(problem.settings.confidence))
 
     def start(self, vertex: int) -> Floats:
         """(n,) variance once feedback had the time to make up for a start that is k standard deviations off."""

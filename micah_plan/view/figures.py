@@ -24,6 +24,7 @@ from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK
 from micah_plan.view.placement import thresholds
 from micah_plan.view.plan_page import step_times
+from micah_plan.view.plane_panel import is_plane, plot_plane
 from micah_plan.view.text import percent
 
 Floats = NDArray[np.float64]
@@ -34,6 +35,8 @@ _TRUE_COLUMN = "true_{}"
 
 def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -> Figure:
     """The planned belief with error bars against the executed trajectories, one axes per coordinate.
+
+    Of a point in the plane, one more axes shows the plane itself, with the belief's ellipses.
 
     Error bars are ± k σ with Phi(k) = the problem's confidence: the margin that the plan keeps to guards and goal. The
     executed trajectories are the columns ``true_<coordinate>`` of `runs` where it has them, else the measured
@@ -47,12 +50,11 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
             f"a plan with outcome '{plan.outcome}' has no belief to draw", remedy="solve the problem first"
         )
     automaton, trajectory = problem.automaton, plan.trajectory
-    figure = _figure((8.0, 1.6 + 2.8 * automaton.n))
-    grid = figure.subplots(automaton.n, 1, sharex=True, squeeze=False)[:, 0]
+    executed = [] if runs is None else executed_configurations(problem, runs)
+    figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
     steps = step_times(trajectory)
     k = float(norm.ppf(problem.settings.confidence))
     bars = k * np.sqrt((trajectory.factors**2).sum(axis=2))
-    executed = [] if runs is None else executed_configurations(problem, runs)
     _name_modes(grid[0], trajectory, steps)
     for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):
         _shade_modes(axes, problem, trajectory, steps)
@@ -69,6 +71,21 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     grid[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9)
     return figure
+
+
+def _stacked(n: int) -> tuple[Figure, list[Axes]]:
+    """A figure with n axes below each other."""
+    figure = _figure((8.0, 1.6 + 2.8 * n))
+    return figure, list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]) -> tuple[Figure, list[Axes]]:
+    """A figure with the plane on the left, and two axes below each other for the coordinates."""
+    figure = _figure((14.0, 7.2))
+    columns = figure.add_gridspec(2, 2, width_ratios=(6.0, 8.0))
+    plot_plane(figure.add_subplot(columns[:, 0]), problem, trajectory, executed)
+    upper = figure.add_subplot(columns[0, 1])
+    return figure, [upper, figure.add_subplot(columns[1, 1], sharex=upper)]
 
 
 def executed_configurations(problem: Problem, runs: Recording) -> list[Floats]:
@@ -112,11 +129,23 @@ def _shade_modes(axes: Axes, problem: Problem, trajectory: Trajectory, steps: ND
 
 
 def _name_modes(axes: Axes, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
-    """The names of the modes above their bands; a narrow band's name ends where the band ends."""
-    for name, left, right in _stretches(trajectory, steps):
+    """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
+    waiting: list[str] = []
+    stretches = _stretches(trajectory, steps)
+    for number, (name, left, right) in enumerate(stretches):
         narrow = right - left < 0.15 * float(steps[-1])
+        following = stretches[number + 1] if number + 1 < len(stretches) else None
+        if narrow and following is not None and following[2] - following[1] < 0.15 * float(steps[-1]):
+            waiting.append(name)
+            continue
         place, side = (right, "right") if narrow else (left, "left")
-        axes.annotate(name, (place, 1.01), xycoords=("data", "axes fraction"), ha=side, fontsize=9, color=INK)
+        text = ", ".join([*waiting, name])
+        waiting = []
+        shift = (-2, 0) if narrow else (2, 0)
+        axes.annotate(
+            text, (place, 1.01), shift, xycoords=("data", "axes fraction"), textcoords="offset points", ha=side,
+            fontsize=9, color=INK,
+        )  # fmt: skip
 
 
 def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None:
