@@ -170,6 +170,15 @@ def solved(plan: Plan) -> dict[str, Any]:
         "success_interval": None if plan.success_interval is None else list(plan.success_interval),
         "verification_trials": plan.verification_trials,
         "obstacles": obstacles(plan),
+        "arm": None
+        if plan.arm is None
+        else {
+            "least_clearance": plan.arm.least_clearance,
+            "closest_pair": list(plan.arm.closest_pair),
+            "closest_knot": plan.arm.closest_knot,
+            "least_manipulability": float(plan.arm.manipulability.min()),
+            "deviation": plan.arm.deviation,
+        },
         "seconds": dict(plan.timings),
         "seed": plan.seed,
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -19,7 +19,7 @@ from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
-from micah_plan.planning.plan import Plan
+from micah_plan.planning.plan import Obstacle, Plan
 from micah_plan.planning.problem import Method as PlanningMethod
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
@@ -131,7 +131,36 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
 
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
-    return verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
+    found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
+    return _with_arm(problem, found, seed)
+
+
+def _with_arm(problem: Problem, plan: Plan, seed: int) -> Plan:
+    """The plan with the arm's trajectory; one that the arm cannot follow is none to execute."""
+    trajectory = plan.trajectory
+    if problem.robot is None or trajectory is None:
+        return plan
+    from micah_plan.robot.along_plan import arm_along
+    from micah_plan.robot.tool_path import ArmFailure
+
+    begin = time.perf_counter()
+    arm = arm_along(problem, trajectory, seed)
+    spent = time.perf_counter() - begin
+    plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
+    if not isinstance(arm, ArmFailure):
+        return replace(plan, arm=arm)
+    obstacle = Obstacle(
+        level="arm",
+        sentence=arm.sentence,
+        remedy=arm.remedy,
+        modes=plan.mode_sequence,
+        mode=trajectory.modes[arm.knot],
+        knot=arm.knot,
+        constraint=f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind,
+        amount=arm.amount,
+    )
+    reason = f"the arm cannot follow the plan: {arm.sentence}; {arm.remedy}"
+    return replace(plan, outcome="not_verified", reason=reason, obstacles=(obstacle, *plan.obstacles))
 
 
 def _planner(method: PlanningMethod) -> Callable[..., Plan]:

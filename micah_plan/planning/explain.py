@@ -9,7 +9,7 @@ from micah_plan.planning.plan import Candidate, Level, Obstacle, Outcome, Plan
 from micah_plan.planning.problem import Problem
 
 # In the order in which they are checked.
-_LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification")
+_LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification", "arm")
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
         known = endpoint_obstacles(problem) or known
     obstacles = tuple(sorted(known, key=lambda obstacle: _LEVELS.index(obstacle.level)))
     if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
-        obstacles = tuple(sorted(obstacles, key=lambda obstacle: obstacle.level != "verification"))
+        obstacles = tuple(sorted(obstacles, key=lambda obstacle: obstacle.level not in ("verification", "arm")))
     level = None if plan.outcome == "solved" or not obstacles else obstacles[0].level
     lines = [_outcome_line(plan, level)]
     for obstacle in obstacles:

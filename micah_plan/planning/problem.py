@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.scene.body import Body
+from micah_plan.scene.robot_description import Grasp, RobotDescription
 
 Method = Literal["pomdp-hd", "direct", "rrt"]
 
@@ -88,7 +90,10 @@ class Problem:
         automaton: the model, with the noise of the problem if it states one.
         plant: physical parameters for execution in MuJoCo, passed to the plant as they are.
         source: path of the problem file as given, for messages; empty if made in Python.
-        digests: SHA-256 of the problem and model files, by role.
+        digests: SHA-256 of the problem, model and robot files, by role.
+        scene: bodies that do not move.
+        robot: the arm that holds the object; None: none is planned for.
+        grasp: what it holds.
     """
 
     automaton: HybridAutomaton
@@ -98,3 +103,6 @@ class Problem:
     plant: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
     digests: Mapping[str, str] = field(default_factory=dict)
+    scene: tuple[Body, ...] = ()
+    robot: RobotDescription | None = None
+    grasp: Grasp | None = None

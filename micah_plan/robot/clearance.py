@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Part
 from micah_plan.errors import InputError
 from micah_plan.robot.arm import Arm
@@ -82,14 +83,17 @@ class ClearanceModel:
             raise InputError(f"clearances need the poses of all parts, missing {', '.join(missing)}")
         return self.placed_distances(q, {name: pin.SE3(parts[name].as_matrix()) for name in self.parts})
 
-    def placed_distances(self, q: Floats, parts: Mapping[str, Any]) -> Floats:
-        """As `distances`, with the poses of the parts as Pinocchio has them."""
+    def placed_distances(self, q: Floats, parts: Mapping[str, Any], pairs: Sequence[int] | None = None) -> Floats:
+        """As `distances`, with the poses of the parts as Pinocchio has them; of some pairs only, in their order."""
         pin.updateGeometryPlacements(self.arm.model, self.arm.data, self.geometry, self.scratch, q)
         for name, items in self.parts.items():
             for number, placement in items:
                 self.scratch.oMg[number] = parts[name] * placement
-        pin.computeDistances(self.geometry, self.scratch)
-        found = np.array([result.min_distance for result in self.results])
+        if pairs is None:
+            pin.computeDistances(self.geometry, self.scratch)
+            found = np.array([result.min_distance for result in self.results])
+        else:
+            found = np.array([pin.computeDistance(self.geometry, self.scratch, k).min_distance for k in pairs])
         # Where the depth cannot be computed the solids do overlap.
         return np.where(np.isfinite(found), found, -_DEPTH_TOLERANCE)
 
@@ -112,6 +116,8 @@ class ClearanceModel:
 
     def counted(self, ignored: frozenset[Pair]) -> NDArray[np.bool_]:
         """(P,) whether a pair is not among those that may meet."""
+        if not ignored:
+            return np.ones(len(self.names), dtype=bool)
         return np.array([pair not in ignored for pair in self.names], dtype=bool)
 
     def along(
@@ -166,7 +172,8 @@ def clearance_model(
 
     Args:
         scene: bodies that do not move.
-        parts: of the object, with their shapes; their poses are given with every question.
+        parts: of the object, with their shapes; their poses are given with every question. The one called `base`
+            stands still.
         held: names of the parts that move with the tool; the first is the grasped one.
 
     Raises:
@@ -191,7 +198,7 @@ def clearance_model(
         for a, (name, b) in product(links, part_numbers)
         if not (name == grasped and geometry.geometryObjects[a].parentJoint == arm.tool_joint)
     ]
-    pairs += [(a, b) for (_, a), b in product(part_numbers, scene_numbers)]
+    pairs += [(a, b) for (name, a), b in product(part_numbers, scene_numbers) if name != BASE]
     geometry.removeAllCollisionPairs()
     for a, b in pairs:
         geometry.addCollisionPair(pin.CollisionPair(a, b))

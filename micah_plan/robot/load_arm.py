@@ -79,7 +79,8 @@ def check_robot(description: RobotDescription) -> CheckedRobot:
     """
     root, source = parse_xml(description.text, description.path), description.path
     if root.tag == "robot":
-        return check_urdf(root, source, description.folder, dict(description.packages))
+        packages = {name: str(Path(description.root, folder)) for name, folder in description.packages}
+        return check_urdf(root, source, description.folder, packages)
     if root.tag == "mujoco":
         return check_mjcf(root, source, description.folder)
     raise InputError(f"expected <robot> (URDF) or <mujoco> (MJCF), found <{root.tag[:40]}>", source=source)

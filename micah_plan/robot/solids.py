@@ -54,12 +54,6 @@ def solid(shape: Shape) -> tuple[Any, Any]:
     raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder, sphere or mesh")
 
 
-def reach(geometry: Any) -> float:
-    """Distance of the farthest point of a Coal geometry from the origin of its frame, or a bound on it [m]."""
-    geometry.computeLocalAABB()
-    return float(np.linalg.norm(geometry.aabb_center) + geometry.aabb_radius)
-
-
 def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     """What the arm's clearances are computed with, as shapes to draw."""
     found = []

@@ -22,9 +22,10 @@ class RobotDescription:
         held: (joint, value [rad or m]) of joints that do not belong to the arm, such as fingers; others stand in the
             middle of their range.
         rest: (joint, value [rad or m]) of a posture to prefer; empty: the middle of the ranges.
-        packages: (name, folder) that ``package://name/`` in mesh paths stands for.
+        packages: (name, folder, relative to `root`) that ``package://name/`` in mesh paths stands for.
         srdf: content of a file with pairs of links that need no check (``disable_collisions``); empty: none.
         folder: where the robot's file lies; its meshes must lie in it or in a package. Does not count in comparisons.
+        root: folder that packages are relative to. Does not count in comparisons.
     """
 
     path: str
@@ -37,6 +38,7 @@ class RobotDescription:
     packages: tuple[tuple[str, str], ...] = ()
     srdf: str = ""
     folder: str = field(default="", compare=False)
+    root: str = field(default="", compare=False)
 
     @property
     def pose(self) -> RigidTransform:

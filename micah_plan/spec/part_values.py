@@ -37,9 +37,14 @@ def check_unit(located: Located, vector: Sequence[float], path: KeyPath) -> None
         raise located.error(path, f"expected unit length, found length {length:.6g}", "normalise it")
 
 
-def _shape(shape: ShapeDocument, located: Located, path: KeyPath) -> Primitive:
-    if len(shape.size) != _SIZES[shape.kind]:
-        problem = f"expected {_SIZES[shape.kind]} sizes of a {shape.kind}, found {len(shape.size)}"
+def check_sizes(kind: str, size: Sequence[float], located: Located, path: KeyPath) -> None:
+    """Raise an InputError unless a solid has as many sizes as its kind needs."""
+    if len(size) != _SIZES[kind]:
+        problem = f"expected {_SIZES[kind]} sizes of a {kind}, found {len(size)}"
         raise located.error((*path, "size"), problem, "a box has 3, a cylinder 2, a sphere 1")
+
+
+def _shape(shape: ShapeDocument, located: Located, path: KeyPath) -> Primitive:
+    check_sizes(shape.kind, shape.size, located, path)
     check_unit(located, shape.quaternion, (*path, "quaternion"))
     return Primitive(shape.kind, tuple(shape.size), shape.position, shape.quaternion, shape.color)

@@ -43,6 +43,17 @@ class TrajectoryDocument(Document):
     is_transition: list[bool] = Field(description="(K-1) whether the step is a transition.")
 
 
+class ArmDocument(Document):
+    joints: Annotated[list[Name], Field(min_length=1)] = Field(description="(J) names, from the root to the tool.")
+    positions: list[list[float]] = Field(description="(K, J) at the knots, straight lines in between [rad or m].")
+    manipulability: list[NonNegative] = Field(description="(K) Yoshikawa's measure; 0 at singularities.")
+    clearance: list[float | None] = Field(description="(K) smallest distance at each knot [m]; null: nothing to meet.")
+    least_clearance: float | None = Field(description="Smallest distance at and between all knots [m].")
+    closest_pair: list[Line] = Field(description="The two that come so close.")
+    closest_knot: Annotated[int, Field(ge=0)] = Field(description="The knot at or after which they do.")
+    deviation: NonNegative = Field(description="How far the tool strays between knots from a straight line [m].")
+
+
 class PlanDocument(Document):
     """A plan with the whole problem that it solves, so that it can be executed and shown without other files."""
 
@@ -66,6 +77,7 @@ class PlanDocument(Document):
         default_factory=list, description="What stands in the way; of a solved plan, what it keeps only in part."
     )
     trajectory: TrajectoryDocument | None = Field(description="Belief trajectory and feedback; null without a plan.")
+    arm: ArmDocument | None = Field(default=None, description="The robot along the trajectory; null without a robot.")
     problem_file: Line = Field(description="Name of the problem file that was solved; empty if made in Python.")
     digests: dict[Name, Line] = Field(description="SHA-256 of the input files, by role.")
     problem: dict[str, Any] = Field(description="The problem, laid out as a problem file.")

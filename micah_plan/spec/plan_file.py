@@ -21,6 +21,7 @@ from micah_plan.errors import InputError
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
+from micah_plan.spec.arm_values import arm_data, arm_of
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_data import model_data
 from micah_plan.spec.model_document import ModelDocument
@@ -159,6 +160,7 @@ def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
             "gains": trajectory.gains.tolist(),
             "is_transition": trajectory.is_transition.tolist(),
         },
+        **({} if plan.arm is None else {"arm": arm_data(plan.arm)}),
         "problem_file": Path(problem.source).name,
         "digests": dict(problem.digests),
         "problem": problem_data(problem, "model"),
@@ -219,7 +221,7 @@ def _stored(located: Located) -> StoredPlan:
     model = replace(located, data=document.model, prefix=("model",))
     automaton = automaton_of(validated(model, ModelDocument), model)
     stated = replace(located, data=document.problem, prefix=("problem",))
-    problem = problem_of(validated(stated, ProblemDocument), automaton, stated)
+    problem = problem_of(validated(stated, ProblemDocument), automaton, stated, Path(located.source).parent)
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     trajectory = None if document.trajectory is None else _trajectory(document.trajectory, automaton, located)
     if (trajectory is None) == (document.outcome != "no_plan"):
@@ -242,6 +244,7 @@ def _stored(located: Located) -> StoredPlan:
         obstacles=tuple(Obstacle(**{**item.model_dump(), "modes": tuple(item.modes)}) for item in document.obstacles),
         verification_trials=document.verification_trials,
         seed=document.seed,
+        arm=None if trajectory is None else arm_of(document.arm, len(trajectory.modes), located),
     )
     if list(plan.mode_sequence) != document.mode_sequence:
         raise located.error(("mode_sequence",), "does not agree with the trajectory's modes", _AGAIN)

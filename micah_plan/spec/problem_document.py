@@ -9,6 +9,7 @@ from pydantic import Field
 from micah_plan.planning.problem import Method, PlannerSettings
 from micah_plan.spec.fields import Document, Line, Name, NonNegative, Positive
 from micah_plan.spec.model_document import LightDocument
+from micah_plan.spec.scene_document import BodyDocument, GraspDocument, RobotDocument
 
 PROBLEM_FORMAT = "micah-plan/problem/1"
 Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
@@ -136,4 +137,9 @@ class ProblemDocument(Document):
         description="Probability that guards and invariants are planned to hold with and roll-outs must reach.",
     )
     planner: PlannerDocument = Field(default_factory=PlannerDocument, description="Settings of the planner.")
+    scene: dict[Name, BodyDocument] = Field(
+        default_factory=dict, description="Bodies that do not move, by name: table, shelf, stack of books."
+    )
+    robot: RobotDocument | None = Field(default=None, description="Arm that holds the object; default: none.")
+    grasp: GraspDocument | None = Field(default=None, description="What it holds; needed with a robot.")
     plant: PlantDocument = Field(default_factory=PlantDocument, description="Physical parameters for MuJoCo.")

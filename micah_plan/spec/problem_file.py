@@ -42,9 +42,11 @@ def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         model = read_bytes(model_path, LARGEST_TEXT_BYTES)
     except InputError as error:
         raise located.error(("model",), f"model {model_path}: {error.problem}", error.remedy) from None
-    problem = problem_of(document, usable_model(model, str(model_path)), located)
+    problem = problem_of(document, usable_model(model, str(model_path)), located, Path(path).parent)
     check_problem(problem, located)
     digests = {"problem": _digest(content), "model": _digest(model)}
+    if problem.robot is not None:
+        digests["robot"] = _digest(problem.robot.text.encode())
     return replace(problem, source=str(path), digests=digests)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
@@ -11,30 +12,39 @@ from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_values import by_name, light_of
 from micah_plan.spec.problem_document import PROBLEM_FORMAT, GoalDocument, ProblemDocument, StartDocument
+from micah_plan.spec.scene_values import grasp_data, grasp_of, robot_data, robot_of, scene_data, scene_of
 
 
-def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
+def problem_of(
+    document: ProblemDocument, automaton: HybridAutomaton, located: Located, folder: Path = Path()
+) -> Problem:
     """The problem that a file describes, without its source and digests; whether it is possible is not checked here.
 
     Args:
         document: the validated layout.
         automaton: the model that it names.
         located: the data that the document was validated from, for the places in messages.
+        folder: of the file; the robot and meshes are looked for from there.
 
     Raises:
-        InputError: for unknown names of coordinates, inputs or modes, and for missing values.
+        InputError: for unknown names of coordinates, inputs, modes or parts, for missing values, and for files of the
+            robot and the scene that cannot be used.
     """
     planner = document.planner.model_dump(exclude={"max_step"})
     max_step = None
     if document.planner.max_step is not None:
         names = [item.name for item in automaton.inputs]
         max_step = tuple(by_name(document.planner.max_step, names, "input", located, ("planner", "max_step")))
+    robot = robot_of(document.robot, located, folder)
     return Problem(
         automaton=replace(automaton, noise=_noise(document, automaton, located)),
         start=_start(document.start, automaton, located),
         goal=_goal(document.goal, automaton, located),
         settings=PlannerSettings(confidence=document.confidence, max_step=max_step, **planner),
         plant=document.plant.model_dump(exclude_none=True),
+        scene=scene_of(document.scene, located, folder),
+        robot=robot,
+        grasp=grasp_of(document.grasp, robot, automaton, located),
     )
 
 
@@ -67,6 +77,9 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         "confidence": problem.settings.confidence,
         "planner": settings,
         "plant": dict(problem.plant),
+        **({"scene": scene_data(problem.scene)} if problem.scene else {}),
+        **({"robot": robot_data(problem.robot)} if problem.robot is not None else {}),
+        **({"grasp": grasp_data(problem.grasp)} if problem.grasp is not None else {}),
     }
 
 

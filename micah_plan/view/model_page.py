@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.part_poses import part_poses
 from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
 from micah_plan.view.drawing import (
     camera,
@@ -26,7 +27,6 @@ from micah_plan.view.placement import (
     chain_coordinates,
     coordinate_range,
     handle_in_part,
-    part_poses,
     representative_state,
     thresholds,
 )

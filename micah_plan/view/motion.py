@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.part_poses import part_poses
 from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners
-from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian, part_poses
+from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 from micah_plan.view.scene import Scene, slug, transforms
 
 Floats = NDArray[np.float64]

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.ranges import region_interval, single_bound
 
 Floats = NDArray[np.float64]
@@ -26,15 +25,6 @@ class Threshold:
     target: str
     coordinate: int
     value: float
-
-
-def part_poses(automaton: HybridAutomaton, mode: Mode, x: Floats) -> dict[str, RigidTransform]:
-    """Pose of every linked part in the base frame at the state x (n,), by part name."""
-    poses: dict[str, RigidTransform] = {}
-    for link, joint in zip(automaton.links, mode.joints, strict=True):
-        relative = forward(joint, x[link.coordinate])[0]
-        poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
-    return poses
 
 
 def handle_in_part(automaton: HybridAutomaton, part: str) -> Floats:

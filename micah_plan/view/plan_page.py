@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.part_poses import part_poses
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.start_state import start_mode
@@ -23,7 +24,7 @@ from micah_plan.view.model_page import (
 )
 from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids, handle_path
 from micah_plan.view.palette import BELIEF, GOAL, INK, START
-from micah_plan.view.placement import chain_coordinates, part_poses
+from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import tube
 from micah_plan.view.text import length, percent, quantity, short_quantity

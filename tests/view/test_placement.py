@@ -8,6 +8,7 @@ from view_objects import HINGE, OPEN_AT, cabinet, door
 
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.region import HalfSpace, Region, above
 from micah_plan.view.default_shapes import base_shapes, moving_shapes
 from micah_plan.view.drawing import shape_corners
@@ -17,7 +18,6 @@ from micah_plan.view.placement import (
     ellipsoid,
     handle_jacobian,
     handle_position,
-    part_poses,
     representative_state,
     thresholds,
 )

@@ -1,0 +1,84 @@
+"""The arm along a plan: which pose of the tool each knot asks for, and the joints that take it there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.automaton.part_poses import part_poses
+from micah_plan.errors import InputError
+from micah_plan.planning.plan import ArmTrajectory, Trajectory
+from micah_plan.planning.problem import Problem
+from micah_plan.robot.clearance import ClearanceModel, Pair, clearance_model
+from micah_plan.robot.load_arm import load_arm
+from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
+
+
+def arm_along(
+    problem: Problem,
+    trajectory: Trajectory,
+    seed: int = 0,
+    settings: PathSettings | None = None,
+    touching: Sequence[frozenset[Pair]] | None = None,
+) -> ArmTrajectory | ArmFailure:
+    """The arm's trajectory that takes the held part along the means of a plan, or what stands in the way.
+
+    Args:
+        problem: with a robot and a grasp.
+        trajectory: over K knots.
+        seed: of the start postures.
+        touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: none.
+
+    Raises:
+        InputError: if the problem has no robot or grasp, or its files cannot be used.
+    """
+    return follow(problem_clearance(problem), tool_path(problem, trajectory, touching), seed, settings)
+
+
+def problem_clearance(problem: Problem) -> ClearanceModel:
+    """The problem's arm, scene and object, with the pairs that must not meet.
+
+    Raises:
+        InputError: if the problem has no robot or grasp, or its files cannot be used.
+    """
+    if problem.robot is None or problem.grasp is None:
+        raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
+    parts = [part for part in problem.automaton.parts if part.shapes]
+    known = {part.name for part in parts}
+    held = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in known]
+    if problem.grasp.part not in known:
+        parts, held = [*parts, Part(problem.grasp.part)], [problem.grasp.part, *held]
+    return clearance_model(load_arm(problem.robot), problem.scene, parts, held)
+
+
+def tool_path(problem: Problem, trajectory: Trajectory, touching: Sequence[frozenset[Pair]] | None = None) -> ToolPath:
+    """Poses of the tool and of the object's parts at the knots of a plan.
+
+    Raises:
+        InputError: if the problem has no grasp.
+    """
+    automaton, grasp = problem.automaton, problem.grasp
+    if grasp is None:
+        raise InputError("the problem has no grasp", source=problem.source or None, remedy="add 'grasp'")
+    knots = [
+        part_poses(automaton, automaton.mode(mode), x)
+        for mode, x in zip(trajectory.modes, trajectory.means, strict=True)
+    ]
+    moved = {
+        name: RigidTransform.from_matrix(np.stack([poses[name].as_matrix() for poses in knots])) for name in knots[0]
+    }
+    still = RigidTransform.from_matrix(np.tile(np.eye(4), (len(knots), 1, 1)))
+    return ToolPath(moved[grasp.part] * grasp.pose, {BASE: still, **moved}, touching)
+
+
+def carried_parts(automaton: HybridAutomaton, part: str) -> tuple[str, ...]:
+    """A part and those that hang on it, directly or through others."""
+    found = [part]
+    for link in automaton.links:  # parents come first
+        if link.parent in found:
+            found.append(link.child)
+    return tuple(found)
