@@ -15,7 +15,6 @@ from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.comparison import compare_all
 from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.segmenting.changepoints import Piece
-from micah_plan.learn.segmenting.evidence import TRUST
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
@@ -203,7 +202,7 @@ def unless_free(
     The number is the log odds of free motion. It counts only if the joint misses the rows further than their noise lets
     them scatter.
     """
-    free = free_log_probability(segmented.track, segmented.noise, TRUST)
+    free = free_log_probability(segmented.track, segmented.noise, segmented.table.trust)
     log_odds = free - _FREE_IS_RARE - segmented.log_probability
     if log_odds <= 0:
         return segmented, log_odds, None

@@ -21,6 +21,8 @@ class LearnSettings:
         position_wander, rotation_wander: std of the tracker's slowly wandering error [m, rad].
         wander_durations: time over which that error forgets, in durations of the run, which makes the result
             independent of the sampling rate and of the unit of time.
+        position_misfit, rotation_misfit: how far real joints and trackers deviate from what models say
+            [m, rad]; the smaller the noise is against this, the less a row counts.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
             rarer.
@@ -39,6 +41,8 @@ class LearnSettings:
     position_wander: float = 0.004
     rotation_wander: float = 0.08
     wander_durations: float = 1.5
+    position_misfit: float = 0.006
+    rotation_misfit: float = 0.02
     mean_length: float | None = None
     length_shape: float = 2.0
     rest: float = 0.2

@@ -26,10 +26,8 @@ from micah_plan.learn.track import PartTrack
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_HELD_FIRST = 4.6  # nats: a part that has not moved yet waits for the hand in 99 of 100 demonstrations
 _SLIP = 0.01  # probability that a row tells nothing of the next
-# Power of the likelihood (Miller and Dunson, "Robust Bayesian inference via coarsening", JASA 2019): joints are not
-# ideal and trackers err by more than any noise model says, so rows count for less than they claim.
-TRUST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +35,7 @@ class EvidenceTable:
     """Densities of rows under a pool.
 
     Attributes:
+        trust: power of the likelihood.
         pool, motion: the h hypotheses and how the part moves along them.
         log_density: (p + 1, n, h): of a row, given 0, 1, ... p rows before it.
         parameters: (h,) numbers that fix a hypothesis.
@@ -45,6 +44,7 @@ class EvidenceTable:
         rows: (h,) how many rows they were fitted to.
     """
 
+    trust: float
     pool: Pool
     motion: Motion
     log_density: Floats
@@ -78,13 +78,14 @@ class EvidenceTable:
 
 
 def tabulated(
-    hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel, use_actions: bool, rest: float
+    hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel, use_actions: bool, rest: float, trust: float
 ) -> EvidenceTable:
     """The densities of all rows under all hypotheses.
 
     Args:
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        trust: power of the likelihood (see coarsening.py).
     """
     pool = pool_of(hypotheses, track, noise)
     table, scale = _across(pool, noise)
@@ -97,14 +98,15 @@ def tabulated(
     table[1:] = np.logaddexp(np.log1p(-_SLIP) + table[1:], slipped)
     # The first row of a segment may go on where the row before was, or not.
     table[:-1, 1:] = np.logaddexp(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
-    table *= TRUST
+    table *= trust
+    table[0, 0, ~pool.moving] -= _HELD_FIRST
     rows = np.maximum(hypotheses.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
-    cost = parameter_cost(pool, track, noise, TRUST)
-    held = held_cost(cost, pool, noise, TRUST)
+    cost = parameter_cost(pool, track, noise, trust)
+    held = held_cost(cost, pool, noise, trust)
     counts = [parameter_count(kind, track.quaternion is not None) for kind in hypotheses.joints.kinds]
     parameters = np.array(counts, dtype=float) + motion.parameters
-    return EvidenceTable(pool, motion, table, parameters, cost + of_motion, held + of_motion, rows)
+    return EvidenceTable(trust, pool, motion, table, parameters, cost + of_motion, held + of_motion, rows)
 
 
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:

@@ -89,7 +89,11 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
         commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
         signals += [np.broadcast_to(commanded[:, i], c.shape) for i in range(3)]
     stacked = np.stack(signals, axis=-1)
-    innovations, quiet = _innovations(stacked, white, pool.renewed[members], grid, scale[members])
+    # The last column is the filter of a part that has not moved yet.
+    variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
+    innovations, quiet = _innovations(stacked, white, pool.renewed[members], variances, scale[members])
+    waiting = _quiet_density(innovations[:, :, -1, 0], quiet[:, :, -1])
+    innovations, quiet = innovations[:, :, :-1], quiet[:, :, :-1]
     models = [
         _freely(
             innovations[..., 0],
@@ -100,12 +104,13 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
             rest,
             _directions(c),
             *_speeds(c, weight, white),
+            waiting,
         )
     ]
     if action is not None:
         lever = pool.lever[members]
-        along = _led(innovations, quiet, grid, weight, lever[:, :, None])
-        turned = _led(innovations, quiet, grid, weight, np.broadcast_to(np.eye(3), (len(members), 3, 3)))
+        along = _led(innovations, quiet, grid, weight, lever[:, :, None], waiting)
+        turned = _led(innovations, quiet, grid, weight, np.broadcast_to(np.eye(3), (len(members), 3, 3)), waiting)
         # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
         # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
         lengths = (np.linalg.norm(one, axis=1) for one in (lever, along.gain))
@@ -162,6 +167,7 @@ def _freely(
     direction: Floats,
     before: Floats,
     trust: Floats,
+    waiting: Floats,
 ) -> _StepModel:
     """(μ, q) by expectation maximisation for every E[w²] of the grid, the best of them.
 
@@ -200,7 +206,6 @@ def _freely(
     back = np.logaddexp(np.logaddexp(back, back_as_before) + share, other)
     best = np.argmax((np.maximum(forth, back) * weight).sum(axis=0), axis=1)
     at = np.arange(len(best))
-    waiting = _quiet_density(innovation[:, at, best], quiet[:, at, best])
     sure = np.ones(len(best), dtype=bool)
     return _StepModel(forth[:, at, best], back[:, at, best], waiting, np.zeros((len(best), 3)), 2.0, sure)
 
@@ -249,7 +254,9 @@ def _directions(c: Floats) -> Floats:
     return np.where(c[:, last] >= c[:, first], 1.0, -1.0)
 
 
-def _led(innovations: Floats, quiet: Floats, grid: Floats, weight: Floats, basis: Floats) -> _StepModel:
+def _led(
+    innovations: Floats, quiet: Floats, grid: Floats, weight: Floats, basis: Floats, waiting: Floats
+) -> _StepModel:
     """h in the span of bases (h, 3, k) for every E[w²] of the grid, the best of them."""
     inverse = weight / (quiet + grid)
     commanded = innovations[..., 2:] @ basis
@@ -261,6 +268,6 @@ def _led(innovations: Floats, quiet: Floats, grid: Floats, weight: Floats, basis
     led = log_step_density(left, quiet, np.zeros(1), grid / (1 - _EXPLAINED), _EXPLAINED)
     best = np.argmax((led * weight).sum(axis=0), axis=1)
     at = np.arange(len(best))
-    density, waiting = led[:, at, best], _quiet_density(innovations[:, at, best, 0], quiet[:, at, best])
+    density = led[:, at, best]
     full = np.einsum("hak,hk->ha", basis, gain[at, best])
     return _StepModel(density, density, waiting, full, 2.0 + basis.shape[2], np.ones(len(best), dtype=bool))

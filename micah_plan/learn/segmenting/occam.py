@@ -23,8 +23,10 @@ Bools = NDArray[np.bool_]
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
 _RARE = 4.6  # nats: one in a hundred joints is a screw
-_STILL = 10.0  # nats: a joint along which nothing moved beyond noise is no joint
-_BLOCKS, _TRAVEL = 8, 7.0  # in which the rows are averaged to see so; a motion, in the noise of these means
+_DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
+_BLOCKS = 8  # in which the rows are averaged to see so
+_TRAVEL = 7.0  # a motion, in the noise of these means
+_DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of these means
 # Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
 _WIDTHS = np.array([1.0] * 12 + [0.1])
 
@@ -52,7 +54,7 @@ def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float
     information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    rare = _RARE * joints.twisting + _STILL * _rests(pool)
+    rare = _RARE * joints.twisting + _denied(pool, noise)
     return np.asarray(far + rare + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
 
 
@@ -64,7 +66,7 @@ def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floa
     used = pool.hypotheses.used
     n = used.shape[1]
     joints = np.flatnonzero(pool.moving & (used.sum(axis=1) >= n / _HELD_SHARE))
-    result = cost.copy()
+    result, denied = cost.copy(), _denied(pool, noise)
     if not len(joints) or pool.moving.all():
         return result
     reach = np.ptp(pool.seen.configuration[joints], axis=1)
@@ -78,7 +80,7 @@ def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floa
     count = np.array([len(own) for own in rows])[:, None, None, None]
     size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
     missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
-    result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1))
+    result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1) + denied[rigid])
     return result
 
 
@@ -89,19 +91,28 @@ def _median(values: Floats) -> Floats:
     return np.asarray(0.5 * (ordered[:, (values.shape[1] - 1) // 2] + ordered[:, middle]))
 
 
-def _rests(pool: Pool) -> Bools:
-    """(h,) moving joints along which the part moved no further, over the rows they were fitted to, than noise does."""
+def _denied(pool: Pool, noise: NoiseModel) -> Floats:
+    """(h,) what it costs that the rows of a moving joint do not move beyond noise, or that those of a rigid one do."""
     used = pool.hypotheses.used
-    block = np.minimum(
-        _BLOCKS * (np.cumsum(used, axis=1) - 1) // np.maximum(used.sum(axis=1, keepdims=True), 1), _BLOCKS - 1
-    )
+    rows = np.maximum(used.sum(axis=1), 1)[:, None]
+    block = np.maximum(rows / _BLOCKS, 1.0)
+    travel = _span(used, pool.seen.configuration[..., None])
+    noises = np.sqrt(pool.white[:, None] / block + pool.renewed[:, None] * rows / _BLOCKS / 3)
+    travel = travel / np.where(pool.moving[:, None], noises, 1.0)
+    # The wander of a tracker goes on over all rows of a rest.
+    drift = _span(used, pool.seen.error) / np.sqrt(noise.white / block + noise.renewed * rows)
+    denied = np.where(pool.moving, travel[:, 0] < _TRAVEL, drift.max(axis=1) > _DRIFT)
+    return np.asarray(_DENIED * denied)
+
+
+def _span(used: Bools, values: Floats) -> Floats:
+    """(h, d) how far apart the means of blocks of the used rows (h, n) lie, of values (h, n, d)."""
+    rows = np.maximum(used.sum(axis=1, keepdims=True), 1)
+    block = np.minimum(_BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, _BLOCKS - 1)
     inside = used[:, None] & (block[:, None] == np.arange(_BLOCKS)[:, None])
-    count = inside.sum(axis=2)
-    means = (inside * pool.seen.configuration[:, None]).sum(axis=2) / np.maximum(count, 1)
-    means = np.where(count > 0, means, means[:, :1])
-    length = used.sum(axis=1) / _BLOCKS
-    noise = np.sqrt(pool.white / np.maximum(length, 1) + pool.renewed * length / 3)
-    return np.asarray(pool.moving & (np.ptp(means, axis=1) < _TRAVEL * noise))
+    count = inside.sum(axis=2)[..., None]
+    means = inside @ values / np.maximum(count, 1)
+    return np.asarray(np.ptp(np.where(count > 0, means, means[:, :1]), axis=1))
 
 
 def parameter_count(kind: JointKind, has_orientation: bool) -> int:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
-from micah_plan.learn.segmenting.evidence import TRUST, EvidenceTable, tabulated
+from micah_plan.learn.segmenting.coarsening import trust_in
+from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
@@ -161,7 +162,8 @@ def _selected(
         owner: which known joint each of the first hypotheses is.
     """
     prior = LengthPrior.of_rows(track, settings)
-    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest), owner, known.first, prior)
+    trust = trust_in(first_noise(track, settings), settings)
+    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest, trust), owner, known.first, prior)
     k = len(owner)
     every = range(len(pool))
     apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)
@@ -229,7 +231,7 @@ def _paid(table: EvidenceTable, owner: Ints, first: int, prior: LengthPrior) -> 
 def _is_usual(found: Segmented, usual: Usual) -> bool:
     """Page's test: nowhere do steps surprise more than a new joint would cost."""
     excess = _surprise(_errors(found.segmentation, found.table), usual.scale) - usual.surprise - _SLACK
-    total = np.concatenate([[0.0], np.cumsum(TRUST * excess)])
+    total = np.concatenate([[0.0], np.cumsum(found.table.trust * excess)])
     worst = float((total - np.minimum.accumulate(total)).max())
     parameters = parameter_count("revolute", found.track.quaternion is not None)
     return bool(worst < ANOTHER_JOINT + 0.5 * parameters * np.log(len(found.track)))

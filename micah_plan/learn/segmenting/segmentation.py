@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
+from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
@@ -18,6 +19,7 @@ from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_
 from micah_plan.learn.segmenting.pool import pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
+from micah_plan.learn.segmenting.stops import stopped_in_the_end
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -71,25 +73,35 @@ def segment_track(
     prior = _prior(track, settings)
     if known is None:
         fine = first_noise(track, settings)
+        trust = trust_in(fine, settings)
         pool = window_hypotheses(track, settings.kinds, fine)
-        noises = [fine, _single(track, fine, prior, settings, use_actions)]
+        noises = [fine, _single(track, fine, trust, prior, settings, use_actions)]
     else:
+        trust = known.table.trust
         pool, noises = known.table.pool.hypotheses, [known.noise]
     proposals = []
     for noise in noises:
         if noise is not None:
-            table = tabulated(pool, track, noise, use_actions, settings.rest)
+            table = tabulated(pool, track, noise, use_actions, settings.rest, trust)
             proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = [_settled(one, prior, settings, use_actions) for one in proposals]
-    return _most_probable(settled, prior, settings, use_actions)
+    best = _most_probable(settled, prior, settings, use_actions)
+    used = {piece.hypothesis for piece in best.segmentation.pieces}
+    if use_actions and track.action is not None and len(used) == 1 and "rigid" in settings.kinds:
+        (joint,) = used
+        if best.table.pool.moving[joint]:
+            table, stopped = stopped_in_the_end(best.table, joint, track, best.noise, prior, settings)
+            rival = _settled(replace(best, segmentation=stopped, table=table), prior, settings, use_actions)
+            best = _most_probable([best, rival], prior, settings, use_actions)
+    return best
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
     """The whole track as one segment of the one moving joint (if there is any) that explains it best."""
     n = len(found.track)
     pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), found.track, found.noise)
-    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest)
+    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest, found.table.trust)
     totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
@@ -98,7 +110,7 @@ def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) ->
 
 
 def _single(
-    track: PartTrack, noise: NoiseModel, prior: LengthPrior, settings: LearnSettings, use_actions: bool
+    track: PartTrack, noise: NoiseModel, trust: float, prior: LengthPrior, settings: LearnSettings, use_actions: bool
 ) -> NoiseModel | None:
     """The noise that the single joint leaves which is the most probable one with the noise that it leaves."""
     # Where something moves, what a rigid model leaves is motion, not noise.
@@ -109,7 +121,7 @@ def _single(
     for i in range(len(whole)):
         one = whole.take([i])
         left = refitted_noise(*misses(pool_of(one, track, noise), np.zeros(len(track), dtype=np.int64)), settings)
-        table = tabulated(one, track, left, use_actions, settings.rest)
+        table = tabulated(one, track, left, use_actions, settings.rest, trust)
         total = shared(table, [0], prior, settings).log_probability
         if best is None or total > best[0]:
             best = total, left
@@ -137,7 +149,7 @@ def _settled(start: Segmented, prior: LengthPrior, settings: LearnSettings, use_
         kinds = [kind for _ in rows for kind in settings.kinds]
         rivals = refitted(kinds, np.repeat(rows, len(settings.kinds), axis=0), track, noise)
         pool = now.table.pool.hypotheses.take(used).joined(rivals)
-        table = tabulated(pool, track, noise, use_actions, settings.rest)
+        table = tabulated(pool, track, noise, use_actions, settings.rest, now.table.trust)
         now = Segmented(track, noise, selections(table, prior, settings)[0], table)
         grown = now.log_probability - best.log_probability
         if grown > 0:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import tabulated
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
 from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
@@ -101,8 +102,9 @@ def _scores(
     later = starts >= row
     known = Hypotheses(joints, np.stack([~later, later]))
     noise = first_noise(steps, own)
+    trust = trust_in(noise, own)
     noise = refitted_noise(*misses(pool_of(known, steps, noise), later.astype(np.int64)), own)
-    density = tabulated(known, steps, noise, use_actions, settings.rest).log_density
+    density = tabulated(known, steps, noise, use_actions, settings.rest, trust).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
     after = np.zeros(n)
