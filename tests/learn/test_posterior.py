@@ -156,7 +156,7 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     settings = LearnSettings()
     noise = first_noise(track, settings)
     pool = window_hypotheses(track, settings.kinds, noise).take([0, 1, 2])
-    table = tabulated(pool, track, noise, False, settings.rest)
+    table = tabulated(pool, track, noise, False, settings.rest, 0.5)
     rng = np.random.default_rng(2)
     cost, prior = rng.uniform(0, 3, 3), LengthPrior(4.0, 2.0)
     apart = rng.uniform(0, 2, (3, 3))

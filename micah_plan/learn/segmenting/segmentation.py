@@ -87,14 +87,22 @@ def segment_track(
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = [_settled(one, prior, settings, use_actions) for one in proposals]
     best = _most_probable(settled, prior, settings, use_actions)
-    used = {piece.hypothesis for piece in best.segmentation.pieces}
-    if use_actions and track.action is not None and len(used) == 1 and "rigid" in settings.kinds:
-        (joint,) = used
-        if best.table.pool.moving[joint]:
-            table, stopped = stopped_in_the_end(best.table, joint, track, best.noise, prior, settings)
-            rival = _settled(replace(best, segmentation=stopped, table=table), prior, settings, use_actions)
-            best = _most_probable([best, rival], prior, settings, use_actions)
+    if use_actions and track.action is not None and "rigid" in settings.kinds:
+        best = _unless_stopped(best, prior, settings)
     return best
+
+
+def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
+    """The same; or, if one moving joint explains all rows and a stop in the end is more probable, that."""
+    used = list({piece.hypothesis for piece in found.segmentation.pieces})
+    if len(used) > 1 or not found.table.pool.moving[used[0]]:
+        return found
+    stopped = stopped_in_the_end(found.table, used[0], found.track, found.noise, prior, settings)
+    if stopped is None:
+        return found
+    table, segmentation = stopped
+    rival = _settled(replace(found, table=table, segmentation=segmentation), prior, settings, True)
+    return _most_probable([found, rival], prior, settings, True)
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
@@ -173,7 +181,7 @@ def _most_probable(
         pool, used = one.table.pool.hypotheses, _rows_of_joints(one)[0]
         for k, other in enumerate(close):
             if k != i:
-                table = tabulated(pool, one.track, other.noise, use_actions, settings.rest)
+                table = tabulated(pool, one.track, other.noise, use_actions, settings.rest, one.table.trust)
                 totals[i, k] = shared(table, used, prior, settings).log_probability
     return close[int(np.argmax(totals.mean(axis=1)))]
 

@@ -22,6 +22,7 @@ from micah_plan.learn.track import PartTrack
 _GRAINS = 16
 _EARLIEST = 5  # of the grains
 _TRIED = 2
+_FEWEST_ROWS = 3
 
 
 def stopped_in_the_end(
@@ -31,8 +32,8 @@ def stopped_in_the_end(
     noise: NoiseModel,
     prior: LengthPrior,
     settings: LearnSettings,
-) -> tuple[EvidenceTable, Segmentation]:
-    """The most probable segments if the part rests in the end, held, after one joint moved it.
+) -> tuple[EvidenceTable, Segmentation] | None:
+    """The most probable segments if the part rests in the end, held, after one joint moved it; None of very few rows.
 
     Args:
         table: of the evidence that found no stop.
@@ -41,6 +42,9 @@ def stopped_in_the_end(
     n = len(track)
     rows = np.arange(n)
     cuts = np.unique([round(n * grain / _GRAINS) for grain in range(_EARLIEST, _GRAINS)])
+    cuts = cuts[(cuts >= _FEWEST_ROWS) & (cuts <= n - _FEWEST_ROWS)]
+    if not len(cuts):
+        return None
     before: NDArray[np.bool_] = rows < cuts[:, None]
     joints = table.pool.hypotheses.joints.take([joint] * len(cuts))
     rests = refitted(["rigid"] * len(cuts), ~before, track, noise)
