@@ -84,14 +84,9 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
     white = pool.white[members]
     mean_square = np.maximum((steps**2).sum(axis=1) / enough, np.maximum(white * 1e-3, _TINY))
     grid = mean_square[:, None] * _STEP_SHARES
-    signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
-    if action is not None:
-        commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
-        signals += [np.broadcast_to(commanded[:, i], c.shape) for i in range(3)]
-    stacked = np.stack(signals, axis=-1)
     # The last column is the filter of a part that has not moved yet.
     variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
-    innovations, quiet = _innovations(stacked, white, pool.renewed[members], variances, scale[members])
+    innovations, quiet = _innovations(_signals(c, action), white, pool.renewed[members], variances, scale[members])
     waiting = _quiet_density(innovations[:, :, -1, 0], quiet[:, :, -1])
     innovations, quiet = innovations[:, :, :-1], quiet[:, :, :-1]
     models = [
@@ -126,6 +121,16 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
     result.gain[members] = np.stack([m.gain for m in models], axis=1)[every, chosen]
     result.parameters[members] = numbers[chosen]
     return result
+
+
+def _signals(c: Floats, action: Floats | None) -> Floats:
+    """(h, n, k): the configurations, a ramp, and what was commanded so far."""
+    n = c.shape[1]
+    signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
+    if action is not None:
+        commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
+        signals += [np.broadcast_to(commanded[:, i], c.shape) for i in range(3)]
+    return np.stack(signals, axis=-1)
 
 
 def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: Floats, rest: float) -> Floats:
