@@ -38,7 +38,8 @@ class ExactEvidence:
         """Open a segment at the next row and take that row into all open segments."""
         self.row += 1
         self.starts = np.append(self.starts, self.row)
-        return EvidenceColumn(self.starts, self._best[self.starts, self.row], self._which[self.starts, self.row])
+        which = self._which[self.starts, self.row]
+        return EvidenceColumn(self.starts, self._best[self.starts, self.row], which.__getitem__)
 
     def keep(self, index: np.ndarray) -> None:
         """Go on with these of the open segments only (indices into the last column)."""

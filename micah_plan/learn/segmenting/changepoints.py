@@ -100,7 +100,7 @@ class MapRecursion:
         """Take the next row in."""
         self._row += 1
         column = self._stream.advance()
-        self._best_before = np.append(self._best_before, self._closed)
+        self._best_before = np.concatenate([self._best_before, [self._closed]])
         self._links.append(self._last)
         self._extend_prior(self._row - int(column.starts[0]) + 1)
         best = column.log_evidence.max(axis=1)
@@ -114,7 +114,7 @@ class MapRecursion:
             kept = resample(np.exp(filtering - filtering.max()), self._particles, self._rng)[0]
             self._stream.keep(kept)
             self._best_before = self._best_before[kept]
-            self._links = [self._links[i] for i in kept]
+            self._links = [self._links[i] for i in kept.tolist()]
 
     def segmentation(self) -> Segmentation:
         """The most probable segments of the rows so far; the last one is open."""
@@ -134,7 +134,7 @@ class MapRecursion:
         score = joint + log_prior[self._row - column.starts]
         i = int(np.argmax(score))
         start = int(column.starts[i])
-        link = _Link(start, self._row, column.log_evidence[i], column.hypothesis[i], links[i])
+        link = _Link(start, self._row, column.log_evidence[i].copy(), column.hypotheses(i), links[i])
         return link, float(score[i])
 
     def _extend_prior(self, longest: int) -> None:

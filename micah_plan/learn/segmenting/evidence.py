@@ -10,6 +10,7 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -143,12 +144,12 @@ class EvidenceColumn:
     Attributes:
         starts: (m,) first rows of the segments.
         log_evidence: (m, k) for each candidate kind; -inf where no hypothesis of that kind exists.
-        hypothesis: (m, k) index of the best hypothesis of that kind.
+        hypotheses: gives (k,) indices of the best hypothesis of each kind for the i-th of the segments.
     """
 
     starts: Ints
     log_evidence: Floats
-    hypothesis: Ints
+    hypotheses: Callable[[int], Ints]
 
 
 def segment_sums(log_density: Floats) -> Floats:

@@ -50,12 +50,11 @@ def resample(weights: Floats, count: int, rng: np.random.Generator) -> tuple[Int
 
 def _threshold(weights: Floats, count: int) -> float:
     """The α with sum(min(1, w / α)) = count."""
-    ordered = np.sort(weights)
-    below = np.cumsum(ordered)
-    heavier = len(ordered) - 1 - np.arange(len(ordered))
-    # If exactly the `heavier` largest are kept, α = (sum of the others) / (count - heavier); it fits if it separates.
-    free = count - heavier
-    candidates = np.where(free > 0, below / np.maximum(free, 1), np.inf)
-    above = np.append(ordered[1:], np.inf)
-    fits = (free > 0) & (candidates >= ordered * (1 - 1e-12)) & (candidates <= above * (1 + 1e-12))
-    return float(candidates[int(np.argmax(fits))])
+    ordered = np.sort(weights).tolist()
+    below, free = 0.0, count - len(ordered)
+    # If only those up to the i-th are light, α = (their sum) / (places left to them); it fits if it separates.
+    for weight, above in zip(ordered, [*ordered[1:], np.inf], strict=True):
+        below, free = below + weight, free + 1
+        if free > 0 and weight * (1 - 1e-12) <= below / free <= above * (1 + 1e-12):
+            break
+    return below / free

@@ -30,37 +30,50 @@ class RunningEvidence:
     def __init__(
         self, table: EvidenceTable, kinds: tuple[JointKind, ...], members: Sequence[int], paid: Collection[int] = ()
     ) -> None:
-        self._table, self._members = table, np.array(members, dtype=np.int64)
-        self._density = np.ascontiguousarray(table.log_density[:, :, self._members])
         names = table.pool.hypotheses.joints.kinds
-        self._of_kind = [np.array([j for j, i in enumerate(members) if names[i] == kind], np.int64) for kind in kinds]
-        self._paid = np.isin(self._members, list(paid))
-        self._sums = np.zeros((0, len(members)))
+        of_kind = [[i for i in members if names[i] == kind] for kind in kinds]
+        self._members = np.array([i for one in of_kind for i in one], dtype=np.int64)
+        ends = np.cumsum([len(one) for one in of_kind])
+        self._of_kind = [slice(end - len(one), end) for one, end in zip(of_kind, ends, strict=True)]
+        # Rows by rows known before them; what those of a young segment differ by from the others.
+        density = table.log_density[:, :, self._members]
+        self._density, self._young = np.ascontiguousarray(density[-1]), density[:-1] - density[-1]
+        self._cost: Floats | None = None
+        if not set(members) <= set(paid):
+            lengths = np.arange(1.0, len(self) + 1)[:, None]
+            self._cost = np.where(np.isin(self._members, list(paid)), 0.0, table.cost(self._members, lengths)).T
+        self._sums = np.zeros((len(self._members), 0))
         self.starts: Ints = np.zeros(0, dtype=np.int64)
         self.row = -1
 
     def __len__(self) -> int:
-        return int(self._density.shape[1])
+        return len(self._density)
 
     def advance(self) -> EvidenceColumn:
         """Open a segment at the next row and take that row into all open segments."""
         self.row += 1
-        self.starts = np.append(self.starts, self.row)
-        known = np.minimum(self.row - self.starts, len(self._density) - 1)
-        self._sums = np.concatenate([self._sums, np.zeros((1, len(self._members)))]) + self._density[known, self.row]
-        total = self._sums
-        if not self._paid.all():
-            rows: Floats = (self.row - self.starts + 1.0)[:, None].astype(np.float64)
-            total = total - np.where(self._paid, 0.0, self._table.cost(self._members, rows))
-        best = np.full((len(self.starts), len(self._of_kind)), -np.inf)
-        which = np.zeros(best.shape, dtype=np.int64)
-        for k, of_kind in enumerate(self._of_kind):
-            if len(of_kind):
-                at = total[:, of_kind].argmax(axis=1)
-                best[:, k] = total[np.arange(len(at)), of_kind[at]]
-                which[:, k] = self._members[of_kind[at]]
-        return EvidenceColumn(self.starts, best, which)
+        self.starts = np.concatenate([self.starts, [self.row]])
+        live = len(self.starts)
+        density = self._density[self.row][:, None]
+        sums = np.empty((len(self._members), live))
+        np.add(self._sums, density, out=sums[:, :-1])
+        sums[:, -1:] = density
+        young = self.starts[max(live - len(self._young), 0) :]
+        young = young[young > self.row - len(self._young)]
+        if len(young):
+            sums[:, live - len(young) :] += self._young[self.row - young, self.row].T
+        self._sums = sums
+        total = sums if self._cost is None else sums - self._cost[:, self.row - self.starts]
+        best = np.full((len(self._of_kind), live), -np.inf)
+        for row, of_kind in zip(best, self._of_kind, strict=True):
+            if of_kind.start < of_kind.stop:
+                total[of_kind].max(axis=0, out=row)
+        return EvidenceColumn(self.starts, best.T, lambda i: self._best_of_kinds(total[:, i]))
+
+    def _best_of_kinds(self, evidence: Floats) -> Ints:
+        own = [self._members[one][evidence[one].argmax()] if one.start < one.stop else 0 for one in self._of_kind]
+        return np.array(own, dtype=np.int64)
 
     def keep(self, index: Ints) -> None:
         """Go on with these of the open segments only (indices into the last column)."""
-        self.starts, self._sums = self.starts[index], self._sums[index]
+        self.starts, self._sums = self.starts[index], self._sums[:, index]
