@@ -39,7 +39,7 @@ class ExactEvidence:
         self.row += 1
         self.starts = np.append(self.starts, self.row)
         which = self._which[self.starts, self.row]
-        return EvidenceColumn(self.starts, self._best[self.starts, self.row], which.__getitem__)
+        return EvidenceColumn(self.starts, self._best[self.starts, self.row], lambda i, kind: int(which[i, kind]))
 
     def keep(self, index: np.ndarray) -> None:
         """Go on with these of the open segments only (indices into the last column)."""

@@ -41,7 +41,7 @@ class Table:
         self.row += 1
         self.starts = np.append(self.starts, self.row)
         chosen = self.values[self.starts, self.row]
-        return EvidenceColumn(self.starts.copy(), chosen, lambda _: np.arange(chosen.shape[1]))
+        return EvidenceColumn(self.starts.copy(), chosen, lambda _, kind: kind)
 
     def keep(self, index: np.ndarray) -> None:
         self.starts = self.starts[index]

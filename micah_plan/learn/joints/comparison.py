@@ -58,47 +58,51 @@ def compare_arrays(
         position, quaternion: (n, 3) [m] and (n, 4) rows; quaternion None if not measured.
         rotation_length: what weighs rotation against position in "closest" [m/rad].
     """
-    h, n = len(joints), len(position)
-    axis, center, start = joints.axis[:, None], joints.center[:, None], joints.position[:, None]
-    pitch, turning = joints.pitch[:, None], joints.turning[:, None]
-    sliding = joints.moving[:, None] & ~turning
-    along = np.einsum("hnk,hk->hn", position[None] - start, joints.axis)
-    arm0 = start - center
-    arm0 = arm0 - np.sum(arm0 * axis, axis=2, keepdims=True) * axis
-    side = cross(axis, arm0)
-    arm = position[None] - center
-    real = np.einsum("hnk,hk->hn", arm, arm0[:, 0])
-    imaginary = np.einsum("hnk,hk->hn", arm, side[:, 0])
+    n = len(position)
+    turning, moving = joints.turning, joints.moving
+    arm = joints.position - joints.center
+    arm = (arm - np.sum(arm * joints.axis, axis=1, keepdims=True) * joints.axis) * turning[:, None]
+    # Of every joint: its axis, and the arm from it to the origin with the direction in which that turns.
+    basis = np.stack([joints.axis, arm, cross(joints.axis, arm)], axis=1)
+    from_start, from_center = position - joints.position[:, None], position - joints.center[:, None]
+    along = (from_start @ joints.axis[:, :, None])[..., 0]
+    real, imaginary = np.moveaxis(from_center @ basis[:, 1:].swapaxes(1, 2), 2, 0)
     relative = None
     if quaternion is not None:
-        relative = times(np.broadcast_to(quaternion, (h, n, 4)), conjugate(joints.quaternion)[:, None])
-        twist = np.einsum("hnk,hk->hn", relative[..., :3], joints.axis)
+        relative = times(quaternion[None], conjugate(joints.quaternion)[:, None])
+        twist = (relative[..., :3] @ joints.axis[:, :, None])[..., 0]
         real = real + rotation_length**2 * (relative[..., 3] ** 2 - twist**2)
         imaginary = imaginary + rotation_length**2 * 2 * relative[..., 3] * twist
-    angle = np.arctan2(imaginary, real)
     weight = np.hypot(real, imaginary)
-    angle = np.where(weight > _TINY, angle, 0.0)
+    angle = np.where(turning[:, None] & (weight > _TINY), np.arctan2(imaginary, real), 0.0)
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
     if len(pitched):
-        angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], pitch[pitched])
-    turned = np.where(turning, angle, 0.0)
+        angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], joints.pitch[pitched, None])
     if n:
-        turned = np.unwrap(turned, axis=1)
-    cosine, sine = np.cos(turned)[..., None], np.sin(turned)[..., None]
-    # Model position: centre + rotated arm + what lies along the axis.
-    lengthwise = start - center - arm0
-    reach = center + lengthwise + cosine * arm0 + sine * side + (pitch * turned)[..., None] * axis
-    model = np.where(turning[..., None], reach, start + np.where(sliding, along, 0.0)[..., None] * axis)
-    error = position[None] - model
-    moved = np.where(turning[..., None], cosine * side - sine * arm0 + pitch[..., None] * axis, 0.0)
-    moved = moved + sliding[..., None] * axis
-    configuration = np.where(turning, turned, np.where(sliding, along, 0.0))
+        angle = _unwrapped(angle)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    sliding = moving & ~turning
+    configuration = np.where(sliding[:, None], along, angle)
+    rate = np.where(turning, joints.pitch, sliding)[:, None]
+    # Model position: the rotated arm, what lies along the axis, and the rest of the start.
+    reach = np.stack([rate * configuration, cosine, sine], axis=2) @ basis
+    error = from_start + arm[:, None] - reach
+    moved = np.stack([np.broadcast_to(rate, angle.shape), -sine, cosine], axis=2) @ basis
     if relative is None:
         return Compared(configuration, error, moved)
-    half = np.concatenate([np.sin(turned / 2)[..., None] * axis, np.cos(turned / 2)[..., None]], axis=2)
+    half = np.concatenate([np.sin(angle / 2)[..., None] * joints.axis[:, None], np.cos(angle / 2)[..., None]], axis=2)
     rotation = rotation_vector(times(relative, conjugate(half)))
-    turns = np.broadcast_to(turning[..., None] * axis, rotation.shape)
+    turns = np.broadcast_to((turning[:, None] * joints.axis)[:, None], rotation.shape)
     return Compared(configuration, np.concatenate([rotation, error], axis=2), np.concatenate([turns, moved], axis=2))
+
+
+def _unwrapped(angle: Floats) -> Floats:
+    """Angles (h, n) without jumps of more than half a turn, as `np.unwrap` has them."""
+    turns = np.round(np.diff(angle, axis=1) / (2 * np.pi))
+    if turns.any():
+        angle = angle.copy()
+        angle[:, 1:] -= 2 * np.pi * np.cumsum(turns, axis=1)
+    return angle
 
 
 def levers(joints: JointArrays, in_part: bool) -> Floats:

@@ -58,20 +58,13 @@ class Segmentation:
 
 @dataclass(frozen=True, eq=False)
 class _Link:
-    """The best last segment of the rows up to `end`, and the link of the rows before it.
+    """The best last segment of the rows up to its end, and the link of the rows before it.
 
-    Evidence (k,) and best hypotheses (k,) are of all kinds. A link lives as long as a start that it leads to.
+    A link lives as long as a start that it leads to.
     """
 
-    start: int
-    end: int
-    evidence: Floats
-    hypothesis: Ints
+    piece: Piece
     before: _Link | None
-
-    def piece(self) -> Piece:
-        kind = int(np.argmax(self.evidence))
-        return Piece(self.start, self.end, int(self.hypothesis[kind]), float(self.evidence[kind]))
 
 
 class MapRecursion:
@@ -124,7 +117,7 @@ class MapRecursion:
         pieces: list[Piece] = []
         at: _Link | None = link
         while at is not None:
-            pieces.append(at.piece())
+            pieces.append(at.piece)
             at = at.before
         return Segmentation(tuple(reversed(pieces)), score)
 
@@ -133,9 +126,10 @@ class MapRecursion:
     ) -> tuple[_Link, float]:
         score = joint + log_prior[self._row - column.starts]
         i = int(np.argmax(score))
-        start = int(column.starts[i])
-        link = _Link(start, self._row, column.log_evidence[i].copy(), column.hypotheses(i), links[i])
-        return link, float(score[i])
+        evidence = column.log_evidence[i]
+        kind = int(np.argmax(evidence))
+        piece = Piece(int(column.starts[i]), self._row, column.hypothesis(i, kind), float(evidence[kind]))
+        return _Link(piece, links[i]), float(score[i])
 
     def _extend_prior(self, longest: int) -> None:
         """Tables for segments of 1, 2, ... rows, doubled when a segment outgrows them."""

@@ -144,12 +144,12 @@ class EvidenceColumn:
     Attributes:
         starts: (m,) first rows of the segments.
         log_evidence: (m, k) for each candidate kind; -inf where no hypothesis of that kind exists.
-        hypotheses: gives (k,) indices of the best hypothesis of each kind for the i-th of the segments.
+        hypothesis: gives the index of the best hypothesis for the i-th of the segments and a kind.
     """
 
     starts: Ints
     log_evidence: Floats
-    hypotheses: Callable[[int], Ints]
+    hypothesis: Callable[[int, int], int]
 
 
 def segment_sums(log_density: Floats) -> Floats:

@@ -63,16 +63,17 @@ class RunningEvidence:
         if len(young):
             sums[:, live - len(young) :] += self._young[self.row - young, self.row].T
         self._sums = sums
-        total = sums if self._cost is None else sums - self._cost[:, self.row - self.starts]
+        total = sums if self._cost is None else sums - self._cost.take(self.row - self.starts, axis=1)
         best = np.full((len(self._of_kind), live), -np.inf)
         for row, of_kind in zip(best, self._of_kind, strict=True):
             if of_kind.start < of_kind.stop:
                 total[of_kind].max(axis=0, out=row)
-        return EvidenceColumn(self.starts, best.T, lambda i: self._best_of_kinds(total[:, i]))
 
-    def _best_of_kinds(self, evidence: Floats) -> Ints:
-        own = [self._members[one][evidence[one].argmax()] if one.start < one.stop else 0 for one in self._of_kind]
-        return np.array(own, dtype=np.int64)
+        def hypothesis(i: int, kind: int) -> int:
+            own = self._of_kind[kind]
+            return int(self._members[own.start + int(total[own, i].argmax())])
+
+        return EvidenceColumn(self.starts, best.T, hypothesis)
 
     def keep(self, index: Ints) -> None:
         """Go on with these of the open segments only (indices into the last column)."""

@@ -8,6 +8,7 @@ cost, and white noise is averaged before it is looked at. Changepoints are then 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import dist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,9 +126,10 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
     # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
     fine = _FINE_STRIDE * max(extent, 1e-12)
     means = _block_means(values, min(lag * (level / fine) ** 2, len(values) / _FEWEST_BLOCKS))
-    anchor, path = means[0], 0.0
-    for point in means[1:]:
-        length = float(np.linalg.norm(point - anchor))
+    points = means.tolist()
+    anchor, path = points[0], 0.0
+    for point in points[1:]:
+        length = dist(point, anchor)
         if length > 3 * fine:
             path, anchor = path + length, point
     reached = float(np.linalg.norm(np.ptp(means, axis=0)))
