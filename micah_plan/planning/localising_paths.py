@@ -25,6 +25,8 @@ Ints = NDArray[np.int64]
 # Stops on the way, and how many of the best beginnings get one more.
 _MOST_STOPS = 2
 _BEAM = 2
+# Only so many of the cheapest paths of a round are looked at in full; most differ by a corner that is cut anyway.
+_MOST_TRACED = 200
 # Less than this share of a step is no reason for a detour [steps].
 WORTH_A_DETOUR = 0.1
 
@@ -133,8 +135,10 @@ class LocalisingSearch:
         spare = self._spare(ends.steps, ends.visits.sum(axis=1))
         allowed = (ends.visits.max(axis=1, initial=0) <= self.most_visits) & (spare >= 0)
         left = self.beliefs.ending(ends.variance, at, spare)
+        costs = np.where(allowed, distance[reached] + self.to_go[reached] + ends.overshoot + left, np.inf)
+        best = np.argsort(costs, kind="stable")[:_MOST_TRACED]
         results = []
-        for row in np.flatnonzero(allowed):
+        for row in best[np.isfinite(costs[best])]:
             vertex = int(reached[row])
             to_stop = _traced(previous, here, vertex)
             vertices = (*beginning.vertices, *to_stop[1:])

@@ -96,11 +96,11 @@ class PathBeliefs:
             x = self.points[origin[on]] + delta[on] * ((step + 1.0) / count[on])[:, None]
             variance[on] = self._measured(variance[on], x, mode[on])
         overshoot = np.zeros(len(origin))
-        taken = np.array(
-            [-1 if m else self.edge_of[int(i), int(j)] for i, j, m in zip(origin, end, moves, strict=True)]
-        )
-        for edge in np.unique(taken[taken >= 0]):
-            on = taken == edge
+        leaves = np.flatnonzero(~moves)
+        pairs = zip(origin[leaves].tolist(), end[leaves].tolist(), strict=True)
+        taken = np.array([self.edge_of[pair] for pair in pairs], dtype=np.int64)
+        for edge in np.unique(taken):
+            on = leaves[taken == edge]
             overshoot[on] = self._overshoot(self.problem.automaton.edges[edge], variance[on])
             variance[on] = self._after(self.problem.automaton.edges[edge], variance[on])
         return variance, overshoot, least + overshoot
