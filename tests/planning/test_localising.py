@@ -191,6 +191,44 @@ def test_the_predicted_variance_is_that_of_the_filter(dark: Problem) -> None:
     np.testing.assert_allclose(variance[0], np.square(np.diag(factor)), rtol=1e-9)
 
 
+def test_contact_in_the_predicted_variance(walls: Problem) -> None:
+    """Into a wall: k standard deviations of overshoot, then the pin; out of it: nothing is lost."""
+    open_, wall = np.array([[-20.0, 7.0]]), np.array([[-20.0, 7.0]])
+    empty = {name: csr_array(np.zeros((1, 1))) for name in ("free", "wall_x")}
+    exits = {0: np.array([[0, 0]]), 4: np.array([[0, 0]])}
+    nothing = {name: np.zeros(0, dtype=np.int64) for name in empty}
+    roadmap = JoinedRoadmap(
+        empty,
+        exits,
+        {0: ("free", "wall_x"), 4: ("wall_x", "free")},
+        ("free", 0),
+        nothing,
+        {n: np.zeros(0) for n in empty},
+    )
+    beliefs = PathBeliefs(walls, limits_of(walls), roadmap, {"free": open_, "wall_x": wall})
+    touched, overshoot, steps = beliefs.hop(np.array([[16.0, 9.0]]), np.array([0]), np.array([1]))
+    np.testing.assert_allclose(touched, [[0.01, 9.0]])
+    assert overshoot == pytest.approx(1.6448536 * 4.0 / 5.0)
+    assert steps == overshoot
+    left, overshoot, _ = beliefs.hop(touched, np.array([1]), np.array([0]))
+    np.testing.assert_allclose(left, touched)
+    assert overshoot == 0
+
+
+def test_the_final_variance_costs_what_the_optimisation_makes_of_it(walls: Problem) -> None:
+    point = {"free": np.zeros((1, 2))}
+    goals = {"free": np.array([0])}
+    roadmap = JoinedRoadmap({"free": csr_array(np.zeros((1, 1)))}, {}, {}, ("free", 0), goals, {"free": np.zeros(1)})
+    beliefs = PathBeliefs(walls, limits_of(walls), roadmap, point)
+    settings, at = walls.settings, np.zeros(2, dtype=np.int64)
+    variance = np.array([[0.04, 0.09], [25.0, 16.0]])
+    now = beliefs.ending(variance, at, np.zeros(2))
+    np.testing.assert_allclose(now, variance.sum(axis=1) / 4.0 * settings.weight_covariance / settings.weight_effort)
+    later = beliefs.ending(variance, at, np.full(2, 10.0))
+    assert later[0] == now[0]  # narrow enough: no need to wait
+    assert later[1] < now[1]
+
+
 def test_where_nothing_is_to_be_gained_the_shortest_way_is_taken() -> None:
     problem = planar_problem()
     (first, *_) = found(replace(problem, start=replace(problem.start, mode="left")))
