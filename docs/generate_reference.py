@@ -35,7 +35,8 @@ INTRODUCTIONS = {
         "Parts file",
         "models/parts/drawer.yaml",
         "Shapes and handles of an object's parts. `micah-plan learn --parts` copies them into the model. They are for "
-        "drawing and for physics; planning does not look at the shapes.",
+        "drawing, for physics and for the clearances of a [robot](../concepts/robot.md); the plan of the object itself "
+        "does not look at the shapes.",
     ),
     "problem": (
         "Problem file",

@@ -71,6 +71,11 @@ class Arm:
         pin.forwardKinematics(self.model, self.data, q)
         return np.array(pin.updateFramePlacement(self.model, self.data, self.tool).homogeneous)
 
+    def joint_matrices(self, q: Floats) -> Floats:
+        """(n + 1, 4, 4) poses of the base frame and of the joints' frames, which carry the links, at q (n,) [m]."""
+        pin.forwardKinematics(self.model, self.data, q)
+        return np.stack([np.array(placement.homogeneous) for placement in self.data.oMi])
+
     def poses(self, q: ArrayLike) -> RigidTransform:
         """(k,) poses of the tool in the base frame at the configurations q (k, n)."""
         return RigidTransform.from_matrix(np.stack([self.matrix(row) for row in self.checked(q)]))

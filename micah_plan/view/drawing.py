@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 VIEW_ANGLE_DEG = 36.0
 _MARGIN = 1.08
+_HIDDEN_COST = 2.0
 _CURVE_POINTS = 49
 _ELEVATION = math.radians(28.0)
 _AZIMUTHS = np.radians(np.arange(-60, 300, 15))
@@ -108,16 +109,17 @@ def draw_ground(scene: Scene) -> float:
     return spacing
 
 
-def camera(scene: Scene, motion: Floats) -> dict[str, object]:
+def camera(scene: Scene, motion: Floats, blockers: Floats | None = None) -> dict[str, object]:
     """Position, target and clipping that show the whole scene, from where the motion spreads widest.
 
     Args:
         motion: (k, 3) points that the moving parts pass.
+        blockers: (b, 2, 3) lower and upper corners of boxes that should not stand before them [m].
     """
     lower, upper = scene.bounds()
     target = (lower + upper) / 2
     radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-3)
-    best = viewing_direction(motion, target, radius)
+    best = viewing_direction(motion, target, radius, blockers)
     distance = _distance_to_see(upper - target, best)
     position = target + distance * best
     return {
@@ -129,15 +131,28 @@ def camera(scene: Scene, motion: Floats) -> dict[str, object]:
     }
 
 
-def viewing_direction(motion: Floats, target: Floats, radius: float) -> Floats:
+def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: Floats | None = None) -> Floats:
     """(3,) unit vector from the target (3,) [m] towards a camera, a little above, that sees the motion (k, 3) best.
 
     Args:
         radius: of what the camera looks at [m].
+        blockers: as for `camera`.
     """
     level = math.cos(_ELEVATION) * np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], axis=1)
     toward = np.column_stack([level, np.full(len(level), math.sin(_ELEVATION))])
-    return np.asarray(toward[np.argmax([_view_quality(way, motion, target, radius) for way in toward])])
+    hidden = [_hidden_share(way, motion, blockers) for way in toward]
+    quality = [_view_quality(way, motion, target, radius) for way in toward]
+    return np.asarray(toward[np.argmax(np.array(quality) - _HIDDEN_COST * np.array(hidden))])
+
+
+def _hidden_share(way: Floats, motion: Floats, blockers: Floats | None) -> float:
+    """Share of the points (k, 3) that a camera in direction `way` does not see for the boxes (b, 2, 3)."""
+    if blockers is None or not len(blockers):
+        return 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (blockers[None] - motion[:, None, None]) / way  # (k, b, 2, 3): where the rays cross the boxes' planes
+    enter, leave = np.nanmax(ends.min(axis=2), axis=2), np.nanmin(ends.max(axis=2), axis=2)
+    return float(((leave > enter) & (leave > 0)).any(axis=1).mean())
 
 
 def _distance_to_see(half: Floats, way: Floats) -> float:

@@ -13,6 +13,7 @@ from micah_plan.automaton.part_poses import part_poses
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.start_state import start_mode
+from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
 from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners
 from micah_plan.view.model_page import (
@@ -68,13 +69,16 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     if plan.trajectory:
         _draw_belief(scene, problem, keys, sigmas, size)
         animate_ghosts(scene, automaton, keys, sigmas.ghosts, "spread", BELIEF)
+    if plan.trajectory and plan.arm:
+        draw_arm(scene, problem, plan.arm, _knot_times(plan.trajectory), keys.times)
+    draw_bodies(scene, problem.scene)
     spacing = draw_surroundings(scene, size)
     points = np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])
     goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), link.child) for link in automaton.links])
     document = Document(
         title=title,
         kind="plan",
-        camera=camera(scene, np.concatenate([points, goal_points])),
+        camera=camera(scene, np.concatenate([points, goal_points]), body_boxes(problem.scene)),
         badge=_BADGES[plan.outcome],
         message=plan.reason,
         chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
@@ -200,7 +204,7 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
     colors = mode_colors(problem.automaton)
     entries.append(LegendEntry(INK, "joint axes, and paths by mode:", "joints", "line"))
     entries += [LegendEntry(colors[mode.name], f"mode {mode.name}", shape="line") for mode in problem.automaton.modes]
-    return [*entries, *surroundings_legend(spacing)]
+    return [*entries, *arm_legend(plan, problem), *surroundings_legend(spacing)]
 
 
 def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
@@ -226,7 +230,7 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
         facts.append(("Cost", f"{plan.cost:.4g}"))
     if plan.trajectory is not None:
         facts.append(("Steps", str(int(step_times(plan.trajectory)[-1]))))
-    return [*facts, ("Seed", str(plan.seed))]
+    return [*facts, *arm_facts(plan), ("Seed", str(plan.seed))]
 
 
 def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:

@@ -1,0 +1,105 @@
+"""What surrounds an object on a page: the bodies of its scene, and the arm that holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.planning.plan import ArmTrajectory, Plan
+from micah_plan.planning.problem import Problem
+from micah_plan.scene.body import Body, Hull, Shape, corners, transform
+from micah_plan.view.document import LegendEntry
+from micah_plan.view.palette import MUTED
+from micah_plan.view.scene import Scene, slug
+from micah_plan.view.solids import Mesh
+from micah_plan.view.text import length
+
+Floats = NDArray[np.float64]
+
+SCENE_LAYER, ROBOT_LAYER = "scene", "robot"
+_RESERVED_POSES = 4
+_ROOM = 0.15
+
+
+def draw_bodies(scene: Scene, bodies: Sequence[Body]) -> None:
+    """The bodies of a problem's scene, where they stand; drawn last, for only what is near the rest must be seen."""
+    lower, upper = scene.bounds()
+    room = _ROOM * (upper - lower)
+    for number, body in enumerate(bodies):
+        path = f"{SCENE_LAYER}/{slug(body.name, number)}"
+        for i, shape in enumerate(body.shapes):
+            _draw(scene, f"{path}/{i}", shape)
+            scene.reserve(np.clip(body.pose.apply(corners(shape)), lower - room, upper + room))
+        scene.place(path, body.pose)
+
+
+def body_boxes(bodies: Sequence[Body]) -> Floats:
+    """(b, 2, 3) lower and upper corners of boxes around the bodies' shapes [m]."""
+    points = [body.pose.apply(corners(shape)) for body in bodies for shape in body.shapes]
+    return np.array([[p.min(axis=0), p.max(axis=0)] for p in points]).reshape(-1, 2, 3)
+
+
+def draw_arm(scene: Scene, problem: Problem, arm: ArmTrajectory, knot_times: Floats, times: Floats) -> None:
+    """The links of the arm, moving from knot to knot straight in the joints.
+
+    Args:
+        knot_times: (K,) of the plan's knots [s].
+        times: (k,) of the keyframes [s].
+
+    Raises:
+        InputError: if the robot's file cannot be used, for instance because its meshes are not where the plan is.
+    """
+    if problem.robot is None:
+        return
+    from micah_plan.robot.load_arm import load_arm
+    from micah_plan.robot.solids import link_shapes
+
+    model = load_arm(problem.robot)
+    q = np.stack([np.interp(times, knot_times, column) for column in arm.positions.T], axis=1)
+    poses = np.stack([model.joint_matrices(row) for row in q])
+    for number, (joint, shape) in enumerate(link_shapes(model)):
+        _draw(scene, f"{ROBOT_LAYER}/{joint}/{number}", shape)
+        for i in range(0, len(q), max(1, len(q) // _RESERVED_POSES)):
+            scene.reserve(RigidTransform.from_matrix(poses[i, joint]).apply(corners(shape)))
+    for joint in range(1, poses.shape[1]):
+        scene.animate(f"{ROBOT_LAYER}/{joint}", times, RigidTransform.from_matrix(poses[:, joint]))
+
+
+def arm_facts(plan: Plan) -> list[tuple[str, str]]:
+    """How much room the arm keeps."""
+    arm = plan.arm
+    if arm is None:
+        return []
+    facts = [("Least manipulability", f"{arm.manipulability.min():.3f}")]
+    if arm.least_clearance is not None:
+        facts.insert(0, ("Least clearance", f"{length(arm.least_clearance)}, {' to '.join(arm.closest_pair)}"))
+    return facts
+
+
+def arm_legend(plan: Plan, problem: Problem) -> list[LegendEntry]:
+    """Boxes to hide the scene and the arm."""
+    entries = [LegendEntry(problem.scene[0].shapes[0].color, "scene", SCENE_LAYER)] if problem.scene else []
+    if plan.arm is not None:
+        entries.append(LegendEntry(MUTED, "arm, as its clearances are computed", ROBOT_LAYER))
+    return entries
+
+
+def _draw(scene: Scene, path: str, shape: Shape) -> None:
+    if not isinstance(shape, Hull):
+        scene.primitive(path, shape)
+        return
+    points = np.array(shape.vertices)
+    hull = ConvexHull(points)
+    turned = np.einsum("ij,ij->i", _normals(points, hull.simplices), hull.equations[:, :3]) < 0
+    faces = np.where(turned[:, None], hull.simplices[:, ::-1], hull.simplices)  # seen from outside
+    scene.mesh(path, Mesh(points, faces.astype(np.int64)), shape.color)
+    scene.place(path, transform(shape.position, shape.quaternion))
+
+
+def _normals(points: Floats, faces: NDArray[np.int32]) -> Floats:
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    return np.asarray(np.cross(b - a, c - a))
