@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,14 +61,14 @@ def motions_of(automaton: HybridAutomaton, max_step: Floats, speed: Floats) -> d
     """The motions of each mode."""
     motions = {}
     for mode in automaton.modes:
-        guards = [edge.guard for edge in automaton.edges_from(mode.name) if not edge.is_self_transition]
-        motions[mode.name] = ModeMotion(mode.B, max_step, speed, tuple(_state_guards(guards)))
+        motions[mode.name] = ModeMotion(mode.B, max_step, speed, obstacles_on_state(automaton, mode.name))
     return motions
 
 
-def _state_guards(guards: Sequence[Region]) -> list[Region]:
-    """The guards that depend on x alone; others are avoided by the choice of the input."""
-    return [g for g in guards if g.half_spaces and not any(any(h.b) for h in g.half_spaces)]
+def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:
+    """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
+    guards = [edge.guard for edge in automaton.edges_from(mode) if not edge.is_self_transition]
+    return tuple(g for g in guards if g.half_spaces and not any(any(h.b) for h in g.half_spaces))
 
 
 def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:

@@ -8,16 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Edge, Mode
+from micah_plan.planning.bridge_samples import bridge_samples, in_any
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.polytope import Polytope, mode_states
+from micah_plan.planning.mode_motion import obstacles_on_state
+from micah_plan.planning.polytope import TOLERANCE, Polytope, mode_states
 from micah_plan.planning.problem import Problem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 # Share of sampled coordinates that take a value named in the problem or model: it connects modes that hold coordinates.
 _LANDMARK_SHARE = 0.3
 _FEWEST_GUARD_STATES = 4
+# Least share of samples_per_mode that are random states, however many states guards have.
+_FREE_SHARE = 0.5
+# Share of a mode's random states that come from bridges, where guards are in the way.
+_BRIDGE_SHARE = 0.5
+# Arrivals in modes that hold coordinates are carried on at most so often.
+_MOST_CARRIED = 200
 
 
 @dataclass(eq=False)
@@ -70,7 +79,12 @@ def sample_modes(problem: Problem, limits: Limits, start_mode: str, rng: np.rand
     goal_sets = {name: states for name in modes if not (states := goal_states(problem, limits, name)).is_empty}
     for name, states in goal_sets.items():
         mode = automaton.mode(name)
-        points = [states.nearest(target), *_draw(states, mode, landmarks, rng, _FEWEST_GUARD_STATES)]
+        fit = np.where(_held(mode), np.array(problem.start.mean), target)
+        points = [
+            states.nearest(target),
+            states.nearest(fit),
+            *_draw(states, mode, landmarks, rng, _FEWEST_GUARD_STATES),
+        ]
         for point in points:
             modes[name].add(point)
     exits = {
@@ -78,11 +92,19 @@ def sample_modes(problem: Problem, limits: Limits, start_mode: str, rng: np.rand
         for index, edge in enumerate(automaton.edges)
         if len(taken := _sample_guard(problem, limits, modes, edge, landmarks, target, rng))
     }
+    _carry_held(problem, limits, modes, goal_sets, exits, start_mode, target)
     for mode in automaton.modes:
         chosen = modes[mode.name]
-        missing = problem.settings.samples_per_mode - len(chosen.points)
-        if missing > 0 and not chosen.states.is_empty:
-            for point in _draw(chosen.states, mode, landmarks, rng, missing):
+        # Many guards must not leave the space between them without states.
+        wanted = problem.settings.samples_per_mode
+        missing = max(wanted - len(chosen.points), int(_FREE_SHARE * wanted))
+        if not chosen.states.is_empty:
+            obstacles = obstacles_on_state(automaton, mode.name)
+            # Only where more than one coordinate moves can there be a corridor.
+            is_wide = mode.B.any(axis=1).sum() > 1 and not _held(mode).any()
+            bridges = bridge_samples(chosen.states, obstacles, rng, int(_BRIDGE_SHARE * missing) if is_wide else 0)
+            random = _draw(chosen.states, mode, landmarks, rng, missing - len(bridges))
+            for point in (*bridges, *random[~in_any(obstacles, random, 0.0)]):
                 chosen.add(point)
     goals = {name: np.flatnonzero(states.contains(np.array(modes[name].points))) for name, states in goal_sets.items()}
     return Samples(modes, exits, start, goals)
@@ -122,9 +144,7 @@ def _sample_guard(
     before += list(_draw(states, automaton.mode(edge.source), landmarks, rng, count))
     pairs: dict[tuple[int, int], None] = {}
     for x in (_on_boundary(states, edge, x) for x in before):
-        after = edge.reset.apply(x, np.zeros(automaton.m))
-        for pin in automaton.mode(edge.target).pins:
-            after[pin.coordinate] = pin.value
+        after = _after(problem, edge, x)
         if modes[edge.target].states.contains(after):
             pairs[modes[edge.source].add(x), modes[edge.target].add(after)] = None
     return np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
@@ -144,6 +164,67 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
         if states.contains(x - shift):
             return np.asarray(np.clip(x - shift, states.lower, states.upper))
     return x
+
+
+def _carry_held(
+    problem: Problem,
+    limits: Limits,
+    modes: dict[str, ModeStates],
+    goal_sets: dict[str, Polytope],
+    exits: dict[int, Ints],
+    start_mode: str,
+    target: Floats,
+) -> None:
+    """Add the states to which arrivals in modes that hold coordinates can go on: to the goal, to guards, and beyond.
+
+    A mode that holds a coordinate wherever it was when it was entered connects only states with that same value.
+    """
+    automaton = problem.automaton
+    targets = {index: automaton.edges[index].target for index in exits}
+    arrivals = [(start_mode, modes[start_mode].points[0])]
+    arrivals += [(name, modes[name].points[k]) for index, name in targets.items() for k in exits[index][:, 1]]
+    for name, x in arrivals:
+        held = _held(automaton.mode(name))
+        if not held.any() or len(arrivals) > _MOST_CARRIED:
+            continue
+        if name in goal_sets and (there := _at(goal_sets[name], held, x)) is not None:
+            modes[name].add(there.nearest(target))
+        for index, edge in enumerate(automaton.edges):
+            if edge.source != name or edge.is_self_transition:
+                continue
+            if (there := _at(guard_states(problem, limits, edge), held, x)) is None:
+                continue
+            before = _on_boundary(there, edge, there.nearest(x))
+            after = _after(problem, edge, before)
+            if modes[edge.target].states.contains(after):
+                known = len(modes[edge.target].points)
+                pair = modes[name].add(before), modes[edge.target].add(after)
+                exits[index] = np.unique(np.vstack([exits.get(index, np.zeros((0, 2), dtype=np.int64)), pair]), axis=0)
+                if len(modes[edge.target].points) > known:
+                    arrivals.append((edge.target, after))
+
+
+def _at(states: Polytope, held: Booleans, x: Floats) -> Polytope | None:
+    """The part of a set in which the held coordinates are those of x; None if it is empty."""
+    for i in np.flatnonzero(held):
+        if not states.lower[i] - TOLERANCE <= x[i] <= states.upper[i] + TOLERANCE:
+            return None
+        states = states.fix(int(i), float(x[i]))
+    return None if states.is_empty else states
+
+
+def _held(mode: Mode) -> Booleans:
+    """(n,) the coordinates that a mode neither moves nor pins."""
+    pinned = np.isin(np.arange(len(mode.B)), [pin.coordinate for pin in mode.pins])
+    return np.asarray(~mode.B.any(axis=1) & ~pinned)
+
+
+def _after(problem: Problem, edge: Edge, x: Floats) -> Floats:
+    """(n,) the state behind an edge that is taken at x, in its target's pins."""
+    after = edge.reset.apply(x, np.zeros(problem.automaton.m))
+    for pin in problem.automaton.mode(edge.target).pins:
+        after[pin.coordinate] = pin.value
+    return after
 
 
 def _landmarks(problem: Problem) -> list[Floats]:
@@ -168,7 +249,7 @@ def _draw(states: Polytope, mode: Mode, landmarks: list[Floats], rng: np.random.
     random = states.sample(rng, count)
     named = np.stack([rng.choice(values, count) for values in landmarks], axis=1)
     pinned = np.isin(np.arange(states.n), [pin.coordinate for pin in mode.pins])
-    held = ~mode.B.any(axis=1) & ~pinned
+    held = _held(mode)
     mixed = (rng.random(random.shape) < _LANDMARK_SHARE) & ~pinned
     points = np.where(mixed | held, named, random)
     fits = states.contains(points)

@@ -147,6 +147,7 @@ def _solved(
 ) -> Plan:
     gains = belief_lqr(problem, limits, path.modes, path.is_transition)
     inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
+    inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver keeps bounds only to its tolerance
     trajectory = Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
     errors = [abs(float(path.means[-1, i]) - value) for i, value, _ in problem.goal.target]
     stds = [float(np.linalg.norm(path.factors[-1, i])) for i, _, _ in problem.goal.target]

@@ -1,0 +1,103 @@
+"""Bridge sampling: states in a narrow corridor, where uniform ones do not fall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_examples import planar_problem, with_settings
+from scipy.sparse.csgraph import connected_components
+
+from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning.bridge_samples import bridge_samples, in_any
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.mode_motion import motions_of, obstacles_on_state
+from micah_plan.planning.mode_search import _graph, search_modes
+from micah_plan.planning.polytope import mode_states
+from micah_plan.planning.problem import Problem, Start
+
+WIDTH, LENGTH, RISE = 0.03, 0.1, 0.12
+MIDDLE, TURN = np.array([-0.5, 0.1]), 0.3
+ALONG = np.array([np.cos(TURN), np.sin(TURN)])
+ACROSS = np.array([-ALONG[1], ALONG[0]])
+
+
+def half_space(a: np.ndarray, c: float, name: str) -> HalfSpace:
+    return HalfSpace((float(a[0]), float(a[1])), (0.0, 0.0), float(c), name=name)
+
+
+def zigzag(segments: int = 3) -> Problem:
+    """A wall between start and gate with a slit of many bends; touching the wall loses the point."""
+    problem = planar_problem(trap=False)
+    at, blocks = MIDDLE - ALONG * LENGTH * segments / 2, []
+    for k in range(segments):
+        to = at + ALONG * LENGTH + ACROSS * RISE * (1 if k % 2 else -1)
+        n = np.array([at[1] - to[1], to[0] - at[0]]) / np.linalg.norm(to - at)
+        band = half_space(ALONG, ALONG @ at, "begins"), half_space(-ALONG, -ALONG @ to, "ends")
+        for side in (1.0, -1.0):
+            wall = half_space(side * n, side * float(n @ at) + WIDTH / 2, "wall")
+            blocks.append(Edge("left", "lost", Region((*band, wall))))
+        at = to
+    automaton = replace(problem.automaton, edges=(*problem.automaton.edges, *blocks))
+    start = Start((-0.95, -0.2), (0.001, 0.001), "left")
+    return replace(problem, automaton=automaton, start=start)
+
+
+def is_connected(problem: Problem, points: np.ndarray) -> bool:
+    """Whether a roadmap over the start, a state behind the wall and these points joins the two."""
+    limits = limits_of(problem)
+    ends = np.array([[-0.95, -0.2], [-0.05, 0.6]])
+    motion = motions_of(problem.automaton, limits.max_step, limits.speed)["left"]
+    graph = _graph(np.vstack([ends, points]), limits.speed, motion)
+    labels = connected_components(graph)[1]
+    return bool(labels[0] == labels[1])
+
+
+def drawn(problem: Problem, seed: int, count: int, share: float) -> np.ndarray:
+    limits, rng = limits_of(problem), np.random.default_rng(seed)
+    states = mode_states(problem.automaton.mode("left"), limits.lower, limits.upper, limits.max_step)
+    bridges = bridge_samples(states, obstacles_on_state(problem.automaton, "left"), rng, int(share * count))
+    return np.vstack([bridges, states.sample(rng, count - len(bridges))])
+
+
+def test_a_corridor_that_uniform_states_do_not_connect() -> None:
+    problem = zigzag()
+    with_bridges = [is_connected(problem, drawn(problem, seed, 200, 0.5)) for seed in range(8)]
+    uniform = [is_connected(problem, drawn(problem, seed, 200, 0.0)) for seed in range(8)]
+    assert sum(with_bridges) >= 6
+    assert sum(uniform) <= 2
+
+
+def test_bridges_have_free_middles_close_to_what_they_bridge() -> None:
+    problem = zigzag()
+    limits = limits_of(problem)
+    states = mode_states(problem.automaton.mode("left"), limits.lower, limits.upper, limits.max_step)
+    obstacles = obstacles_on_state(problem.automaton, "left")
+    bridges = bridge_samples(states, obstacles, np.random.default_rng(0), 100)
+    assert len(bridges) == 100
+    assert states.contains(bridges).all()
+    assert not in_any(obstacles, bridges, 0.0).any()
+    uniform = states.sample(np.random.default_rng(0), 4000)
+    inside = np.abs((uniform - MIDDLE) @ ALONG) < 1.5 * LENGTH
+    corridor = (~in_any(obstacles, uniform, 0.0) & inside).mean()
+    bridged = (np.abs((bridges - MIDDLE) @ ALONG) < 1.5 * LENGTH).mean()
+    assert bridged > 8 * corridor
+
+
+def test_no_bridges_where_nothing_is_in_the_way() -> None:
+    problem = planar_problem(trap=False)
+    limits = limits_of(problem)
+    states = mode_states(problem.automaton.mode("right"), limits.lower, limits.upper, limits.max_step)
+    assert len(bridge_samples(states, (), np.random.default_rng(0), 10)) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_goes_through_the_bends(seed: int) -> None:
+    problem = with_settings(zigzag(), samples_per_mode=200)
+    (first, *_) = search_modes(problem, limits_of(problem), "left", seed).sequences
+    assert first.modes == ("left", "right")
+    path = first.waypoints[0]
+    inside = np.abs((path - MIDDLE) @ ALONG) < 1.5 * LENGTH
+    assert inside.sum() >= 2
