@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from micah_plan import __version__, summaries
+from micah_plan import cli_tables as tables
+from micah_plan.cli_tables import out
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 from micah_plan.outputs import FIGURE, MODEL, PAGE, PLAN, RUNS, Output, check_outputs
 
@@ -29,7 +29,6 @@ HONEST_NEGATIVE = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
 # Brackets are markup unless they are escaped.
-_LEARNED_COLUMNS = ("mode", "rows", "configuration", "axis", "radius\n\\[m]", "sure", "start\n95 %")
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
@@ -40,7 +39,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-out = Console(soft_wrap=True, highlight=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 
@@ -163,7 +161,7 @@ def learn(
         replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
     summary = summaries.learned(learned, seed)
     files = (output if learned.automaton is not None else None, figure, html)
-    _report(as_json, summary, lambda: _print_learned(learned, files))
+    _report(as_json, summary, lambda: tables.print_learned(learned, files))
     if learned.automaton is None:
         raise typer.Exit(HONEST_NEGATIVE)
 
@@ -206,7 +204,7 @@ def solve(
 
         save_figure(belief_figure(asked, plan), figure)
     written = (output, html, figure if plan.trajectory is not None else None)
-    _report(as_json, summaries.solved(plan), lambda: _print_solved(plan, asked, written))
+    _report(as_json, summaries.solved(plan), lambda: tables.print_solved(plan, asked, written))
     if plan.outcome != "solved":
         raise typer.Exit(HONEST_NEGATIVE)
 
@@ -222,7 +220,7 @@ def explain(
 
     stored = load_plan(plan)
     explanation = explained(stored.problem, stored.plan)
-    _report(as_json, summaries.explained(explanation), lambda: _print_lines(explanation.lines))
+    _report(as_json, summaries.explained(explanation), lambda: tables.print_lines(explanation.lines))
     if stored.plan.outcome != "solved":
         raise typer.Exit(HONEST_NEGATIVE)
 
@@ -256,7 +254,7 @@ def execute(
 
         save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
     summary = summaries.executed(statistics, time.perf_counter() - begin)
-    _report(as_json, summary, lambda: _print_executed(summary, (output, figure)))
+    _report(as_json, summary, lambda: tables.print_executed(summary, (output, figure)))
 
 
 @app.command()
@@ -276,7 +274,40 @@ def predict(
     except InputError as error:
         raise error.located(recording) from None
     summary = summaries.predicted(runs)
-    _report(as_json, summary, lambda: _print_predicted(summary))
+    _report(as_json, summary, lambda: tables.print_predicted(summary))
+
+
+@app.command()
+def calibrate(
+    model: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
+    output: OutputPath,
+    report: Annotated[Path | None, typer.Option(help="Write what was compared and found as a page.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
+    from micah_plan import workflow
+    from micah_plan.spec.model_file import dump_model, load_model
+
+    check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
+    automaton = load_model(model)
+    measured = workflow.read(recording, minimum_rows=2)
+    begin = time.perf_counter()
+    with _progress(as_json) as progress:
+        try:
+            found = workflow.calibrate(automaton, measured, progress=progress)
+        except InputError as error:
+            raise error.located(recording) from None
+    dump_model(found.automaton, output)
+    if report is not None:
+        from micah_plan.files import replace_file
+        from micah_plan.view.page import calibration_page
+
+        replace_file(report, calibration_page(found, title=recording.stem).encode())
+    summary = summaries.calibrated(found, time.perf_counter() - begin)
+    _report(as_json, summary, lambda: tables.print_calibrated(summary, (output, report)))
+    if found.verdict == "unexplained":
+        raise typer.Exit(HONEST_NEGATIVE)
 
 
 @app.command()
@@ -293,7 +324,7 @@ def show(
         kind, page = _page_of(file, progress)
     replace_file(output, page.encode())
     summary = {"kind": kind, "page": str(output), "bytes": len(page.encode())}
-    _report(as_json, summary, lambda: _print_files((output,)))
+    _report(as_json, summary, lambda: tables.print_files((output,)))
 
 
 def _page_of(file: Path, progress: Callable[[str, float], None]) -> tuple[str, str]:
@@ -332,68 +363,3 @@ def _report(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -
         print(json.dumps(summary, allow_nan=False))
     else:
         human()
-
-
-def _print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
-    for edge in learned.graph.edges:
-        table = Table(*_LEARNED_COLUMNS, box=SIMPLE, padding=(0, 1, 0, 0), title_justify="left")
-        table.title = f"{edge.child} relative to {edge.parent}"
-        for name in ("mode", "rows", "sure"):
-            table.columns[_LEARNED_COLUMNS.index(name)].no_wrap = True
-        for segment in edge.segments:
-            row = summaries.segment_row(segment)
-            table.add_row(*row)
-        out.print(table)
-        if edge.certainty is not None and edge.certainty.channel is not None:
-            out.print(summaries.channel_line(edge.certainty.channel), markup=False)
-    if learned.automaton is None:
-        out.print(f"no model: {learned.reason}", markup=False, style="yellow")
-    else:
-        out.print(f"learned {len(learned.automaton.modes)} mode(s) in {learned.seconds:.2f} s")
-    _print_files(files)
-
-
-def _print_solved(plan: Any, problem: Any, files: tuple[Path | None, ...]) -> None:
-    out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if plan.outcome == "solved" else "yellow")
-    if plan.outcome != "solved":
-        from micah_plan.planning.explain import explain as explained
-
-        _print_lines(explained(problem, plan).lines[1:])
-    if plan.trajectory is not None:
-        out.print(f"  modes                {' > '.join(plan.mode_sequence)}", markup=False)
-        out.print(f"  goal error, std      {plan.goal_error:.4g}, {plan.goal_std:.4g}")
-        low, high = plan.success_interval or (0.0, 1.0)
-        share = f"{plan.success_probability:.3f} ({low:.3f} to {high:.3f} with 95 %)"
-        out.print(f"  success probability  {share} of {plan.verification_trials} roll-outs")
-    out.print("  seconds              " + ", ".join(f"{k} {v:.2f}" for k, v in plan.timings.items()))
-    _print_files(files)
-
-
-def _print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
-    error = summary["final_error"]
-    out.print(f"{summary['successes']} of {summary['trials']} trials reached the goal")
-    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}")
-    for failure in summary["failures"]:
-        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
-    _print_files(files)
-
-
-def _print_predicted(summary: dict[str, Any]) -> None:
-    table = Table("", "position \\[m]", "rotation \\[rad]", "configuration", box=SIMPLE)
-    for name in ("one_step", "rollout"):
-        values = summary[name]
-        rotation = values["rotation_rmse_rad"]
-        shown = "not measured" if rotation is None else f"{rotation:.4g}"
-        table.add_row(name, f"{values['position_rmse_m']:.4g}", shown, f"{values['configuration_rmse']:.4g}")
-    out.print(table)
-
-
-def _print_lines(lines: tuple[str, ...]) -> None:
-    for line in lines:
-        out.print(line, markup=False)
-
-
-def _print_files(files: tuple[Path | None, ...]) -> None:
-    for path in files:
-        if path is not None:
-            out.print(f"wrote {path}", markup=False)

@@ -18,7 +18,9 @@ from micah_plan.planning.plan import Plan
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.planning.explain import Explanation
+    from micah_plan.residual.calibrate import Calibration, FoundEffect
     from micah_plan.residual.prediction import PredictionError, RunPrediction
+    from micah_plan.residual.trace import LaneTrace
     from micah_plan.workflow import Learned
 
 
@@ -217,6 +219,57 @@ def predicted(runs: Sequence[RunPrediction]) -> dict[str, Any]:
         "per_run": [
             {"run": run.run, "one_step": _rmse([run.one_step]), "rollout": _rmse([run.rollout])} for run in runs
         ],
+    }
+
+
+def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
+    """Keys of `calibrate`."""
+    return {
+        "verdict": found.verdict,
+        "effects": [_effect(effect) for effect in found.effects],
+        "residual": {
+            "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
+            "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
+            "noise_floor": found.noise_floor,
+        },
+        "unexplained_fraction": found.unexplained_fraction,
+        "coordinates": [_coordinate(one) for one in found.traces],
+        "notes": list(found.notes),
+        "next_experiment": found.experiment,
+        "seconds": seconds,
+    }
+
+
+def _effect(found: FoundEffect) -> dict[str, Any]:
+    effect = found.effect
+    names = [name for name, _ in effect.parameters]
+    return {
+        "name": effect.name,
+        "parameters": dict(effect.parameters) | dict(found.derived),
+        "units": dict(zip(names, found.units, strict=True)) | {name: "s" for name, _ in found.derived},
+        "evidence": found.evidence,
+        "interval_95": {name: list(pair) for name, pair in zip(names, found.interval, strict=True)},
+        "coordinate": effect.coordinate,
+        "modes": list(effect.modes),
+        "since": None if found.since is None else {"run": found.since[0], "time_s": found.since[1]},
+        "tied_with": list(found.tied),
+        "separating_experiment": found.experiment or None,
+        "sentence": found.sentence,
+        "source": found.source,
+    }
+
+
+def _coordinate(one: LaneTrace) -> dict[str, Any]:
+    return {
+        "name": one.lane.coordinate,
+        "unit": one.lane.unit,
+        "verdict": one.verdict,
+        "unexplained_fraction": one.unexplained_fraction,
+        "ranking": [
+            {"name": name, "evidence": evidence, "standard_error": error} for name, evidence, error in one.ranking
+        ],
+        "autocorrelation": one.correlation,
+        "whiteness_p": one.white_probability,
     }
 
 

@@ -26,6 +26,7 @@ from micah_plan.recording.value import Recording
 
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
+    from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
 
 Method = Literal["act-champ", "champ"]
@@ -204,3 +205,14 @@ def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPredic
     from micah_plan.residual.prediction import predict_recording
 
     return predict_recording(automaton, recording)
+
+
+def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Progress | None = None) -> Calibration:
+    """Find what a model lacks in measured motion, and the model with it.
+
+    Raises:
+        InputError: if the recording has no actions, too few rows or other parts than the model.
+    """
+    from micah_plan.residual.calibrate import calibrate as calibrated
+
+    return calibrated(automaton, recording, progress)

@@ -36,6 +36,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("view",),
     ("workflow",),
     ("summaries",),
+    ("cli_tables",),
     ("cli",),
     ("__main__",),
 )

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
+from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian, jacobian
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
@@ -29,6 +30,7 @@ class Track:
         x: (T, n) measured configuration, from the inverse kinematics of each link's moving joint.
         u: (T-1, m) commanded displacement of the configuration, from the actions by the inverse Jacobian; None if
             the recording has no actions.
+        action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
     """
 
     run: int
@@ -37,6 +39,7 @@ class Track:
     quaternion: Floats | None
     x: Floats
     u: Floats | None
+    action: Floats | None = None
 
 
 def moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
@@ -101,11 +104,25 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
     position = np.stack([r.position for r in relative], axis=1)
     quaternions = [r.quaternion for r in relative if r.quaternion is not None]
     quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
-    x = configurations(automaton, position, quaternion)
-    u = None
+    x = _read_by_sensors(automaton, configurations(automaton, position, quaternion), time)
+    u = actions = None
     if all(part.action is not None for part in by_link):
-        u = displacements(automaton, x, _relative_actions(automaton, by_link, relative, x))
-    return Track(run, time, position, quaternion, x, u)
+        actions = _relative_actions(automaton, by_link, relative, x)
+        u = displacements(automaton, x, actions)
+    return Track(run, time, position, quaternion, x, u, actions)
+
+
+def _read_by_sensors(automaton: HybridAutomaton, x: Floats, time: Floats) -> Floats:
+    """Configurations (T, n) of which the automaton's effects on sensors are taken out; they are affine."""
+    for effect in automaton.effects:
+        own = form(effect.name)
+        if own.layer == "sensor":
+            i = automaton.index(effect.coordinate)
+            since = time - time[:1]
+            zero = own.measured(np, 0.0 * since, since, effect.values)
+            slope = own.measured(np, 1.0 + 0.0 * since, since, effect.values) - zero
+            x[:, i] = (x[:, i] - zero) / slope
+    return x
 
 
 def _relative(parts: dict[str, Recording], link: Link) -> Recording:
@@ -173,6 +190,30 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
         raise InputError("actions can only be read by an automaton with one input per coordinate")
     u = np.zeros((len(action), automaton.m))
     for number, link in measuring_links(automaton):
-        joint = moving_joint(automaton, number)
-        u[:, link.coordinate] = inverse_jacobian(joint, x[: len(action), link.coordinate], action[:, number])
+        joint, c = moving_joint(automaton, number), x[: len(action), link.coordinate]
+        meant = _in_base_frame(automaton, link.coordinate, action[:, number])
+        along = inverse_jacobian(joint, c, meant)
+        u[:, link.coordinate] = _on_arc(joint, c, meant, along) if joint.kind in ("revolute", "screw") else along
     return u
+
+
+def _in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
+    """Actions (k, 3) of which the automaton's effects on their frame are taken out."""
+    for effect in automaton.effects:
+        if form(effect.name).layer == "frame" and automaton.index(effect.coordinate) == coordinate:
+            unit, a = np.eye(3), list(action.T)
+            action = np.stack([form(effect.name).frame_command(np, a, list(e), effect.values) for e in unit], axis=1)
+    return action
+
+
+def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:
+    """u (k,) of actions that may be chords f(c + u) - f(c) as well as tangents J u: whichever fits each one better.
+
+    Over a large step the two differ: the tangent of an angle's chord is its sine.
+    """
+    start = forward(joint, c)
+    arc = inverse(joint, start.translation + action, near=c) - c
+    chord = forward(joint, c + arc).translation - start.translation
+    tangent = jacobian(joint, c)[:, 3:] * along[:, None]
+    fits = np.linalg.norm(chord - action, axis=1) < np.linalg.norm(tangent - action, axis=1)
+    return np.asarray(np.where(fits & np.isfinite(arc), arc, along))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.ranges import coordinate_ranges
@@ -80,11 +81,13 @@ def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
     belief = _first_belief(automaton, track)
     names = [mode.name for mode in automaton.modes]
     predicted, modes = [], []
+    channel = InputChannel(automaton)
     for k in range(len(u)):
-        reached = step(automaton, names[belief.most_likely], track.x[k], u[k])
+        passed = channel.pass_on(u[k], names[belief.most_likely])
+        reached = step(automaton, names[belief.most_likely], track.x[k], passed)
         predicted.append(reached.x)
         modes.append(reached.mode)
-        belief = update(automaton, predict(automaton, belief, u[k]), track.x[k + 1])
+        belief = update(automaton, predict(automaton, belief, passed), track.x[k + 1])
     return _error(automaton, track, np.array(predicted), tuple(modes))
 
 
@@ -92,8 +95,9 @@ def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
     belief = _first_belief(automaton, track)
     mode, x = automaton.modes[belief.most_likely].name, track.x[0]
     predicted, modes = [], []
+    channel = InputChannel(automaton)
     for u in _inputs(track):
-        reached = step(automaton, mode, x, u)
+        reached = step(automaton, mode, x, channel.pass_on(u, mode))
         mode, x = reached.mode, reached.x
         predicted.append(x)
         modes.append(mode)

@@ -34,7 +34,7 @@ SAMPLES = {
     "spring": (0.1, 0.2, 0.5),
     "gravity": (0.02, -0.01),
     "latch": (0.03, 0.5, 0.1),
-    "unexplained": (0.0, 1.0, 0.1, 0.2, 0.01, *np.linspace(-0.02, 0.02, 12), *np.linspace(-0.1, 0.1, 12)),
+    "unexplained": (0.0, 1.0, 0.1, 0.2, 0.1, 0.01, *np.linspace(-0.02, 0.02, 12), *np.linspace(-0.1, 0.1, 12)),
     "delay": (1.5,),
     "lag": (2.0,),
     "backlash": (0.03, 1.0),

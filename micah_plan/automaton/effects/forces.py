@@ -62,8 +62,8 @@ SMOOTH_BUMPS = 12
 class Unexplained(EffectForm):
     """A smooth correction without a name: bumps over the configuration, alone and times the command.
 
-    Parameters: `low` end and `width` of the range, `scale` of a command, `square` and `side` (factors of v |v| / scale
-    and of tanh(v / scale)), then `push_1..` and `gain_1..` of the bumps.
+    Parameters: `low` end and `width` of the range, `scale` of a command, `square`, `size` and `side` (factors of
+    v |v| / scale, |v| and tanh(v / scale)), then `push_1..` and `gain_1..` of the bumps.
     """
 
     name, layer = "unexplained", "force"
@@ -74,6 +74,7 @@ class Unexplained(EffectForm):
         Parameter("width", "coordinate", None, 1e-9),
         Parameter("scale", "coordinate", None, 1e-12),
         Parameter("square", "1", 0.0),
+        Parameter("size", "1", 0.0),
         Parameter("side", "coordinate", 0.0),
         *(Parameter(f"push_{k + 1}", "coordinate", 0.0) for k in range(SMOOTH_BUMPS)),
         *(Parameter(f"gain_{k + 1}", "1", 0.0) for k in range(SMOOTH_BUMPS)),
@@ -83,11 +84,11 @@ class Unexplained(EffectForm):
         low, width, scale = p[0], p[1], p[2]
         size = v / scale
         side = 1.0 - 2.0 / (1.0 + ops.exp(ops.minimum(ops.maximum(2.0 * size, -40.0), 40.0)))
-        added = p[3] * v * ops.abs(size) + p[4] * side
+        added = p[3] * v * ops.abs(size) + p[4] * ops.abs(v) + p[5] * side
         spacing = width / (SMOOTH_BUMPS - 1)
         inside = ops.minimum(ops.maximum(c, low), low + width)
         for k in range(SMOOTH_BUMPS):
             x = (inside - low - k * spacing) / spacing
             bump = ops.exp(-0.5 * x * x)
-            added = added + bump * (p[5 + k] + p[5 + SMOOTH_BUMPS + k] * v)
+            added = added + bump * (p[6 + k] + p[6 + SMOOTH_BUMPS + k] * v)
         return added

@@ -1,0 +1,110 @@
+"""What commands print for people: tables and lines of their summaries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from micah_plan import summaries
+
+_LEARNED_COLUMNS = ("mode", "rows", "configuration", "axis", "radius\n\\[m]", "sure", "start\n95 %")
+
+out = Console(soft_wrap=True, highlight=False)
+
+
+def print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:
+    """Table of the segments of every edge."""
+    for edge in learned.graph.edges:
+        table = Table(*_LEARNED_COLUMNS, box=SIMPLE, padding=(0, 1, 0, 0), title_justify="left")
+        table.title = f"{edge.child} relative to {edge.parent}"
+        for name in ("mode", "rows", "sure"):
+            table.columns[_LEARNED_COLUMNS.index(name)].no_wrap = True
+        for segment in edge.segments:
+            row = summaries.segment_row(segment)
+            table.add_row(*row)
+        out.print(table)
+        if edge.certainty is not None and edge.certainty.channel is not None:
+            out.print(summaries.channel_line(edge.certainty.channel), markup=False)
+    if learned.automaton is None:
+        out.print(f"no model: {learned.reason}", markup=False, style="yellow")
+    else:
+        out.print(f"learned {len(learned.automaton.modes)} mode(s) in {learned.seconds:.2f} s")
+    print_files(files)
+
+
+def print_solved(plan: Any, problem: Any, files: tuple[Path | None, ...]) -> None:
+    """Outcome and figures of a plan."""
+    out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if plan.outcome == "solved" else "yellow")
+    if plan.outcome != "solved":
+        from micah_plan.planning.explain import explain as explained
+
+        print_lines(explained(problem, plan).lines[1:])
+    if plan.trajectory is not None:
+        out.print(f"  modes                {' > '.join(plan.mode_sequence)}", markup=False)
+        out.print(f"  goal error, std      {plan.goal_error:.4g}, {plan.goal_std:.4g}")
+        low, high = plan.success_interval or (0.0, 1.0)
+        share = f"{plan.success_probability:.3f} ({low:.3f} to {high:.3f} with 95 %)"
+        out.print(f"  success probability  {share} of {plan.verification_trials} roll-outs")
+    out.print("  seconds              " + ", ".join(f"{k} {v:.2f}" for k, v in plan.timings.items()))
+    print_files(files)
+
+
+def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
+    """Successes and errors of trials."""
+    error = summary["final_error"]
+    out.print(f"{summary['successes']} of {summary['trials']} trials reached the goal")
+    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}")
+    for failure in summary["failures"]:
+        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
+    print_files(files)
+
+
+def print_predicted(summary: dict[str, Any]) -> None:
+    """Errors of both predictions."""
+    table = Table("", "position \\[m]", "rotation \\[rad]", "configuration", box=SIMPLE)
+    for name in ("one_step", "rollout"):
+        values = summary[name]
+        rotation = values["rotation_rmse_rad"]
+        shown = "not measured" if rotation is None else f"{rotation:.4g}"
+        table.add_row(name, f"{values['position_rmse_m']:.4g}", shown, f"{values['configuration_rmse']:.4g}")
+    out.print(table)
+
+
+def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
+    """Verdict, effects and errors of a calibration."""
+    table = Table("effect", "parameters", "evidence \\[nats]", "tied with", box=SIMPLE)
+    for effect in summary["effects"]:
+        units, where = effect["units"], effect["coordinate"]
+        values = ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in effect["parameters"].items())
+        table.add_row(
+            f"{effect['name']} ({where})", values, f"{effect['evidence']:.1f}", ", ".join(effect["tied_with"])
+        )
+    out.print(f"verdict: {summary['verdict']}", markup=False)
+    if summary["effects"]:
+        out.print(table)
+    residual = summary["residual"]
+    for name, text in (("one_step_rmse", "one step"), ("rollout_rmse", "roll-out")):
+        out.print(f"  {text:9} {residual['before'][name]:.4g} before, {residual['after'][name]:.4g} after")
+    out.print(f"  noise     {residual['noise_floor']:.4g} (one step)")
+    out.print(f"  left unexplained: {100 * summary['unexplained_fraction']:.0f} %", markup=False)
+    for note in summary["notes"]:
+        out.print(f"  note: {note}", markup=False)
+    out.print(f"  next: {summary['next_experiment']}", markup=False)
+    print_files(files)
+
+
+def print_lines(lines: tuple[str, ...]) -> None:
+    """Lines as they are."""
+    for line in lines:
+        out.print(line, markup=False)
+
+
+def print_files(files: tuple[Path | None, ...]) -> None:
+    """What was written."""
+    for path in files:
+        if path is not None:
+            out.print(f"wrote {path}", markup=False)

@@ -1,0 +1,272 @@
+"""Measured against predicted, what the model lacks, and the model with it: the result of a calibration as one value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.tracks import tracks
+from micah_plan.errors import InputError
+from micah_plan.recording.value import Recording
+from micah_plan.residual import experiments
+from micah_plan.residual.candidates import Candidate
+from micah_plan.residual.geometry import geometry_findings
+from micah_plan.residual.lane import ENOUGH_RUNS, Lane, lanes
+from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.simulation import GATES, Kind
+from micah_plan.residual.trace import Finding, LaneTrace, trace
+from micah_plan.residual.verdict import Verdict, overall
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FEWEST_ROWS = 8
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffect:
+    """An effect that was found, with what is known of it.
+
+    Attributes:
+        effect: what the new automaton has.
+        units: of its parameters.
+        interval: (low, high) of each parameter at 95 %; low = high for one that was not fitted.
+        evidence: what held-out predictions lose without it [nats].
+        tied: other effects that would do as well.
+        since: (run, time in it [s]) from which on it was seen; None: from the start.
+        derived: (name, value) of parameters in other units: times in s of those in steps.
+        sentence, source: of its form.
+        experiment: what would tell it from those it is tied with; empty if there are none.
+    """
+
+    effect: Effect
+    units: tuple[str, ...]
+    interval: tuple[tuple[float, float], ...]
+    evidence: float
+    tied: tuple[str, ...]
+    since: tuple[int, float] | None
+    derived: tuple[tuple[str, float], ...]
+    sentence: str
+    source: str
+    experiment: str
+
+
+@dataclass(frozen=True)
+class ResidualSize:
+    """Root mean square errors over held-out rows: of the configuration [rad or m]; of positions [m] for geometry."""
+
+    one_step: float
+    rollout: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        automaton: the new one; the old one if nothing was found.
+        effects: strongest first.
+        before, after: errors on runs or stretches that the parameters were not fitted to.
+        noise_floor: one-step error that noise alone would leave [rad or m].
+        unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
+        traces: per coordinate.
+        notes: what can and cannot be concluded, one sentence each.
+        experiment: the next one worth making.
+    """
+
+    automaton: HybridAutomaton
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    before: ResidualSize
+    after: ResidualSize
+    noise_floor: float
+    unexplained_fraction: float
+    traces: tuple[LaneTrace, ...]
+    notes: tuple[str, ...]
+    experiment: str
+
+
+def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
+    """Find what a model lacks in a recording of measured motion.
+
+    Raises:
+        InputError: if the recording has no actions, too few rows, or other parts than the model.
+    """
+    if not recording.has_actions:
+        raise InputError(
+            "expected actions, found no columns ax, ay, az",
+            remedy="record the commanded displacements to calibrate a model",
+        )
+    geometry = geometry_findings(automaton, tracks(automaton, recording))
+    corrected = automaton.with_effect(*(found.effect for found in geometry))
+    measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
+    if sum(len(track.time) for track in measured) < FEWEST_ROWS:
+        raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
+    able = lanes(corrected, measured)
+    if not able:
+        raise InputError("no mode of the model moves anything", remedy="take a model with a joint that moves")
+    traces = tuple(
+        trace(lane, _shared(progress, number, len(able)) if progress else None) for number, lane in enumerate(able)
+    )
+    found = [_geometry_effect(own.effect, own.std, own.evidence) for own in geometry]
+    for one in traces:
+        found += [_found(one.lane, finding) for finding in one.findings]
+    found.sort(key=lambda effect: -effect.evidence)
+    improved = corrected.with_effect(*_to_add(traces))
+    before, after = _size(traces, is_final=False), _size(traces, is_final=True)
+    if geometry:
+        before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
+    answer = overall([one.verdict for one in traces] + (["explained"] if geometry else []))
+    return Calibration(
+        automaton=improved,
+        verdict=answer,
+        effects=tuple(found),
+        before=before,
+        after=after,
+        noise_floor=_together([one.search.noise_floor(one.final) for one in traces], traces),
+        unexplained_fraction=max((one.unexplained_fraction for one in traces), default=0.0),
+        traces=traces,
+        notes=_notes(traces),
+        experiment=_next_experiment(found, traces),
+    )
+
+
+def _shared(progress: Progress, number: int, count: int) -> Progress:
+    return lambda message, fraction: progress(message, (number + fraction) / count)
+
+
+def _found(lane: Lane, finding: Finding) -> FoundEffect:
+    own = finding.part.term.form
+    values = finding.part.starts[0]
+    names = [parameter.name for parameter in own.parameters]
+    reach = float(norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    count = len(names)
+    interval = tuple(
+        (float(v - reach * s), float(v + reach * s)) for v, s in zip(values[:count], finding.std[:count], strict=True)
+    )
+    effect = effect_of(lane, finding.part, finding.std)
+    return FoundEffect(
+        effect=effect,
+        units=tuple(parameter.unit_for(lane.unit) for parameter in own.parameters),
+        interval=interval,
+        evidence=finding.evidence,
+        tied=finding.tied,
+        since=_since(lane, values),
+        derived=tuple(
+            ("seconds", value * lane.period)
+            for value, parameter in zip(effect.values, own.parameters, strict=True)
+            if parameter.unit == "step"
+        ),
+        sentence=own.sentence,
+        source=own.source,
+        experiment=experiments.separating(own.name, finding.tied[0]) if finding.tied else "",
+    )
+
+
+def _geometry_effect(effect: Effect, std: Sequence[float], evidence: float) -> FoundEffect:
+    own = form(effect.name)
+    reach = float(norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
+    units = tuple(parameter.unit for parameter in own.parameters)
+    return FoundEffect(effect, units, interval, evidence, (), None, (), own.sentence, own.source, "")
+
+
+def effect_of(lane: Lane, part: Candidate, std: Floats | None = None) -> Effect:
+    """The value that an automaton takes in of a fitted candidate."""
+    own = part.term.form
+    count = len(own.parameters)
+    values = [
+        float(np.clip(value, parameter.lower, parameter.upper))
+        for value, parameter in zip(part.starts[0, :count], own.parameters, strict=True)
+    ]
+    pairs = tuple(zip([parameter.name for parameter in own.parameters], values, strict=True))
+    since = _since(lane, part.starts[0])
+    note = "" if since is None else f"seen from run {since[0]}, {since[1]:.3g} s on"
+    spread = () if std is None else tuple(float(s) for s in std[:count])
+    return Effect(own.name, lane.coordinate, pairs, spread, part.term.modes, note)
+
+
+def _since(lane: Lane, values: Floats) -> tuple[int, float] | None:
+    order, time = values[-GATES:]
+    if np.isfinite(time):
+        return int(lane.run[0]), float(time)
+    if not np.isfinite(order):
+        return None
+    later = np.argwhere(lane.counted_starts & (lane.order >= order))
+    s, t = later[np.argmin(lane.order[later[:, 0], later[:, 1]])]
+    return int(lane.run[s]), float(lane.time[s, t])
+
+
+def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:
+    effects = []
+    for one in traces:
+        stds = {id(finding.part): finding.std for finding in one.findings}
+        known = {finding.part.name: finding for finding in one.findings}
+        for part in one.final.parts:
+            finding = known.get(part.name)
+            effects.append(effect_of(one.lane, part, stds[id(finding.part)] if finding is not None else None))
+    return effects
+
+
+def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
+    def size(kind: Kind) -> float:
+        errors = [one.search.errors(one.final if is_final else one.nominal, kind)[one.lane.counted] for one in traces]
+        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+    return ResidualSize(size("one_step"), size("rollout"))
+
+
+def _pose_size(automaton: HybridAutomaton, recording: Recording) -> ResidualSize:
+    """Position errors [m]: what a change of geometry does is not seen in configurations."""
+    runs = predict_recording(automaton, recording)
+    return ResidualSize(rmse([run.one_step.position for run in runs]), rmse([run.rollout.position for run in runs]))
+
+
+def _together(sizes: Sequence[float], traces: Sequence[LaneTrace]) -> float:
+    rows = [int(one.lane.counted.sum()) for one in traces]
+    return float(np.sqrt(np.average(np.square(sizes), weights=rows)))
+
+
+def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
+    notes = []
+    for one in traces:
+        lane, name = one.lane, one.lane.coordinate
+        runs = len(np.unique(lane.run))
+        if runs < ENOUGH_RUNS:
+            which = "one run" if runs == 1 else f"{runs} runs"
+            notes.append(f"{name}: {which} only; stretches were held out, so what differs from run to run is unknown")
+        u = lane.u[lane.counted_starts]
+        moving = u[np.abs(u) > 0.05 * lane.command_size]
+        if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
+            notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
+        if int(lane.counted.sum()) < 40:
+            notes.append(f"{name}: {int(lane.counted.sum())} steps only; smaller effects cannot be told from noise")
+        low, high = lane.visited
+        if low > lane.upper or high < lane.lower:
+            notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
+        if abs(one.correlation) > 0.25:
+            notes.append(f"{name}: what remains is correlated in time ({one.correlation:.2f} from step to step)")
+    return tuple(notes)
+
+
+def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) -> str:
+    for effect in found:
+        if effect.experiment:
+            return effect.experiment
+    for one in traces:
+        if one.verdict in ("partly", "unexplained"):
+            low, high = one.lane.visited
+            return experiments.for_unexplained(f"between {low:.3g} and {high:.3g} {one.lane.unit}")
+    if found:
+        return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
+    lane = traces[0].lane
+    low, high = lane.visited
+    return experiments.for_nothing(lane.rows, high - low, lane.unit)

@@ -1,0 +1,211 @@
+"""Where the search for each form of effect starts on a lane, and which forms the lane can show at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
+from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.automaton.effects.registry import form, forms
+from micah_plan.residual.lane import Lane
+from micah_plan.residual.simulation import GATES, Term
+
+Floats = NDArray[np.float64]
+
+# A share of the action across the joint below this says nothing of its frame.
+_ACROSS = 0.1
+# A threshold that lies further away than this share of the range is no shifted one but another stop.
+_LARGEST_SHIFT = 0.15
+_NEVER_GATED = (-np.inf,) * GATES
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A term with starts for its parameters.
+
+    Attributes:
+        starts: (M, size) parameters with gates; those that are not free differ between starts only.
+        free: columns within the term that are fitted.
+        scale: (k,) what a large value of each of those is.
+        bounds: (lower, upper) of columns that the lane bounds more than the form does: beyond them it would be another
+            effect (a spring whose rest position is far away is a bias).
+    """
+
+    term: Term
+    starts: Floats
+    free: tuple[int, ...]
+    scale: Floats
+    bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.term.form.name
+
+
+def candidates(lane: Lane) -> tuple[Candidate, ...]:
+    """All forms that the lane can show, each acting always and everywhere."""
+    found = []
+    for own in forms():
+        if own.name == "unexplained" or own.layer == "geometry":
+            continue
+        made = _STARTS[own.name](lane) if own.name in _STARTS else _plain(own, lane)
+        if made is not None:
+            starts, free, scale = made
+            full = np.hstack([np.atleast_2d(starts), np.tile(_NEVER_GATED, (len(np.atleast_2d(starts)), 1))])
+            bounds = _bounds(own.name, lane)
+            found.append(Candidate(Term(own), full, free, np.asarray(scale, dtype=float), bounds))
+    return tuple(found)
+
+
+def smooth(lane: Lane, looseness: float = 1.0) -> Candidate:
+    """The correction without a name: a smooth function of configuration, direction and speed of the command."""
+    low, high = lane.visited
+    margin = 0.02 * (high - low) + 1e-6
+    size = lane.command_size
+    start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *_NEVER_GATED]
+    free = tuple(range(3, 6 + 2 * SMOOTH_BUMPS))
+    scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
+    return Candidate(Term(form("unexplained")), np.array([start]), free, looseness * np.array(scale))
+
+
+def _bounds(name: str, lane: Lane) -> dict[int, tuple[float, float]]:
+    low, high = lane.visited
+    width = high - low + 1e-6
+    if name == "guard_shift":
+        return {0: (-_LARGEST_SHIFT * width, _LARGEST_SHIFT * width)}
+    if name == "spring":
+        return {1: (low - width, high + width)}
+    if name == "latch":
+        return {1: (low, high), 2: (0.01 * width, 0.25 * width)}
+    return {}
+
+
+_Made = tuple[Floats, tuple[int, ...], list[float]] | None
+
+
+def _plain(own: EffectForm, lane: Lane) -> _Made:
+    """Start of a form that nothing special is known of: neutral, or the middle of its bounds."""
+    start, scale = [], []
+    for parameter in own.parameters:
+        large = lane.command_size if parameter.unit.startswith("coordinate") else 0.3
+        low, high = max(parameter.lower, -large), min(parameter.upper, large)
+        start.append(parameter.neutral if parameter.neutral is not None else 0.5 * (low + high))
+        scale.append(large)
+    return np.array([start]), tuple(range(len(start))), scale
+
+
+def _drift(lane: Lane) -> _Made:
+    return np.array([[0.0]]), (0,), [0.3 * lane.command_size / lane.period]
+
+
+def _frame_rotation(lane: Lane) -> _Made:
+    """Only where actions have a share across the joint; else a turned frame is a gain."""
+    if lane.action is None or lane.direction is None:
+        return None
+    along = (lane.action * lane.direction).sum(axis=2) ** 2 / np.maximum((lane.direction**2).sum(axis=2), 1e-12)
+    total = (lane.action**2).sum()
+    if total <= 0 or np.sqrt(max(total - along.sum(), 0.0) / total) < _ACROSS:
+        return None
+    turns = np.vstack([np.zeros(3), 0.5 * np.eye(3), -0.5 * np.eye(3)])
+    return turns, (0, 1, 2), [0.3] * 3
+
+
+def _delay(_: Lane) -> _Made:
+    return np.array([[0.4], [1.0], [2.0], [3.5], [6.0]]), (0,), [1.0]
+
+
+def _lag(_: Lane) -> _Made:
+    return np.array([[0.3], [0.8], [2.0], [5.0]]), (0,), [1.0]
+
+
+def _quantiles(lane: Lane, *shares: float) -> list[float]:
+    sizes = np.abs(lane.u[lane.counted_starts])
+    sizes = sizes[sizes > 1e-3 * lane.command_size]
+    return [float(q) for q in np.quantile(sizes, shares)] if sizes.size else []
+
+
+def _saturation(lane: Lane) -> _Made:
+    at = _quantiles(lane, 0.3, 0.6, 0.85)
+    return (np.array([[q] for q in at]), (0,), [0.3 * lane.command_size]) if at else None
+
+
+def _dead_zone(lane: Lane) -> _Made:
+    at = _quantiles(lane, 0.03, 0.1, 0.25, 0.45, 0.7)
+    starts = [[q, lost] for q in at for lost in (0.0, 1.0)]
+    return (np.array(starts), (0,), [0.2 * lane.command_size]) if at else None
+
+
+def _backlash(lane: Lane) -> _Made:
+    """Only where the command changes its direction, or the first steps may have been lost."""
+    size = lane.command_size
+    starts = [[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)]
+    return np.array(starts), (0,), [0.5 * size]
+
+
+def _spring(lane: Lane) -> _Made:
+    low, high = lane.visited
+    rests = (low, 0.5 * (low + high), high)
+    starts = [[stiffness, rest, ahead] for rest in rests for stiffness in (0.05,) for ahead in (0.0, 1.0)]
+    starts += [[-0.05, 0.5 * (low + high), 0.0]]
+    return np.array(starts), (0, 1), [0.1, 0.5 * (high - low) + 1e-6]
+
+
+def _gravity(lane: Lane) -> _Made:
+    if lane.unit != "rad":
+        return None  # along a slide gravity is a bias
+    return np.array([[0.0, 0.0]]), (0, 1), [0.3 * lane.command_size] * 2
+
+
+def _latch(lane: Lane) -> _Made:
+    low, high = lane.visited
+    reach = 0.08 * (high - low) + 1e-6
+    places = np.linspace(low, high, 7)
+    size = lane.command_size
+    return np.array([[0.3 * size, at, reach] for at in places]), (0, 1, 2), [0.3 * size, reach, reach]
+
+
+def _limit(lane: Lane) -> _Made:
+    low, high = lane.visited
+    starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95)]
+    starts += [[low + share * (high - low), -1.0] for share in (0.05, 0.2, 0.4, 0.6)]
+    return np.array(starts), (0,), [0.1 * (high - low) + 1e-6]
+
+
+def _guard_shift(lane: Lane) -> _Made:
+    low, high = lane.visited
+    width = high - low + 1e-6
+    starts = []
+    for end, side, seen in ((lane.lower, -1.0, low), (lane.upper, 1.0, high)):
+        if np.isfinite(end):
+            starts += [[seen - end, side], [0.05 * width, side], [-0.05 * width, side]]
+    return (np.array(starts), (0,), [0.05 * width]) if starts else None
+
+
+def _guard_hysteresis(lane: Lane) -> _Made:
+    """Only where a mode holds the coordinate at an end and the recording gets there."""
+    low, high = lane.visited
+    reach = 0.05 * (high - low)
+    seen = (lane.holds[0] and low < lane.lower + reach) or (lane.holds[1] and high > lane.upper - reach)
+    at = _quantiles(lane, 0.3, 0.7, 0.95) if seen else []
+    return (np.array([[q] for q in at]), (0,), [0.3 * lane.command_size]) if at else None
+
+
+_STARTS = {
+    "drift": _drift,
+    "frame_rotation": _frame_rotation,
+    "delay": _delay,
+    "lag": _lag,
+    "saturation": _saturation,
+    "dead_zone": _dead_zone,
+    "backlash": _backlash,
+    "spring": _spring,
+    "gravity": _gravity,
+    "latch": _latch,
+    "limit": _limit,
+    "guard_shift": _guard_shift,
+    "guard_hysteresis": _guard_hysteresis,
+}

@@ -1,0 +1,230 @@
+"""Parameters of models by maximum likelihood: many starts and training sets at once, one simulation per iteration.
+
+Gauss-Newton on the whitened innovations with a compass search beside it, which also works where a formula has kinks
+or plateaus (thresholds). The share of process noise is searched along with the parameters.
+
+Sources: Ljung, System Identification, 2nd ed., ch. 7 and 10 (prediction error method, Gauss-Newton); Kolda, Lewis and
+Torczon, SIAM Review 2003 (compass search).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.residual.lane import Lane
+from micah_plan.residual.likelihood import Fitness, fitness, log_density
+from micah_plan.residual.simulation import Kind, Model, columns, simulate
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+# Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
+_SHARE_STEP = 1.0
+_SHARE_BOUND = 5.0
+_LINE = (1.0, 0.4, 0.1)
+_SMALLEST_STEP = 2e-3
+_DERIVATIVE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A model to be fitted to a lane.
+
+    Attributes:
+        free: columns of the parameters that are fitted.
+        scale: (k,) what a large value of each free parameter is; their prior std is this times `looseness`.
+        center: (k,) where the prior is centred.
+        lower, upper: (k,) bounds.
+        looseness: of the prior; infinite for none.
+    """
+
+    lane: Lane
+    model: Model
+    free: Ints
+    scale: Floats
+    center: Floats
+    lower: Floats
+    upper: Floats
+    looseness: float
+    freedom: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """M fits.
+
+    Attributes:
+        parameters: (M, columns) and share: (M,) of process noise on the logistic scale.
+        loss: (M,) negative log likelihood with the prior [nats]; scale: (M,) of the noise.
+        information: (M, k, k) of the free parameters.
+    """
+
+    parameters: Floats
+    share: Floats
+    loss: Floats
+    scale: Floats
+    information: Floats
+
+    def best(self) -> Fit:
+        """The one with the smallest loss."""
+        i = [int(np.argmin(self.loss))]
+        return Fit(self.parameters[i], self.share[i], self.loss[i], self.scale[i], self.information[i])
+
+
+def optimise(problem: Problem, start: Floats, share: Floats, trained: Booleans, rounds: int) -> Fit:
+    """Improve M starts, each on its own training rows.
+
+    Args:
+        start: (M, columns); share: (M,) logistic share of process noise; trained: (M, S) stretches to fit.
+    """
+    state = _State(problem, start.copy(), share.copy(), trained)
+    for _ in range(rounds):
+        if not state.improve():
+            break
+    return Fit(state.x, state.share, state.loss, state.scale, state.information())
+
+
+def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
+    """(M, S) log predictive density per stretch under each fit, and (M, S, T) errors [nats, rad or m]."""
+    prediction = simulate(problem.lane, problem.model, fit.parameters, _logistic(fit.share), kind)
+    density = log_density(prediction, fit.scale, problem.freedom) * problem.lane.counted
+    return np.asarray(density.sum(axis=2)), prediction.error
+
+
+def measurement_share(share: Floats) -> Floats:
+    """Variance of the measurement noise in units of the noise scale, of logistic shares of process noise."""
+    return np.asarray(1.0 - _logistic(share))
+
+
+def _logistic(value: Floats) -> Floats:
+    return np.asarray(1.0 / (1.0 + np.exp(-value)))
+
+
+class _State:
+    """Where the search is: parameters, steps and losses of M fits."""
+
+    def __init__(self, problem: Problem, x: Floats, share: Floats, trained: Booleans) -> None:
+        self.problem, self.x, self.share, self.trained = problem, x, share, trained
+        self.count, self.k = len(x), problem.free.size
+        if columns(problem.model) != x.shape[1]:
+            raise ValueError(f"expected {columns(problem.model)} columns, found {x.shape[1]}")
+        self.step = np.full(self.count, 0.25)
+        self.share_step = np.full(self.count, _SHARE_STEP)
+        self.smooth = self.k > 8
+        self.loss = np.full(self.count, np.inf)
+        self.scale = np.ones(self.count)
+        self._jacobian: tuple[Floats, Floats] | None = None
+
+    def improve(self) -> bool:
+        """One iteration over all fits; whether any still moves."""
+        trial, shares, owner = self._neighbours()
+        error, found = self._evaluate(trial, shares, owner)
+        size = trial.shape[0] // self.count
+        losses = self._losses(trial, shares, found).reshape(self.count, size)
+        self.loss, self.scale = losses[:, 0], found.scale.reshape(self.count, size)[:, 0]
+        jumps = self._gauss_newton(trial, error, found, size)
+        line, line_share, line_owner = self._line(jumps, self._better_share(losses, shares, size))
+        _, ended = self._evaluate(line, line_share, line_owner)
+        line_losses = self._losses(line, line_share, ended).reshape(self.count, len(_LINE))
+        return self._move(
+            np.concatenate([losses, line_losses], axis=1),
+            np.concatenate(
+                [
+                    trial.reshape(self.count, size, self.x.shape[1]),
+                    line.reshape(self.count, len(_LINE), self.x.shape[1]),
+                ],
+                axis=1,
+            ),
+            np.concatenate([shares.reshape(self.count, size), line_share.reshape(self.count, len(_LINE))], axis=1),
+            np.concatenate([found.scale.reshape(self.count, size), ended.scale.reshape(self.count, len(_LINE))], 1),
+            size,
+        )
+
+    def information(self) -> Floats:
+        """(M, k, k) Gauss-Newton information at the last linearisation, prior included."""
+        if self._jacobian is None:
+            return np.zeros((self.count, self.k, self.k))
+        hessian, _ = self._jacobian
+        return hessian
+
+    def _neighbours(self) -> tuple[Floats, Floats, Ints]:
+        """Centre, both neighbours in every free parameter, and both in the share, for every fit."""
+        free, scale = self.problem.free, self.problem.scale
+        per = 3 + 2 * self.k
+        trial = np.repeat(self.x[:, None], per, axis=1)
+        shares = np.repeat(self.share[:, None], per, axis=1)
+        for j, column in enumerate(free):
+            by = (_DERIVATIVE if self.smooth else self.step) * scale[j]
+            up, down = self.x[:, column] + by, self.x[:, column] - by
+            trial[:, 1 + 2 * j, column] = np.minimum(up, self.problem.upper[j])
+            trial[:, 2 + 2 * j, column] = np.maximum(down, self.problem.lower[j])
+        shares[:, -2] = np.minimum(self.share + self.share_step, _SHARE_BOUND)
+        shares[:, -1] = np.maximum(self.share - self.share_step, -_SHARE_BOUND)
+        owner = np.repeat(np.arange(self.count), per)
+        return trial.reshape(self.count * per, self.x.shape[1]), shares.ravel(), owner
+
+    def _evaluate(self, trial: Floats, shares: Floats, owner: Ints) -> tuple[Floats, Fitness]:
+        lane = self.problem.lane
+        prediction = simulate(lane, self.problem.model, trial, _logistic(shares))
+        rows = self.trained[owner][:, :, None] & lane.counted[None]
+        return prediction.error, fitness(prediction, rows, self.problem.freedom)
+
+    def _losses(self, trial: Floats, shares: Floats, found: Fitness) -> Floats:
+        away = (trial[:, self.problem.free] - self.problem.center) / (self.problem.scale * self.problem.looseness)
+        return np.asarray(found.loss + 0.5 * (away**2).sum(axis=1) + 0.02 * shares**2)
+
+    def _gauss_newton(self, trial: Floats, error: Floats, found: Fitness, size: int) -> Floats:
+        """(M, k) steps of the free parameters."""
+        if not self.k:
+            return np.zeros((self.count, 0))
+        free, problem = self.problem.free, self.problem
+        errors = error.reshape(self.count, size, *error.shape[1:])
+        weight = found.weight.reshape(self.count, size, *error.shape[1:])[:, 0]
+        values = trial.reshape(self.count, size, -1)
+        slopes = np.empty((self.count, self.k, *error.shape[1:]))
+        for j, column in enumerate(free):
+            width = values[:, 1 + 2 * j, column] - values[:, 2 + 2 * j, column]
+            width = np.where(np.abs(width) > 1e-300, width, 1.0)
+            slopes[:, j] = (errors[:, 1 + 2 * j] - errors[:, 2 + 2 * j]) / width[:, None, None]
+        flat = slopes.reshape(self.count, self.k, -1)
+        w = weight.reshape(self.count, 1, -1)
+        prior = 1.0 / (problem.scale * problem.looseness) ** 2
+        hessian = (flat * w) @ flat.transpose(0, 2, 1) + np.diag(prior)
+        residual = errors[:, 0].reshape(self.count, -1, 1)
+        away = (self.x[:, free] - problem.center) * prior
+        gradient = ((flat * w) @ residual)[:, :, 0] + away
+        self._jacobian = hessian, gradient
+        damped = hessian + 1e-9 * np.eye(self.k) * np.trace(hessian, axis1=1, axis2=2)[:, None, None]
+        damped = damped + np.diag(1e-6 / problem.scale**2)
+        return np.asarray(-np.linalg.solve(damped, gradient[:, :, None])[:, :, 0])
+
+    def _better_share(self, losses: Floats, shares: Floats, size: int) -> Floats:
+        """(M,) the best of the shares tried."""
+        rows, of_fit = np.arange(self.count), shares.reshape(self.count, size)
+        tried = [0, size - 2, size - 1]
+        return np.asarray(of_fit[:, tried][rows, np.argmin(losses[:, tried], axis=1)])
+
+    def _line(self, jumps: Floats, share: Floats) -> tuple[Floats, Floats, Ints]:
+        line = np.repeat(self.x[:, None], len(_LINE), axis=1)
+        for i, part in enumerate(_LINE):
+            moved = self.x[:, self.problem.free] + part * jumps
+            line[:, i, self.problem.free] = np.clip(moved, self.problem.lower, self.problem.upper)
+        owner = np.repeat(np.arange(self.count), len(_LINE))
+        return line.reshape(owner.size, self.x.shape[1]), np.repeat(share, len(_LINE)), owner
+
+    def _move(self, losses: Floats, trial: Floats, shares: Floats, scales: Floats, size: int) -> bool:
+        chosen = np.argmin(losses, axis=1)
+        rows = np.arange(self.count)
+        gained = losses[:, 0] - losses[rows, chosen]
+        stays = gained < 1e-3
+        in_share = (chosen >= size - 2) & (chosen < size)
+        kept = shares[rows, chosen] == self.share
+        self.x, self.share = trial[rows, chosen], shares[rows, chosen]
+        self.loss, self.scale = losses[rows, chosen], scales[rows, chosen]
+        self.step = np.where(stays, 0.3 * self.step, np.where(in_share, self.step, 0.7 * self.step))
+        self.share_step = np.where(kept, 0.6 * self.share_step, self.share_step)
+        return bool((~stays | (self.step > _SMALLEST_STEP)).any()) if not self.smooth else bool((~stays).any())

@@ -1,0 +1,214 @@
+"""Recorded runs cut into stretches of one coordinate each: what the identification of effects works on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.effects.structure import range_of
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import jacobian
+from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
+WARM_UP = 15
+# Stretches of long runs have this many rows; fewer rows are read than `MOST_ROWS`, evenly over the recording.
+_LONGEST = 250
+MOST_ROWS = 20_000
+# With fewer runs than this, stretches of the same run are held out from each other.
+ENOUGH_RUNS = 4
+_SHORTEST = 12
+_NO_MOTION = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One coordinate over S stretches of up to T rows, short ones padded.
+
+    Attributes:
+        coordinate, index, unit: of the coordinate.
+        z: (S, T) measured configuration [rad or m].
+        u: (S, T) command from each row to the next, projected on the joint [rad or m]; 0 where there is none.
+        counted: (S, T) whether the step to this row counts; never at column 0.
+        time: (S, T) since the start of the run [s].
+        order: (S, T) place in the recording, from 0 to 1.
+        mode: (S, T) index of the automaton's mode in which the row is.
+        run: (S,) number of the run.
+        action, direction: (S, T, 3) recorded displacement [m], and J / |J|² that projects it on the joint; None if
+            the commands are not those of one part.
+        lower, upper: ends of the range, infinite where there is none.
+        release: (2,) size of a command that leaves the lower and the upper end.
+        holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
+        period: median time from row to row [s].
+        rows: of the recording, before stretches were chosen.
+        modes: names of the automaton's modes.
+    """
+
+    coordinate: str
+    index: int
+    unit: str
+    z: Floats
+    u: Floats
+    counted: Booleans
+    time: Floats
+    order: Floats
+    mode: Ints
+    run: Ints
+    action: Floats | None
+    direction: Floats | None
+    lower: float
+    upper: float
+    release: tuple[float, float]
+    holds: tuple[bool, bool]
+    period: float
+    rows: int
+    modes: tuple[str, ...]
+
+    @property
+    def command_size(self) -> float:
+        """Root mean square of the commands; the noise's order where nothing is commanded."""
+        return max(float(np.sqrt(np.mean(self.u[self.counted_starts] ** 2))), 1e-9)
+
+    @property
+    def counted_starts(self) -> Booleans:
+        """(S, T) whether the step that starts at this row counts."""
+        return np.roll(self.counted, -1, axis=1)
+
+    @property
+    def visited(self) -> tuple[float, float]:
+        """Smallest and largest measured configuration of the rows that count."""
+        seen = self.z[self.counted]
+        return float(seen.min()), float(seen.max())
+
+
+def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, ...]:
+    """The lanes of all coordinates that some mode moves."""
+    return tuple(
+        _lane(automaton, tracks, number, link.coordinate)
+        for number, link in measuring_links(automaton)
+        if any(any(mode.input_matrix[link.coordinate]) for mode in automaton.modes)
+    )
+
+
+def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
+    """(T,) index of the mode that each state (T, n) is in: the one whose invariant and pins it violates least."""
+    std = np.array([min(s, 1.0) for s in automaton.noise.observation_std])
+    u = np.zeros((len(x), automaton.m))
+    misfits = []
+    for mode in automaton.modes:
+        worst = np.zeros(len(x))
+        if mode.invariant.half_spaces:
+            worst = np.maximum(worst, -mode.invariant.margins(x, u).min(axis=-1) / std.min())
+        for pin in mode.pins:
+            away = np.abs(x[:, pin.coordinate] - pin.value) / max(pin.std, std[pin.coordinate])
+            worst = np.maximum(worst, np.where(away > 2.0, away, 0.0))
+        # Being held says more than being somewhere in a range, so it comes first where both fit.
+        misfits.append(worst - 0.1 * bool(mode.pins) * (worst == 0))
+    return np.asarray(np.argmin(np.stack(misfits), axis=0))
+
+
+def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: int) -> Lane:
+    pieces: list[tuple[Track, int, int, int, float]] = []
+    total = sum(len(track.time) for track in tracks)
+    passed = 0
+    for track in tracks:
+        for first, start, end in _cuts(len(track.time), len(tracks)):
+            pieces.append((track, first, start, end, passed / total))
+        passed += len(track.time)
+    kept = _thinned(pieces)
+    longest = max(end - first for _, first, _, end, _ in kept)
+    shape = (len(kept), longest)
+    z, u, time, order = (np.zeros(shape) for _ in range(4))
+    mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
+    vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
+    action, direction = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    moving = next(mode for mode in automaton.modes if any(mode.input_matrix[i]))
+    for s, (track, first, start, end, share) in enumerate(kept):
+        rows, count = slice(first, end), end - first
+        z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
+        inputs = np.zeros((len(track.time), automaton.m)) if track.u is None else np.vstack([track.u, 0 * track.u[:1]])
+        u[s, :count] = inputs[rows] @ moving.B[i]
+        time[s, :count] = track.time[rows] - track.time[0]
+        order[s, :count] = share + np.arange(first, end) / total
+        mode[s, :count] = row_modes(automaton, track.x[rows])
+        counted[s, start - first + 1 : count] = True
+        if vectors and track.action is not None:
+            action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
+            j = jacobian(moving_joint(automaton, link), track.x[rows, i])[:, 3:]
+            direction[s, :count] = j / np.maximum((j**2).sum(axis=1, keepdims=True), _NO_MOTION)
+    lower, upper = range_of(automaton, i)
+    holds, release = _ends(automaton, i, lower, upper)
+    periods = np.concatenate([np.diff(track.time) for track in tracks])
+    return Lane(
+        coordinate=automaton.coordinates[i].name,
+        index=i,
+        unit=automaton.coordinates[i].unit,
+        z=z,
+        u=u,
+        counted=counted,
+        time=time,
+        order=order,
+        mode=mode,
+        run=np.array([track.run for track, *_ in kept]),
+        action=np.nan_to_num(action) if vectors else None,
+        direction=direction if vectors else None,
+        lower=lower,
+        upper=upper,
+        release=release,
+        holds=holds,
+        period=float(np.median(periods)),
+        rows=total,
+        modes=tuple(mode.name for mode in automaton.modes),
+    )
+
+
+def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
+    """(first row read, first counted from, end) of the stretches of a run."""
+    wanted = math.ceil(rows / _LONGEST)
+    if runs < ENOUGH_RUNS:
+        wanted = max(wanted, min(math.ceil(2 * ENOUGH_RUNS / runs), rows // _SHORTEST))
+    edges = np.linspace(0, rows, max(wanted, 1) + 1).astype(int)
+    cuts = []
+    for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        # The step into the first row of a later stretch counts there, so that no step is lost.
+        first = max(0, start - WARM_UP)
+        cuts.append((first, max(start - 1, 0), end))
+    return [cut for cut in cuts if cut[2] - cut[1] >= 2]
+
+
+def _thinned(
+    pieces: list[tuple[Track, int, int, int, float]],
+) -> list[tuple[Track, int, int, int, float]]:
+    rows = sum(piece[3] - piece[1] for piece in pieces)
+    if rows <= MOST_ROWS:
+        return pieces
+    count = max(2 * ENOUGH_RUNS, len(pieces) * MOST_ROWS // rows)
+    return [pieces[i] for i in np.linspace(0, len(pieces) - 1, count).astype(int)]
+
+
+def _ends(
+    automaton: HybridAutomaton, i: int, lower: float, upper: float
+) -> tuple[tuple[bool, bool], tuple[float, float]]:
+    """Whether a mode holds coordinate i at its lower and upper end, and what command it takes to leave."""
+    holds, release = [False, False], [0.0, 0.0]
+    for mode in automaton.modes:
+        for pin in mode.pins:
+            if pin.coordinate != i:
+                continue
+            for side, end in enumerate((lower, upper)):
+                if abs(pin.value - end) > 1e-6:
+                    continue
+                holds[side] = True
+                for edge in automaton.edges_from(mode.name):
+                    for h in edge.guard.half_spaces:
+                        if h.b[i] and not any(h.a) and not edge.is_self_transition:
+                            away = (h.b[i] > 0) == (side == 0)
+                            release[side] = max(release[side], h.c / abs(h.b[i])) if away else release[side]
+    return (holds[0], holds[1]), (release[0], release[1])

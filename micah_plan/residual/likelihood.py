@@ -1,0 +1,64 @@
+"""Predictive likelihood of innovations: Student's t with a scale of its own, so that single bad rows decide nothing.
+
+Source: Lange, Little and Taylor, "Robust statistical modeling using the t distribution", JASA 1989.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from micah_plan.residual.simulation import Prediction
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+
+_ROUNDS = 12
+SMALLEST_SCALE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Fitness:
+    """How well B predictions fit the rows of their training stretches.
+
+    Attributes:
+        loss: (B,) negative log likelihood [nats].
+        scale: (B,) of the noise, in the coordinate's unit.
+        weight: (B, S, T) of each row for least squares, 0 where it is not trained on.
+    """
+
+    loss: Floats
+    scale: Floats
+    weight: Floats
+
+
+def fitness(prediction: Prediction, trained: Booleans, freedom: float) -> Fitness:
+    """The best scale for each prediction (maximum likelihood, by expectation maximisation) and what it gives.
+
+    Args:
+        trained: (B, S, T) rows that count.
+        freedom: degrees of freedom of the t distribution.
+    """
+    squared = prediction.error**2 / prediction.variance
+    count = trained.sum(axis=(1, 2))
+    scale2 = np.maximum((squared * trained).sum(axis=(1, 2)) / np.maximum(count, 1), SMALLEST_SCALE**2)
+    for _ in range(_ROUNDS):
+        weight = (freedom + 1) / (freedom + squared / scale2[:, None, None])
+        scale2 = (weight * squared * trained).sum(axis=(1, 2)) / np.maximum(count, 1)
+        scale2 = np.maximum(scale2, SMALLEST_SCALE**2)
+    density = log_density(prediction, np.sqrt(scale2), freedom)
+    loss = -(density * trained).sum(axis=(1, 2))
+    weight = (freedom + 1) / (freedom + squared / scale2[:, None, None]) * trained
+    weight = weight / (prediction.variance * scale2[:, None, None])
+    return Fitness(np.asarray(loss), np.sqrt(scale2), weight)
+
+
+def log_density(prediction: Prediction, scale: Floats, freedom: float) -> Floats:
+    """(B, S, T) log predictive density of each row, given the scale (B,) of the noise [nats]."""
+    spread = prediction.variance * (scale**2)[:, None, None]
+    constant = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) - 0.5 * np.log(freedom * np.pi)
+    tail = np.log1p(prediction.error**2 / (freedom * spread))
+    return np.asarray(constant - 0.5 * np.log(spread) - 0.5 * (freedom + 1) * tail)

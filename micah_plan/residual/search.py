@@ -1,0 +1,195 @@
+"""Models of one lane compared by what they predict of rows that they were not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from micah_plan.residual.candidates import Candidate, smooth
+from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
+from micah_plan.residual.lane import Lane
+from micah_plan.residual.simulation import GATES, Kind
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+FOLDS = 5
+_ROUNDS = 12
+_FOLD_ROUNDS = 4
+_POLISH_ROUNDS = 5
+_START_SHARES = (-1.0, 2.0)
+_FREEDOMS = (4.0, 10.0, 60.0)
+# The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
+_LOOSE = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A model, fitted to everything and, for its score, to each fold's other stretches.
+
+    Attributes:
+        parts: its candidates; the starts of each are what was fitted to all stretches, (1, size).
+        fit: to all stretches; folds: (K fits) to all but one fold's.
+        density: (S,) log predictive density of each stretch, held out [nats].
+    """
+
+    parts: tuple[Candidate, ...]
+    fit: Fit
+    folds: Fit
+    density: Floats
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(part.name for part in self.parts)
+
+    def over(self, other: Scored) -> tuple[float, float]:
+        """By how much it predicts better than another, and the standard error of that over stretches [nats]."""
+        gain = self.density - other.density
+        error = float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else 0.0
+        return float(gain.sum()), error
+
+
+class Search:
+    """Fits models to a lane, each once."""
+
+    def __init__(self, lane: Lane) -> None:
+        self.lane = lane
+        self.freedom = _FREEDOMS[-1]
+        runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
+        count = len(lane.run)
+        self.folds = min(FOLDS, count)
+        by_run = len(runs) >= FOLDS
+        number = np.array([runs[run] for run in lane.run.tolist()]) if by_run else np.arange(count)
+        self.fold: Ints = number % self.folds
+        self.freedom = self._suited_freedom()
+        self.nominal = self.score(())
+
+    def score(self, parts: Sequence[Candidate]) -> Scored:
+        """Fit a model from all combinations of its last part's starts with the first start of the others."""
+        problem = self._problem(parts)
+        start = self._starts(parts)
+        everything = np.ones((len(start), len(self.lane.run)), dtype=bool)
+        fit = optimise(problem, start, np.full(len(start), _START_SHARES[0]), everything, _ROUNDS).best()
+        # Once more from other shares of noise: what is process and what measurement noise has several optima.
+        again = np.repeat(fit.parameters, len(_START_SHARES) + 1, axis=0)
+        shares = np.array([float(fit.share[0]), *_START_SHARES])
+        everything = np.ones((len(again), len(self.lane.run)), dtype=bool)
+        fit = optimise(problem, again, shares, everything, _POLISH_ROUNDS).best()
+        return self._cross_validated(problem, parts, fit)
+
+    def errors(self, scored: Scored, kind: Kind) -> Floats:
+        """(S, T) measured minus predicted, each stretch with the parameters fitted without its fold."""
+        _, errors = held_out(self._problem(scored.parts), scored.folds, kind)
+        return np.asarray(errors[self.fold, np.arange(len(self.fold))])
+
+    def innovations(self, scored: Scored) -> Floats:
+        """(S, T) innovations, held out as in `errors`."""
+        return self.errors(scored, "filter")
+
+    def noise_floor(self, scored: Scored) -> float:
+        """Root mean square of a one-step error that noise alone would leave, if this model were true.
+
+        The noise is that of the model's innovations; an error from one measured row to the next contains the
+        measurement noise twice, the innovation of a filter less than that.
+        """
+        problem = self._problem(scored.parts)
+        density, errors = held_out(problem, scored.folds, "filter")
+        del density
+        own = errors[self.fold, np.arange(len(self.fold))]
+        counted = self.lane.counted
+        innovation = float(np.mean(own[counted] ** 2))
+        r = float(measurement_share(scored.fit.share)[0])
+        q = 1.0 - r
+        # Steady state of the scalar Riccati equation: prior variance p with p = p r / (p + r) + q.
+        p = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
+        return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
+
+    def _problem(self, parts: Sequence[Candidate]) -> Problem:
+        free, scale, center, lower, upper, at = [], [], [], [], [], 0
+        for part in parts:
+            for column, large in zip(part.free, part.scale, strict=True):
+                parameter = part.term.form.parameters[column]
+                free.append(at + column)
+                scale.append(large)
+                center.append(part.starts[0, column] if parameter.neutral is None else parameter.neutral)
+                low, high = part.bounds.get(column, (-np.inf, np.inf))
+                lower.append(max(parameter.lower, low))
+                upper.append(min(parameter.upper, high))
+            at += part.term.size
+        tight = any(part.name == "unexplained" for part in parts)
+        return Problem(
+            lane=self.lane,
+            model=tuple(part.term for part in parts),
+            free=np.array(free, dtype=np.int64),
+            scale=np.array(scale),
+            center=np.array(center),
+            lower=np.array(lower),
+            upper=np.array(upper),
+            looseness=1.0 if tight else _LOOSE,
+            freedom=self.freedom,
+        )
+
+    def _starts(self, parts: Sequence[Candidate]) -> Floats:
+        if not parts:
+            return np.zeros((1, 0))
+        before = [part.starts[:1] for part in parts[:-1]]
+        last = parts[-1].starts
+        return np.hstack([*(np.repeat(row, len(last), axis=0) for row in before), last])
+
+    def whiteness(self, scored: Scored) -> tuple[float, float]:
+        """Largest autocorrelation of the innovations at lags 1 to 4, and its probability if they were white.
+
+        Source: Ljung and Box, Biometrika 1978, for residuals of a fitted model.
+        """
+        counted = self.lane.counted
+        error = self.innovations(scored) * counted
+        total = float((error**2).sum())
+        found = []
+        for lag in range(1, 5):
+            pairs = counted[:, lag:] & counted[:, :-lag]
+            count = int(pairs.sum())
+            if count > 10 and total > 0:
+                product = (error[:, lag:] * error[:, :-lag])[pairs]
+                found.append((float(product.sum()) / total * counted.sum() / count, count))
+        if not found:
+            return 0.0, 1.0
+        statistic = sum(r * r * count for r, count in found)
+        return max((r for r, _ in found), key=abs), float(chi2.sf(statistic, len(found)))
+
+    def _cross_validated(self, problem: Problem, parts: Sequence[Candidate], fit: Fit) -> Scored:
+        trained = self.fold[None, :] != np.arange(self.folds)[:, None]
+        if not trained.any(axis=1).all():
+            trained = np.ones_like(trained)
+        start = np.repeat(fit.parameters, self.folds, axis=0)
+        folds = optimise(problem, start, np.repeat(fit.share, self.folds), trained, _FOLD_ROUNDS)
+        density, _ = held_out(problem, folds)
+        fitted, at = [], 0
+        for part in parts:
+            fitted.append(replace(part, starts=fit.parameters[:, at : at + part.term.size]))
+            at += part.term.size
+        return Scored(tuple(fitted), fit, folds, density[self.fold, np.arange(len(self.fold))])
+
+    def _suited_freedom(self) -> float:
+        """Degrees of freedom of the noise that suit what a smooth correction leaves."""
+        problem = self._problem((smooth(self.lane),))
+        start = smooth(self.lane).starts
+        everything = np.ones((1, len(self.lane.run)), dtype=bool)
+        losses = []
+        for freedom in _FREEDOMS:
+            suited = replace(problem, freedom=freedom)
+            fit = optimise(suited, start, np.zeros(1), everything, 5)
+            losses.append(float(fit.loss[0]))
+        return _FREEDOMS[int(np.argmin(losses))]
+
+
+def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:
+    """A candidate that starts from its fitted parameters and acts only since a place or a time, one start for each."""
+    starts = np.repeat(part.starts[:1], len(since_order) + len(since_time), axis=0)
+    starts[: len(since_order), -GATES] = since_order
+    starts[len(since_order) :, -GATES + 1] = since_time
+    return replace(part, starts=starts)

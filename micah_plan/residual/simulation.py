@@ -1,0 +1,212 @@
+"""Many models of one coordinate run along all stretches at once: predictions, innovations and their variances.
+
+A model is a row of parameters. The configuration is a latent state, c⁺ = F(c, v, memory) + w, seen as h(c) + v; each
+step is a Kalman prediction and update, so every residual is an innovation, white if the model is right (Kailath, Sayed
+and Hassibi, "Linear Estimation", ch. 9). With gain 1 the same loop gives one-step predictions from measured rows, with
+gain 0 the roll-out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.residual.lane import Lane
+
+Floats = NDArray[np.float64]
+Kind = Literal["filter", "one_step", "rollout"]
+
+# Gating columns after a term's own parameters: since which place in the recording (0 to 1) and since when in a run [s].
+GATES = 2
+# Share of the variance that is left where a stop holds the part: a stop is no perfect pin.
+_HELD_VARIANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Term:
+    """A form that acts in some modes (empty: in all)."""
+
+    form: EffectForm
+    modes: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Columns of parameters: those of the form, then the gates."""
+        return len(self.form.parameters) + GATES
+
+
+Model = tuple[Term, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What B rows of parameters predict.
+
+    Attributes:
+        error: (B, S, T) measured minus predicted [rad or m]; 0 where a row does not count.
+        variance: (B, S, T) of it, relative to the noise scale.
+    """
+
+    error: Floats
+    variance: Floats
+
+
+def columns(model: Model) -> int:
+    """Number of parameters of a model, gates included."""
+    return sum(term.size for term in model)
+
+
+def simulate(lane: Lane, model: Model, parameters: Floats, process_share: Floats, kind: Kind = "filter") -> Prediction:
+    """Run B models along a lane.
+
+    Args:
+        parameters: (B, columns(model)).
+        process_share: (B,) share of the noise variance that moves the part rather than blurs the measurement, 0 to 1.
+        kind: predictions from the filtered state, from the measured one, or from the first row only.
+    """
+    run = _Run(lane, model, parameters, process_share)
+    count, rows = lane.z.shape
+    error = np.zeros((len(parameters), count, rows))
+    variance = np.ones_like(error)
+    for t in range(rows - 1):
+        run.step(t)
+        error[:, :, t + 1], variance[:, :, t + 1] = run.measure(t + 1, kind)
+    return Prediction(error * lane.counted, variance)
+
+
+class _Run:
+    """The state of the loop: c and its variance (B, S), and the memories of the terms."""
+
+    def __init__(self, lane: Lane, model: Model, parameters: Floats, process_share: Floats) -> None:
+        self.lane, self.model = lane, model
+        self.p = _split(model, parameters)
+        self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
+        self.memory = [term.form.at_rest(p) for term, p in zip(model, self.p, strict=True)]
+        self.low, self.high, self.release = self._ends(parameters)
+        self.commands = self._commands()
+        self.layers: dict[str, list[int]] = {}
+        for number, term in enumerate(model):
+            self.layers.setdefault(term.form.layer, []).append(number)
+        self.always = [self._is_ungated(number) for number in range(len(model))]
+        ones = np.ones((len(parameters), lane.z.shape[0]))
+        offset, slope = self._sensor(0, ones)
+        self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, self.low), self.high) * ones
+        self.variance = self.r / slope**2 * ones
+
+    def step(self, t: int) -> None:
+        """Predict the state of row t + 1."""
+        v: Any = self.lane.u[:, t] if self.commands is None else self.commands[:, :, t]
+        for n in self.layers.get("memory", ()):
+            out, self.memory[n] = self.model[n].form.remember(np, v, self.memory[n], self.p[n])
+            v = self._gated(n, t, out, v)
+        for n in self.layers.get("command", ()):
+            v = self._gated(n, t, self.model[n].form.command(np, v, self.p[n]), v)
+        free = self.c + v
+        for n in self.layers.get("force", ()):
+            added = self.model[n].form.force(np, self.c, v, self.p[n])
+            free = free + self._gated(n, t, added, 0.0)
+        low, high = self._ends_at(t)
+        stuck = ((self.c >= high) & (v < 0) & (-v <= self.release[1])) | (
+            (self.c <= low) & (v > 0) & (v <= self.release[0])
+        )
+        free = np.where(stuck, self.c, free)
+        ended = (free < low) | (free > high) | stuck
+        self.variance = (self.variance + self.q) * np.where(ended, _HELD_VARIANCE, 1.0)
+        self.c = np.minimum(np.maximum(free, low), high)
+
+    def measure(self, t: int, kind: Kind) -> tuple[Floats, Floats]:
+        """Compare with row t and take the measurement in."""
+        offset, slope = self._sensor(t, self.c)
+        error = self.lane.z[:, t] - (offset + slope * self.c)
+        spread = slope**2 * self.variance + self.r
+        if kind == "rollout":
+            return error, spread
+        if kind == "one_step":
+            self.c = self.c + error / slope
+            return error, spread
+        gain = self.variance * slope / spread
+        low, high = self._ends_at(t - 1)
+        self.c = np.minimum(np.maximum(self.c + gain * error, low), high)
+        self.variance = self.variance * (1.0 - gain * slope)
+        return error, spread
+
+    def _sensor(self, t: int, like: Floats) -> tuple[Any, Any]:
+        """Offset and slope of the reading at row t; sensors are affine."""
+        offset: Any = 0.0 * like
+        slope: Any = 1.0 + 0.0 * like
+        for n, term in enumerate(self.model):
+            if term.form.layer == "sensor":
+                time = self.lane.time[:, t]
+                zero = term.form.measured(np, offset, time, self.p[n])
+                one = term.form.measured(np, offset + slope, time, self.p[n])
+                offset, slope = self._gated(n, t, zero, offset), self._gated(n, t, one - zero, slope)
+        return offset, slope
+
+    def _ends(self, parameters: Floats) -> tuple[Any, Any, tuple[Any, Any]]:
+        """Ends over all terms (used where no end is gated), and the commands that leave them."""
+        column = np.zeros((len(parameters), 1))
+        low, high = self.lane.lower + column, self.lane.upper + column
+        release: list[Any] = [self.lane.release[0] + column, self.lane.release[1] + column]
+        for term, p in zip(self.model, self.p, strict=True):
+            if term.form.layer == "guard":
+                low, high = term.form.stops(np, low, high, p)
+                for side in (0, 1):
+                    if self.lane.holds[side]:
+                        release[side] = np.maximum(release[side], term.form.release(p))
+        return low, np.maximum(high, low), (release[0], release[1])
+
+    def _ends_at(self, t: int) -> tuple[Any, Any]:
+        guards = self.layers.get("guard", ())
+        if all(self.always[n] for n in guards):
+            return self.low, self.high
+        low, high = self.lane.lower + 0.0 * self.c, self.lane.upper + 0.0 * self.c
+        for n in guards:
+            changed = self.model[n].form.stops(np, low, high, self.p[n])
+            low, high = self._gated(n, t, changed[0], low), self._gated(n, t, changed[1], high)
+        return low, np.maximum(high, low)
+
+    def _commands(self) -> Floats | None:
+        """(B, S, T) commands read from the actions in another frame; None if no term asks for that."""
+        lane = self.lane
+        if lane.action is None or lane.direction is None:
+            return None
+        for term, p in zip(self.model, self.p, strict=True):
+            if term.form.layer == "frame":
+                a, d = np.moveaxis(lane.action, -1, 0), np.moveaxis(lane.direction, -1, 0)
+                wide = [value[:, :, None] for value in p]
+                plain = (a * d).sum(axis=0)
+                # What the projection leaves to second order is kept from the command itself.
+                return np.asarray(term.form.frame_command(np, list(a), list(d), wide) + (lane.u - plain))
+        return None
+
+    def _is_ungated(self, n: int) -> bool:
+        return not self.model[n].modes and bool(np.isneginf(self._gates[n]).all())
+
+    def _gated(self, n: int, t: int, changed: Any, plain: Any) -> Any:
+        """The changed value where and when the term acts, else the plain one."""
+        if self.always[n]:
+            return changed
+        since_order, since_time = self._gates[n]
+        acts = (self.lane.order[:, t] >= since_order) & (self.lane.time[:, t] >= since_time)
+        modes = self.model[n].modes
+        if modes:
+            acts &= np.isin(self.lane.mode[:, t], [self.lane.modes.index(name) for name in modes])
+        return np.where(acts, changed, plain)
+
+    @property
+    def _gates(self) -> Sequence[Any]:
+        return [p[-GATES:] for p in self.p]
+
+
+def _split(model: Model, parameters: Floats) -> list[list[Floats]]:
+    """Per term, its columns as (B, 1) arrays."""
+    found, at = [], 0
+    for term in model:
+        found.append([parameters[:, k : k + 1] for k in range(at, at + term.size)])
+        at += term.size
+    return found

@@ -1,0 +1,139 @@
+"""Calibration on motion with something in it that nobody declared; the simulators share no code with the library."""
+
+from __future__ import annotations
+
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.errors import InputError
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.view.calibration_page import calibration_page
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+
+
+@pytest.fixture
+def door():
+    """Swings from 0 to 1.2 rad and is rigid there."""
+    end = plants.LENGTH
+    shut = forward(SWING, end)[0]
+    held = rigid(shut.translation, shut.rotation.as_quat(), end)
+
+    def segment(joint, start, first):
+        return Segment(joint, 0, first, first + 9, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
+
+    edge = KinematicEdge(BASE, "door", (segment(SWING, 0.0, 0), segment(held, end, 10)))
+    return build_automaton(KinematicGraph((edge,)))
+
+
+def found_in(door, plant, *, runs=8, rows=40, seed=3):
+    recording = plants.door_recording(plants.runs_of(plant, runs, rows, seed))
+    return calibrate(door, recording), recording
+
+
+def test_nothing_is_found_where_the_model_is_right(door) -> None:
+    found, _ = found_in(door, plants.honest)
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert found.automaton == door
+    assert found.after == found.before
+    assert found.before.one_step == pytest.approx(found.noise_floor, rel=0.15)
+    assert "nothing to find" in found.experiment
+
+
+def test_a_gain_is_named_sized_and_added(door) -> None:
+    found, recording = found_in(door, plants.short_steps)
+    assert found.verdict == "explained"
+    (effect,) = found.effects
+    assert effect.effect.name == "gain"
+    (low, high), value = effect.interval[0], effect.effect.values[0]
+    assert low < value < high
+    assert value == pytest.approx(0.8, abs=0.02)
+    assert found.after.one_step < 1.2 * found.noise_floor < 0.8 * found.before.one_step
+    assert found.after.rollout < 0.25 * found.before.rollout
+    before, after = (
+        rmse([run.rollout.configuration for run in predict_recording(model, recording)])
+        for model in (door, found.automaton)
+    )
+    assert after < 0.25 * before
+    page = calibration_page(found, "door")
+    assert "explained" in page
+    assert page.count("<svg") == 9
+    assert "http" not in page.replace('http-equiv="Content-Security-Policy"', "")
+
+
+def test_a_delay_is_told_in_steps_and_seconds(door) -> None:
+    found, recording = found_in(door, plants.late)
+    assert [effect.effect.name for effect in found.effects] == ["delay"]
+    assert found.effects[0].effect.values[0] == pytest.approx(2.0, abs=0.05)
+    assert dict(found.effects[0].derived)["seconds"] == pytest.approx(0.2, abs=0.005)
+    after = rmse([run.one_step.configuration for run in predict_recording(found.automaton, recording)])
+    assert after < 1.2 * found.noise_floor
+
+
+def test_what_the_library_does_not_know_is_not_called_explained(door) -> None:
+    found, _ = found_in(door, plants.rippled, runs=12)
+    assert found.verdict in ("partly", "unexplained")
+    assert found.unexplained_fraction > 0.05
+    assert found.after.one_step < 0.8 * found.before.one_step
+
+
+def test_another_object_or_no_actions_is_refused(door) -> None:
+    recording = plants.door_recording(plants.runs_of(plants.honest, 2, 20, 0))
+    without = type(recording)(time=recording.time, position=recording.position, run=recording.run, has_run=True)
+    with pytest.raises(InputError, match="expected actions, found no columns ax, ay, az"):
+        calibrate(door, without)
+
+
+def test_the_same_recording_gives_the_same_answer(door) -> None:
+    first, _ = found_in(door, plants.honest, runs=4, rows=25)
+    second, _ = found_in(door, plants.honest, runs=4, rows=25)
+    assert first.before == second.before
+    assert first.traces[0].ranking == second.traces[0].ranking
+
+
+LIBRARY = {
+    "short_steps": ("gain",),
+    "late": ("delay",),
+    "sticky": ("dead_zone",),
+    "sprung": ("spring", "gravity"),
+    "loose": ("backlash",),
+    "slow": ("lag",),
+    "weak": ("saturation",),
+    "creeping": ("bias",),
+    "magnetic": ("latch",),
+    "blocked": ("limit",),
+    "shifted": ("guard_shift",),
+    "stretched": ("sensor_scale",),
+    "drifting": ("drift",),
+    "worn_half_way": ("gain",),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", LIBRARY)
+def test_effects_of_the_library_are_named_first(door, plant) -> None:
+    found, _ = found_in(door, getattr(plants, plant), runs=10, rows=50, seed=11)
+    names = (found.effects[0].effect.name, *found.effects[0].tied) if found.effects else ()
+    assert found.effects
+    assert set(LIBRARY[plant]) & set(names[:1]), names
+    assert found.verdict == "explained"
+    assert found.after.one_step < 1.2 * found.noise_floor
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", ["rippled", "one_sided", "swaying"])
+def test_effects_outside_of_the_library_are_not_called_explained(door, plant) -> None:
+    found, _ = found_in(door, getattr(plants, plant), runs=12, rows=50, seed=12)
+    assert found.verdict in ("partly", "unexplained")
+
+
+@pytest.mark.slow
+def test_controls_give_no_false_alarm(door) -> None:
+    verdicts = [found_in(door, plants.honest, runs=5, rows=40, seed=seed)[0].verdict for seed in range(12)]
+    assert verdicts == ["none"] * 12
