@@ -26,7 +26,7 @@ Ints = NDArray[np.int64]
 _SHARE_STEP = 1.0
 _SHARE_BOUND = 5.0
 _LINE = (1.0, 0.4, 0.1)
-_SMALLEST_STEP = 2e-3
+_SMALLEST_STEP = 2e-2
 _DERIVATIVE = 1e-3
 
 
@@ -69,9 +69,9 @@ class Fit:
     scale: Floats
     information: Floats
 
-    def best(self) -> Fit:
-        """The one with the smallest loss."""
-        i = [int(np.argmin(self.loss))]
+    def best(self, count: int = 1) -> Fit:
+        """Those with the smallest losses, best first."""
+        i = np.argsort(self.loss, kind="stable")[:count]
         return Fit(self.parameters[i], self.share[i], self.loss[i], self.scale[i], self.information[i])
 
 
@@ -225,6 +225,6 @@ class _State:
         kept = shares[rows, chosen] == self.share
         self.x, self.share = trial[rows, chosen], shares[rows, chosen]
         self.loss, self.scale = losses[rows, chosen], scales[rows, chosen]
-        self.step = np.where(stays, 0.3 * self.step, np.where(in_share, self.step, 0.7 * self.step))
+        self.step = np.where(stays, 0.2 * self.step, np.where(in_share, self.step, 0.6 * self.step))
         self.share_step = np.where(kept, 0.6 * self.share_step, self.share_step)
         return bool((~stays | (self.step > _SMALLEST_STEP)).any()) if not self.smooth else bool((~stays).any())

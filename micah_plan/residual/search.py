@@ -20,6 +20,9 @@ Ints = NDArray[np.int64]
 
 FOLDS = 5
 _ROUNDS = 12
+_KEPT_STARTS = 2
+# Likelihood that a part must add to be cross-validated [nats].
+_HOPELESS = 1.5
 _FOLD_ROUNDS = 4
 _POLISH_ROUNDS = 5
 _START_SHARES = (-1.0, 2.0)
@@ -36,12 +39,14 @@ class Scored:
         parts: its candidates; the starts of each are what was fitted to all stretches, (1, size).
         fit: to all stretches; folds: (K fits) to all but one fold's.
         density: (S,) log predictive density of each stretch, held out [nats].
+        is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
 
     parts: tuple[Candidate, ...]
     fit: Fit
     folds: Fit
     density: Floats
+    is_idle: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,18 +74,28 @@ class Search:
         self.freedom = self._suited_freedom()
         self.nominal = self.score(())
 
-    def score(self, parts: Sequence[Candidate]) -> Scored:
-        """Fit a model from all combinations of its last part's starts with the first start of the others."""
+    def score(self, parts: Sequence[Candidate], base: Scored | None = None) -> Scored:
+        """Fit a model from all starts of its last part with the first start of the others.
+
+        Args:
+            base: a simpler model; one that fits hardly better than it is not looked at further and scores as it does.
+        """
         problem = self._problem(parts)
         start = self._starts(parts)
-        everything = np.ones((len(start), len(self.lane.run)), dtype=bool)
-        fit = optimise(problem, start, np.full(len(start), _START_SHARES[0]), everything, _ROUNDS).best()
+        share = float(base.fit.share[0]) if base is not None else _START_SHARES[0]
+        first = optimise(problem, start, np.full(len(start), share), self._all(len(start)), _ROUNDS // 4)
+        kept = first.best(_KEPT_STARTS)
+        fit = optimise(problem, kept.parameters, kept.share, self._all(len(kept.loss)), _ROUNDS).best()
+        if base is not None and float(base.fit.loss[0] - fit.loss[0]) < _HOPELESS:
+            return Scored(self._fitted(parts, fit), fit, base.folds, base.density, is_idle=True)
         # Once more from other shares of noise: what is process and what measurement noise has several optima.
         again = np.repeat(fit.parameters, len(_START_SHARES) + 1, axis=0)
         shares = np.array([float(fit.share[0]), *_START_SHARES])
-        everything = np.ones((len(again), len(self.lane.run)), dtype=bool)
-        fit = optimise(problem, again, shares, everything, _POLISH_ROUNDS).best()
+        fit = optimise(problem, again, shares, self._all(len(again)), _POLISH_ROUNDS).best()
         return self._cross_validated(problem, parts, fit)
+
+    def _all(self, count: int) -> Booleans:
+        return np.ones((count, len(self.lane.run)), dtype=bool)
 
     def errors(self, scored: Scored, kind: Kind) -> Floats:
         """(S, T) measured minus predicted, each stretch with the parameters fitted without its fold."""
@@ -168,11 +183,14 @@ class Search:
         start = np.repeat(fit.parameters, self.folds, axis=0)
         folds = optimise(problem, start, np.repeat(fit.share, self.folds), trained, _FOLD_ROUNDS)
         density, _ = held_out(problem, folds)
+        return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, np.arange(len(self.fold))])
+
+    def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
         fitted, at = [], 0
         for part in parts:
             fitted.append(replace(part, starts=fit.parameters[:, at : at + part.term.size]))
             at += part.term.size
-        return Scored(tuple(fitted), fit, folds, density[self.fold, np.arange(len(self.fold))])
+        return tuple(fitted)
 
     def _suited_freedom(self) -> float:
         """Degrees of freedom of the noise that suit what a smooth correction leaves."""

@@ -109,10 +109,11 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     told(f"{lane.coordinate}: noise", 0.0)
     search = Search(lane)
     library = candidates(lane)
-    singles = _scored_all(search, (), library, told, 0.05, 0.5)
+    singles = _scored_all(search, search.nominal, library, told, 0.05, 0.5)
     loose = search.score((smooth(lane),))
     ranking = sorted([(one.names[-1], *one.over(search.nominal)) for one in [*singles, loose]], key=lambda row: -row[1])
-    chosen, alternatives = _grown(search, library, singles, told)
+    able = [one for one in singles if not one.is_idle]
+    chosen, alternatives = _grown(search, library, able, told)
     told(f"{lane.coordinate}: what remains", 0.9)
     remaining = search.score((*chosen.parts, smooth(lane)))
     correlation, chance = search.whiteness(chosen)
@@ -145,7 +146,7 @@ def _silent(message: str, fraction: float) -> None:
 
 def _scored_all(
     search: Search,
-    before: Sequence[Candidate],
+    base: Scored,
     library: Sequence[Candidate],
     told: Progress,
     begin: float,
@@ -154,7 +155,7 @@ def _scored_all(
     scored = []
     for number, candidate in enumerate(library):
         told(f"{search.lane.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
-        scored.append(search.score((*before, candidate)))
+        scored.append(search.score((*base.parts, candidate), base))
     return scored
 
 
@@ -174,7 +175,8 @@ def _grown(
     for number, head in enumerate(heads):
         rest = [c for c in library if c.name not in head.names]
         share = 0.5 + 0.4 * number / len(heads)
-        grown += _scored_all(search, head.parts, rest, told, share, share + 0.4 / len(heads))
+        grown += _scored_all(search, head, rest, told, share, share + 0.4 / len(heads))
+    grown = [one for one in grown if not one.is_idle]
     better = _ranked(grown)[:2]
     grown += [variant for one in better for variant in _variants(search, one, first)]
     second = max(grown, key=lambda one: float(one.density.sum()), default=first)
