@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.learn.joints.joint_arrays import JointArrays
-from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import tabulated
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
 from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
@@ -24,7 +23,9 @@ _REACH = 12  # steps looked at on either side
 # Times as many, for what they tell of noise and motion: of a time that does not shrink with the steps, as far as steps
 # do not get too many. Few rows, interpolated or close in time, tell neither from the other.
 _CONTEXT, _MOST_CONTEXT = 2, 200
+_FIRST_REACH = 4  # steps of which the changepoint was known
 _FINER = 4  # times finer each time
+_UNLIKELY = 7.0  # nats; rows so much less likely than the best are not looked at with finer steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,8 @@ class Located:
     Attributes:
         row: first row of the later segment, in the track.
         rows: (k,) rows at which it may be.
-        log_probability: (k,) of each, unnormalised.
+        log_probability: (k,) of each, unnormalised. Not tempered: that joints are not ideal speaks against another
+            joint, but not for another row when both joints are known.
     """
 
     row: int
@@ -62,11 +64,14 @@ def locate(
     """
     rows, score = np.array([row]), np.zeros(1)
     context = _CONTEXT * _REACH * size
+    likely = row - _FIRST_REACH * size, row + _FIRST_REACH * size
     while True:
         size = max(size / _FINER, 1.0)
-        reach = int(np.ceil(_REACH * size))
+        reach = _REACH * size
         beyond = int(np.ceil(min(context, _MOST_CONTEXT * size)))
-        near = max(row - reach, limits[0] + 1), min(row + reach, limits[1] - 1)
+        # As far as coarser steps leave it open.
+        first, last = int(np.floor(min(row - reach, likely[0]))), int(np.ceil(max(row + reach, likely[1])))
+        near = max(first, limits[0] + 1), min(last, limits[1] - 1)
         wide = max(row - beyond, limits[0]), min(row + beyond, limits[1])
         if near[1] <= near[0]:
             return Located(row, rows, score)
@@ -82,6 +87,8 @@ def locate(
         row = int(rows[np.argmax(score)])
         if size <= 1.0:
             return Located(row, rows, score)
+        open_rows = rows[score > score.max() - _UNLIKELY]
+        likely = float(open_rows[0]) - size, float(open_rows[-1]) + size
 
 
 def _scores(
@@ -102,9 +109,8 @@ def _scores(
     later = starts >= row
     known = Hypotheses(joints, np.stack([~later, later]))
     noise = first_noise(steps, own)
-    trust = trust_in(noise, own)
     noise = refitted_noise(*misses(pool_of(known, steps, noise), later.astype(np.int64)), own)
-    density = tabulated(known, steps, noise, use_actions, settings.rest, trust).log_density
+    density = tabulated(known, steps, noise, use_actions, settings.rest, 1.0).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
     after = np.zeros(n)
