@@ -24,12 +24,14 @@ from simulated_hand import slow
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import learn_graph
+from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.value import Recording
 
 EDGES = np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0])
 KINDS: tuple[JointKind, ...] = ("prismatic", "revolute", "screw")
 # One in a hundred joints is a screw (docs/concepts/learning.md); more of them would be another world.
 SHARES = (0.495, 0.495, 0.01)
+SETTINGS = LearnSettings()
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,14 @@ def drawn(seed: int, orientation: bool) -> Drawn:
     poses = forward(joint, c)
     size, wander = 10 ** rng.uniform(0.0, 0.7), rng.uniform(0.0, 1.5)
     noise = size * (rng.standard_normal((len(c), 6)) + wander * wandering(len(c), rng.uniform(3.0, 30.0), rng))
-    turned = Rotation.from_rotvec(ROTATION_STD * noise[:, :3]) * poses.rotation
+    # A slow wander as the learner expects it of trackers: to it, slow motions are always a little in doubt.
+    drift = rng.uniform(0.2, 1.0) * wandering(len(c), SETTINGS.wander_durations * len(c), rng)
+    turns = ROTATION_STD * noise[:, :3] + SETTINGS.rotation_wander * drift[:, :3]
+    shifts = POSITION_STD * noise[:, 3:] + SETTINGS.position_wander * drift[:, 3:]
     recording = Recording(
         time=np.arange(len(c)) / RATE,
-        position=poses.translation + POSITION_STD * noise[:, 3:],
-        quaternion=turned.as_quat() if orientation else None,
+        position=poses.translation + shifts,
+        quaternion=(Rotation.from_rotvec(turns) * poses.rotation).as_quat() if orientation else None,
     )
     return Drawn(recording, kind, int(held > 0))
 

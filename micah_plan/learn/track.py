@@ -111,9 +111,14 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
     """Some rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
 
     Raises:
-        InputError: if a pose is not finite.
+        InputError: if a pose is not finite, or time does not increase.
     """
     position = recording.position[index]
+    late = np.flatnonzero(~(np.diff(recording.time[index]) > 0))
+    if len(late):
+        row, (before, now) = int(rows[late[0] + 1]), recording.time[index[late[0] : late[0] + 2]].tolist()
+        problem = f"time must increase from row to row of a part, found t = {now:g} s after {before:g} s in row {row}"
+        raise InputError(problem, where=where, remedy="keep one row of those that share a time")
     quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[index])
     if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
         raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")

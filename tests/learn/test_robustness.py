@@ -278,3 +278,15 @@ def test_very_many_rows() -> None:
     segments = learned(recording, "champ")
     assert kinds_of(segments) == ["revolute", "rigid"]
     assert abs(segments[1].start - 40_000) < 200
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_repeated_times_are_refused_in_one_line(method: Method) -> None:
+    original = recorded([(JOINTS["revolute"], moving_then_held("revolute", 60, 40))], np.random.default_rng(4))
+    time = original.time.copy()
+    for row in np.random.default_rng(0).choice(np.arange(1, len(time)), 10, replace=False):
+        time[row] = time[row - 1]
+    first = int(np.flatnonzero(np.diff(time) <= 0)[0]) + 1
+    with pytest.raises(InputError, match=rf"time must increase .* in row {first}") as caught:
+        learn_graph(replace(original, time=time), method=method)
+    assert "\n" not in str(caught.value)

@@ -230,7 +230,8 @@ def kind_probabilities(
             sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
             governed[piece.start : piece.end + 1] = True
     elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
-    held = bool(moving[elsewhere].any() or moving[hypothesis])
+    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
+    held = bool(moving[elsewhere].any())
     sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
     # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
