@@ -41,7 +41,7 @@ class LearnSettings:
     position_wander: float = 0.004
     rotation_wander: float = 0.08
     wander_durations: float = 1.5
-    position_misfit: float = 0.006
+    position_misfit: float = 0.002
     rotation_misfit: float = 0.02
     mean_length: float | None = None
     length_shape: float = 2.0
