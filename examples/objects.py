@@ -1,4 +1,4 @@
-"""The true microwave, drawer and cabinet of the simulated demonstrations.
+"""The true microwave, drawer, cabinet and stapler of the simulated demonstrations.
 
 The base frame has x to the right, y out of the front and z up, in metres. `micah-plan learn` does not see these
 mechanisms; it sees recordings. Shapes and handles are not learned: the true objects and the learned models take them
@@ -37,12 +37,17 @@ DRAWER_TRAVEL = 0.32
 CABINET_TRAVEL = 0.3
 """How far the cabinet's drawer comes out [m]."""
 
+STAPLER_OPEN = 0.55
+"""Angle between the open stapler and the latched one [rad]."""
+
 _HINGE = (-0.24, 0.01, 0.0)
 _TRACKED = 0.31
 _CABINET_HINGE = (-0.2, 0.01, 0.0)
 _CABINET_TRACKED = 0.2
 _CABINET_DRAWER = (0.0, 0.0, 0.28)
 _HANDLE_ON_DOOR = (0.15, 0.045, 0.05)
+_STAPLER_HINGE = (-0.06, 0.0, 0.02)
+_STAPLER_TRACKED = 0.1
 _PARTS = Path(__file__).resolve().parent.parent / "models" / "parts"
 
 
@@ -104,6 +109,23 @@ def cabinet() -> HybridAutomaton:
     )
 
 
+def stapler() -> HybridAutomaton:
+    """A desk stapler, one arm at rest, the other on a hinge at the back. It is 0 when open and latches at 0.55."""
+    direction = Rotation.from_rotvec([0.0, -STAPLER_OPEN, 0.0])
+    tracked = np.array(_STAPLER_HINGE) + direction.apply([_STAPLER_TRACKED, 0.0, 0.0])
+    swing = revolute((0.0, 1.0, 0.0), _STAPLER_HINGE, tracked, direction.as_quat())
+    pose = forward(swing, STAPLER_OPEN)[0]
+    shut = rigid(pose.translation, pose.rotation.as_quat(), STAPLER_OPEN)
+    swinging = Mode("swinging", (swing,), ((1.0,),), box([0.0], [STAPLER_OPEN], 1, ["arm"]))
+    at_latch = Region((above(0, STAPLER_OPEN, 1, 1, name="arm"),))
+    latched = Mode("latched", (shut,), ((0.0,),), at_latch, pins=(Pin(0, STAPLER_OPEN, 1e-3),))
+    edges = (
+        Edge("swinging", "latched", at_latch),
+        Edge("latched", "swinging", Region((input_below(0, 0.0, 1, 1, strict=True, name="input arm"),))),
+    )
+    return _object("arm", "rad", stapler_parts(), (swinging, latched), edges)
+
+
 def microwave_parts() -> tuple[Part, ...]:
     """The oven and its door; the door's frame: x from the hinge along the door, y outwards, z up, origin 0.31 m out."""
     return load_parts(_PARTS / "microwave.yaml")
@@ -117,6 +139,11 @@ def drawer_parts() -> tuple[Part, ...]:
 def cabinet_parts() -> tuple[Part, ...]:
     """The cabinet, its door, its drawer and the door's handle, each in its own frame."""
     return load_parts(_PARTS / "cabinet.yaml")
+
+
+def stapler_parts() -> tuple[Part, ...]:
+    """The lower arm, which is the base, and the upper arm; its frame: x from the hinge along it, z up, 0.1 m out."""
+    return load_parts(_PARTS / "stapler.yaml")
 
 
 def _object(

@@ -1,8 +1,8 @@
-"""Make the demonstrations that the project ships: a hand moves a microwave, a drawer and a cabinet, in MuJoCo.
+"""Make the demonstrations that the project ships: a hand moves a microwave, a drawer and more, in MuJoCo.
 
     python examples/record_demonstrations.py [FOLDER]
 
-writes microwave.csv, drawer.csv and cabinet.csv, by default into examples/demonstrations. The same seed gives the same
+writes one CSV per object, by default into examples/demonstrations. The same seed gives the same
 files. As in the paper's "with grasp" case, the hand holds the handle, a tracker measures the part's pose at 18 Hz, and
 the action is the displacement of the part that the hand asked for, also while the shut door does not give way.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from objects import DOOR_OPEN, cabinet, drawer, microwave
+from objects import DOOR_OPEN, STAPLER_OPEN, cabinet, drawer, microwave, stapler
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco_plant import MujocoPlant
@@ -111,10 +111,21 @@ def use_cabinet(seed: int = 3) -> Recording:
     return demonstration(cabinet(), np.stack([door, drawer_out], axis=1), seed)
 
 
+def close_stapler(seed: int = 4) -> Recording:
+    """A stapler pressed shut from 0.55 rad in 4.5 s, then pressed for 2.5 s."""
+    targets = np.concatenate([stroke(STAPLER_OPEN, 4.5, seed), press(STAPLER_OPEN, 0.03, 2.5, seed + 1)])
+    return demonstration(stapler(), targets, seed)
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demonstrations"
     folder.mkdir(parents=True, exist_ok=True)
-    made = {"microwave.csv": shut_microwave(), "drawer.csv": pull_drawer(), "cabinet.csv": use_cabinet()}
+    made = {
+        "microwave.csv": shut_microwave(),
+        "drawer.csv": pull_drawer(),
+        "cabinet.csv": use_cabinet(),
+        "stapler.csv": close_stapler(),
+    }
     for name, recording in made.items():
         write_csv(recording, folder / name)
         print(f"{folder / name}: {len(recording)} rows")

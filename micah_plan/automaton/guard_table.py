@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from micah_plan.automaton.effects.motion import CoordinateMotion, motions
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -105,6 +106,8 @@ def _guard_rows(guard: Region) -> tuple[Row, ...]:
     return tuple(map(_row, guard.half_spaces))
 
 
+# Objects with drawn thresholds share most of their half-spaces.
+@lru_cache(maxsize=4096)
 def _row(h: HalfSpace) -> Row:
     """A half-space with its weights of states (of inputs, if there are only those) scaled to length 1.
 

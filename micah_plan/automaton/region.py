@@ -58,6 +58,11 @@ class Region:
         )
 
     @property
+    def name(self) -> str:
+        """What stands before the colon in the names of its half-spaces, e.g. ``lid at shelf: from above``, or the first."""
+        return self.half_spaces[0].name.partition(":")[0] if self.half_spaces else ""
+
+    @property
     def is_everything(self) -> bool:
         return not self.half_spaces
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
+from micah_plan.belief.gaussian import FAR_STDS, SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
 from micah_plan.belief.truncation import Part, split
 
 Floats = NDArray[np.float64]
@@ -85,6 +85,8 @@ def cross(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> tu
         return _event(automaton, replace(piece, events=piece.events + 1), edge, u, None), None
     if piece.events and not _is_met_by_mean(piece, on_state, u):
         return None, piece
+    if not _is_near(piece, on_state, u):
+        return None, piece
     taken, left = _cut(piece, on_state, u)
     crossing = replace(
         piece,
@@ -103,6 +105,17 @@ def cross(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> tu
 def _holds(half_space: HalfSpace, u: Floats) -> bool:
     margin = float(np.array(half_space.b) @ u - half_space.c)
     return margin > 0 or (margin == 0 and not half_space.strict)
+
+
+def _is_near(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> bool:
+    """Whether the piece can be inside every half-space at the start or the end, with more than a share of 1e-15."""
+    for half_space in half_spaces:
+        margins = [
+            (weights @ piece.mean - offset, weights @ piece.factor) for weights, offset in _rows(half_space, piece, u)
+        ]
+        if all(margin < -FAR_STDS * (np.linalg.norm(root) + SMALLEST_STD) for margin, root in margins):
+            return False
+    return True
 
 
 def _is_met_by_mean(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> bool:

@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 
 # As in the symbolic twin: the smallest std that the arithmetic resolves [rad or m].
 SMALLEST_STD = 1e-9
+# A half-space that many standard deviations away holds a share below 1e-15.
+FAR_STDS = 8.0
 
 
 def lower_factor(matrix: Floats) -> Floats:

@@ -8,7 +8,8 @@ NumPy batch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -87,7 +88,8 @@ def search_modes(problem: Problem, limits: Limits, start_mode: str, seed: int = 
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits)
     if not shortest:
-        return SearchResult((), why_disconnected(problem, start_mode, samples))
+        in_the_way = _guards_in_the_way(problem, limits, roadmap, points)
+        return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, points)
     localising = LocalisingSearch(roadmap, beliefs, revisits)
     best: dict[tuple[int, ...], ScoredPath] = {}
@@ -128,6 +130,23 @@ def _goal_costs(problem: Problem, points: Floats) -> Floats:
     for index, value, tolerance in problem.goal.target:
         errors += ((points[:, index] - value) / tolerance) ** 2
     return np.asarray(errors * settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT))
+
+
+def _guards_in_the_way(
+    problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats]
+) -> tuple[str, ...]:
+    """The guards on states without any one of which, in all modes, the same samples would connect start and goal."""
+    automaton, found = problem.automaton, []
+    changes = [
+        e for e in automaton.edges if not e.is_self_transition and not any(any(h.b) for h in e.guard.half_spaces)
+    ]
+    for name in dict.fromkeys(edge.guard.name for edge in changes):
+        kept = tuple(edge for edge in automaton.edges if edge.guard.name != name)
+        motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)
+        graphs = {mode: _graph(points[mode], limits.speed, motions[mode]) for mode in points}
+        if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
+            found.append(name)
+    return tuple(found)
 
 
 def _graph(points: Floats, speed: Floats, motion: ModeMotion) -> csr_array:

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from micah_plan.automaton.contacts.task import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.joint import Vector3
 from micah_plan.scene.body import Body
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 
@@ -83,6 +85,22 @@ class PlannerSettings:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """How the object of a problem is held, and between which corners the hand may move; see `automaton.contacts.task`.
+
+    Attributes:
+        grip: how a hand holds the object.
+        contacts: (body of the scene, axis, sign) of every face that the moving part may touch.
+        lower, upper: corners of where the hand may go [m].
+    """
+
+    grip: Grip
+    contacts: tuple[tuple[str, int, int], ...]
+    lower: Vector3
+    upper: Vector3
+
+
+@dataclass(frozen=True)
 class Problem:
     """Everything `solve` needs.
 
@@ -94,6 +112,7 @@ class Problem:
         scene: bodies that do not move.
         robot: the arm that holds the object; None: none is planned for.
         grasp: what it holds.
+        hold: how a hand holds the object by one part; None: it stands, and its joints are moved.
     """
 
     automaton: HybridAutomaton
@@ -106,3 +125,4 @@ class Problem:
     scene: tuple[Body, ...] = ()
     robot: RobotDescription | None = None
     grasp: Grasp | None = None
+    hold: Hold | None = None

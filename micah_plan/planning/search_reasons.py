@@ -30,8 +30,12 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples, start_mo
     return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
 
 
-def why_disconnected(problem: Problem, start_mode: str, samples: Samples) -> str:
-    """Why the roadmaps do not connect start and goal although the transitions do."""
+def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the_way: tuple[str, ...] = ()) -> str:
+    """Why the roadmaps do not connect start and goal although the transitions do.
+
+    Args:
+        in_the_way: guards without any one of which they would be connected.
+    """
     automaton = problem.automaton
     edges = (automaton.edges[i] for i in samples.exits)
     moved = np.any([automaton.mode(name).B.any(axis=1) for name in _reachable(start_mode, edges)], axis=0)
@@ -42,6 +46,11 @@ def why_disconnected(problem: Problem, start_mode: str, samples: Samples) -> str
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
             )
+    if in_the_way:
+        return (
+            f"no motion of the modes that can be reached leads to the goal without '{in_the_way[0]}', which alone is "
+            f"in the way{_others(in_the_way[1:])}; make room there, or let the object change its mode first"
+        )
     return (
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
         f"guards of other transitions are in the way, or there are too few states; raise samples_per_mode"
@@ -92,6 +101,10 @@ def _reachable(start: str, edges: Iterable[Edge]) -> set[str]:
         reached.update(new)
         frontier.extend(new)
     return reached
+
+
+def _others(names: tuple[str, ...]) -> str:
+    return f" (as is {_listed(repr(name) for name in names)})" if names else ""
 
 
 def _listed(items: Iterable[str]) -> str:

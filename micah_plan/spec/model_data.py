@@ -115,11 +115,12 @@ def _without_defaults(data: Mapping[str, Any], defaults: Mapping[str, Any]) -> d
 def _part(part: Part) -> dict[str, Any]:
     data: dict[str, Any] = {} if part.handle is None else {"handle": _floats(part.handle)}
     if part.shapes:
-        data["shapes"] = [_shape(shape) for shape in part.shapes]
+        data["shapes"] = [shape_data(shape) for shape in part.shapes]
     return data
 
 
-def _shape(shape: Primitive) -> dict[str, Any]:
+def shape_data(shape: Primitive) -> dict[str, Any]:
+    """The entry of a solid."""
     data = {
         "kind": shape.kind,
         "size": _floats(shape.size),
@@ -152,6 +153,11 @@ def _mode(mode: Mode, automaton: HybridAutomaton, names: Variables) -> dict[str,
     if mode.pins:
         data["pins"] = _unique(
             (names.coordinates[pin.coordinate], {"value": float(pin.value), "std": float(pin.std)}) for pin in mode.pins
+        )
+    if mode.ties:
+        still = (0.0,) * automaton.m
+        data["ties"] = _unique(
+            (names.coordinates[t.coordinate], affine_text(t.weights, still, float(t.offset), names)) for t in mode.ties
         )
     if mode.observation_std:
         data["observation_std"] = _unique((names.coordinates[i], float(std)) for i, std in mode.observation_std)

@@ -86,6 +86,11 @@ class ModeDocument(Document):
     pins: dict[Name, PinDocument] = Field(
         default_factory=dict, description="Coordinates that the mode holds fixed, e.g. by a latch."
     )
+    ties: dict[Name, Expression] = Field(
+        default_factory=dict,
+        description="Coordinates that follow others, as an affine expression of them, e.g. `theta: 0.9 - 6.8*z`: an "
+        "angle that follows a height while an edge touches a table.",
+    )
     observation_std: dict[Name, Positive] = Field(
         default_factory=dict,
         description="Std of one measurement in this mode, of coordinates that it measures in its own way, wherever it "

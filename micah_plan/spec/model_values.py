@@ -19,6 +19,7 @@ from micah_plan.automaton.hybrid import (
     Part,
     Pin,
     Reset,
+    Tie,
 )
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.automaton.learned import LearnedEdge
@@ -215,11 +216,20 @@ class _Builder:
             invariant=region_of(mode.invariant, self._names, self._located, (*path, "invariant")),
             inputs=region_of(mode.inputs, self._names, self._located, (*path, "inputs")),
             pins=tuple(pins),
+            ties=tuple(
+                self._tie(coordinate, text, (*path, "ties", coordinate)) for coordinate, text in mode.ties.items()
+            ),
             observation_std=tuple(
                 (self._index(coordinate, (*path, "observation_std", coordinate)), std)
                 for coordinate, std in mode.observation_std.items()
             ),
         )
+
+    def _tie(self, name: str, text: str, path: KeyPath) -> Tie:
+        value = self._affine(text, path)
+        if any(value.b):
+            raise self._located.error(path, "a tie is about coordinates, not inputs", "write e.g. '0.9 - 6.8*z'")
+        return Tie(self._index(name, path), tuple(value.a), value.constant)
 
     def _affine(self, text: str, path: KeyPath) -> Affine:
         try:

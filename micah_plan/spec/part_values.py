@@ -23,7 +23,7 @@ def parts_of(documents: Mapping[str, PartDocument], located: Located) -> tuple[P
     return tuple(
         Part(
             name,
-            tuple(_shape(shape, located, ("parts", name, "shapes", i)) for i, shape in enumerate(part.shapes)),
+            tuple(shape_of(shape, located, ("parts", name, "shapes", i)) for i, shape in enumerate(part.shapes)),
             part.handle,
         )
         for name, part in documents.items()
@@ -44,7 +44,12 @@ def check_sizes(kind: str, size: Sequence[float], located: Located, path: KeyPat
         raise located.error((*path, "size"), problem, "a box has 3, a cylinder 2, a sphere 1")
 
 
-def _shape(shape: ShapeDocument, located: Located, path: KeyPath) -> Primitive:
+def shape_of(shape: ShapeDocument, located: Located, path: KeyPath) -> Primitive:
+    """The solid that an entry describes.
+
+    Raises:
+        InputError: if it has the wrong number of sizes or its quaternion is not of unit length.
+    """
     check_sizes(shape.kind, shape.size, located, path)
     check_unit(located, shape.quaternion, (*path, "quaternion"))
     return Primitive(shape.kind, tuple(shape.size), shape.position, shape.quaternion, shape.color)

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from micah_plan.planning.problem import Method, PlannerSettings
 from micah_plan.spec.fields import Document, Line, Name, NonNegative, Positive
+from micah_plan.spec.hold_document import HoldDocument
 from micah_plan.spec.model_document import LightDocument
 from micah_plan.spec.scene_document import BodyDocument, GraspDocument, RobotDocument
 
@@ -127,6 +128,9 @@ class ProblemDocument(Document):
 
     format: Literal["micah-plan/problem/1"] = Field(description="Format and version of this file.")
     model: Line = Field(description="Model file, relative to this file.")
+    hold: HoldDocument | None = Field(
+        default=None, description="How a hand holds the object by one part; default: it stands, its joints are moved."
+    )
     start: StartDocument = Field(description="Initial belief.")
     goal: GoalDocument = Field(description="Goal set.")
     noise: ProblemNoiseDocument = Field(

@@ -9,14 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from micah_plan.automaton.contacts.product import with_contacts
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 from micah_plan.planning.problem import Problem
+from micah_plan.scene.surroundings import surroundings_of
+from micah_plan.spec.hold_values import hold_of
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_file import usable_model
 from micah_plan.spec.problem_checks import check_problem
 from micah_plan.spec.problem_document import ProblemDocument
 from micah_plan.spec.problem_values import problem_of
+from micah_plan.spec.scene_values import scene_of
 from micah_plan.spec.validation import validated
 from micah_plan.spec.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 
@@ -42,7 +46,16 @@ def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         model = read_bytes(model_path, LARGEST_TEXT_BYTES)
     except InputError as error:
         raise located.error(("model",), f"model {model_path}: {error.problem}", error.remedy) from None
-    problem = problem_of(document, usable_model(model, str(model_path)), located, Path(path).parent)
+    automaton = usable_model(model, str(model_path))
+    hold = hold_of(document.hold, list(document.scene), located)
+    if hold is not None:
+        scene = scene_of(document.scene, located, Path(path).parent)
+        try:
+            around = surroundings_of(scene, hold.contacts, hold.lower, hold.upper)
+            automaton = with_contacts(automaton, hold.grip, around)
+        except InputError as error:
+            raise located.error(("hold",), error.problem, error.remedy) from None
+    problem = problem_of(document, automaton, located, Path(path).parent)
     check_problem(problem, located)
     digests = {"problem": _digest(content), "model": _digest(model)}
     if problem.robot is not None:

@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.spec.hold_values import hold_data, hold_of
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_values import by_name, light_of
 from micah_plan.spec.problem_document import PROBLEM_FORMAT, GoalDocument, ProblemDocument, StartDocument
@@ -45,6 +47,7 @@ def problem_of(
         scene=scene_of(document.scene, located, folder),
         robot=robot,
         grasp=grasp_of(document.grasp, robot, automaton, located),
+        hold=hold_of(document.hold, list(document.scene), located),
     )
 
 
@@ -80,6 +83,7 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         **({"scene": scene_data(problem.scene)} if problem.scene else {}),
         **({"robot": robot_data(problem.robot)} if problem.robot is not None else {}),
         **({"grasp": grasp_data(problem.grasp)} if problem.grasp is not None else {}),
+        **hold_data(problem.hold),
     }
 
 
@@ -115,4 +119,6 @@ def _goal(goal: GoalDocument, automaton: HybridAutomaton, located: Located) -> G
         if name not in names:
             raise located.unknown(("goal", "target", name), "coordinate", name, names)
     target = tuple((names.index(name), wanted.value, wanted.tolerance) for name, wanted in goal.target.items())
-    return Goal(target, tuple(goal.modes))
+    # An object that has hit something has not arrived, wherever it is.
+    unharmed = tuple(mode for mode in modes if mode != COLLIDED) if COLLIDED in modes else ()
+    return Goal(target, tuple(goal.modes) or unharmed)

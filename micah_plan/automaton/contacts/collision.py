@@ -57,14 +57,14 @@ def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings:
             return None
         if least + float(np.min(boxes[:, 1, axis])) < solid.lower[axis]:
             rows.append(
-                _row(axis, 1.0, slope, solid.lower[axis] - offset, f"{part} at {solid.name} from -{_AXES[axis]}")
+                _row(axis, 1.0, slope, solid.lower[axis] - offset, f"{part} at {solid.name}: from -{_AXES[axis]}")
             )
         offset, slope = _bound(grid, -boxes[:, 0, axis])
         if least + float(np.min(boxes[:, 0, axis])) > solid.upper[axis]:
             return None
         if most + float(np.max(boxes[:, 0, axis])) > solid.upper[axis]:
             rows.append(
-                _row(axis, -1.0, slope, -solid.upper[axis] - offset, f"{part} at {solid.name} from +{_AXES[axis]}")
+                _row(axis, -1.0, slope, -solid.upper[axis] - offset, f"{part} at {solid.name}: from +{_AXES[axis]}")
             )
     return Region(tuple(rows)) if rows else None
 

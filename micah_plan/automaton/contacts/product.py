@@ -91,7 +91,6 @@ def with_contacts(
         edges=(*edges, *hits),
         noise=Noise((*noise.process, joint.process_std), (*noise.observation, joint.observation_std)),
         provenance=learned.provenance,
-        learned=learned.learned,
     )
     check_automaton(automaton)
     return automaton
@@ -167,24 +166,28 @@ def _contact_edges(contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Gri
     for contact in contacts:
         piece, face = contact.piece, contact.face
         follower = next((o for o in contacts if o.face == face and o.piece.begin == piece.end), None)
+        withdraws = _withdrawing(face, noise)
         if piece.kind == "line":
             yield Edge(FREE, contact.name, _touching(contact, contacts, grip), contact.entry)
-            b = [0.0] * _M
-            b[face.axis] = float(face.sign)
-            name = f"withdrawing from {face.solid}"
-            withdraws = HalfSpace((0.0,) * _N, tuple(b), noise.release, strict=True, name=name)
             if not any(o.face == face and o.piece.end == piece.begin for o in contacts):
                 yield Edge(contact.name, FREE, Region((withdraws,)))
         if follower is not None:
-            yield Edge(
-                contact.name, follower.name, Region((_beyond(piece.end, piece.direction, grip),)), follower.entry
-            )
-            back = _beyond(piece.end, -piece.direction, grip, strict=True)
-            yield Edge(follower.name, contact.name, Region((back,)), contact.entry)
+            onward = Region((_beyond(piece.end, piece.direction, grip),))
+            yield Edge(contact.name, follower.name, onward, follower.entry)
+            # Only a hand that withdraws leads back: a belief that spreads over the boundary does not.
+            back = Region((withdraws, _beyond(piece.end, -piece.direction, grip, strict=True)))
+            yield Edge(follower.name, contact.name, back, contact.entry)
         elif _latch_of(piece, joint) is None:
             # Pressing does not get any further: the hand is stopped.
             stop = _beyond(piece.end, piece.direction, grip, strict=True)
             yield Edge(contact.name, contact.name, Region((stop,)), _stopped(contact, {_JOINT: piece.end}))
+
+
+def _withdrawing(face: Face, noise: HandNoise) -> HalfSpace:
+    """A hand that moves away from a face."""
+    b = [0.0] * _M
+    b[face.axis] = float(face.sign)
+    return HalfSpace((0.0,) * _N, tuple(b), noise.release, strict=True, name=f"withdrawing from {face.solid}")
 
 
 def _stopped(contact: Contact, joint: dict[int, float]) -> Reset:

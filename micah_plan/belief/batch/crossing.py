@@ -13,7 +13,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.batch.gaussian import condition_on_pins, hold_at_pins, lower_factors
 from micah_plan.belief.batch.truncation import Affine, Parts, split
-from micah_plan.belief.gaussian import SMALLEST_STD
+from micah_plan.belief.gaussian import FAR_STDS, SMALLEST_STD
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -130,6 +130,7 @@ def cross(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, inputs: Floats
             may &= (margin > 0) | ((margin == 0) & (not half_space.strict))
     if on_state:
         may &= (pieces.events == 0) | _is_met_by_mean(pieces, on_state, inputs)
+        may &= _is_near(pieces, on_state, inputs)
     passed, tried = pieces.where(~may), pieces.where(may)
     if not len(tried):
         return tried, pieces
@@ -181,6 +182,18 @@ def _counted(pieces: Pieces) -> Pieces:
 
 def _with(pieces: Pieces, parts: Parts) -> Pieces:
     return replace(pieces, probability=pieces.probability * parts.probability, mean=parts.mean, factor=parts.factor)
+
+
+def _is_near(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Booleans:
+    """Whether each piece can be inside every half-space at the start or the end, with more than a share of 1e-15."""
+    near, n = np.ones(len(pieces), dtype=bool), pieces.n
+    for half_space in half_spaces:
+        a, reached = np.array(half_space.a), np.zeros(len(pieces), dtype=bool)
+        for part in (slice(0, n), slice(n, None)):
+            std = np.linalg.norm(a @ pieces.factor[:, part], axis=1)
+            reached |= half_space.margin(pieces.mean[:, part], u) >= -FAR_STDS * (std + SMALLEST_STD)
+        near &= reached
+    return near
 
 
 def _is_met_by_mean(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Booleans:

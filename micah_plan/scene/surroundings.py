@@ -1,0 +1,48 @@
+"""A scene as a held object meets it: boxes to keep clear of, and faces to touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.contacts.task import Face, Solid, Surroundings
+from micah_plan.automaton.joint import Vector3
+from micah_plan.scene.body import Body, Shape, corners
+
+Floats = NDArray[np.float64]
+
+
+def surroundings_of(
+    scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]], lower: Vector3, upper: Vector3
+) -> Surroundings:
+    """Every shape of a body as the box around it along the base axes.
+
+    Args:
+        scene: the bodies.
+        contacts: (body, axis, sign) of the faces that may be touched. Such a body is no obstacle: what else touches it
+            rests on it.
+        lower, upper: corners of where the hand may go [m].
+    """
+    touched = {body for body, _, _ in contacts}
+    solids = []
+    for body in scene:
+        for number, shape in enumerate(body.shapes, start=1):
+            if body.name not in touched:
+                low, high = _box(body, (shape,))
+                name = body.name if len(body.shapes) == 1 else f"{body.name} {number}"
+                solids.append(Solid(name, _vector(low), _vector(high)))
+    boxes = {body.name: _box(body, body.shapes) for body in scene}
+    faces = [Face(body, axis, sign, float(boxes[body][1 if sign > 0 else 0][axis])) for body, axis, sign in contacts]
+    return Surroundings(tuple(solids), tuple(faces), lower, upper)
+
+
+def _box(body: Body, shapes: Sequence[Shape]) -> tuple[Floats, Floats]:
+    """Lower and upper corner of shapes in the base frame [m]."""
+    points = body.pose.apply(np.concatenate([corners(shape) for shape in shapes]))
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _vector(values: Floats) -> Vector3:
+    return (float(values[0]), float(values[1]), float(values[2]))
