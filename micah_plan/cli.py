@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -58,9 +59,7 @@ class PlantName(StrEnum):
 
 PlannerName = StrEnum("PlannerName", {"POMDP_HD": "pomdp-hd", "DIRECT": "direct", "RRT": "rrt"})
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-Seed = Annotated[
-    int, typer.Option("--seed", min=0, help="Seed of everything random; the same seed gives the same bytes.")
-]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all that is random; same seed, same bytes.")]
 OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
 
 
@@ -231,6 +230,7 @@ def execute(
     output: OutputPath,
     plant: Annotated[PlantName, typer.Option(help="The model with noise, or independent physics.")] = PlantName.NOMINAL,
     trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
+    replan_every: Annotated[int | None, typer.Option(min=0, help="Plan anew every so many steps; 0: never.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
@@ -245,9 +245,8 @@ def execute(
     require_executable(stored)
     begin = time.perf_counter()
     with _progress(as_json) as progress:
-        statistics = workflow.execute(
-            stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed, progress=progress
-        )
+        run = partial(workflow.execute, stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed)
+        statistics = run(replan_every=replan_every, progress=progress)
     write_recording(statistics.recording, output)
     if figure is not None:
         from micah_plan.view.figures import belief_figure, save_figure

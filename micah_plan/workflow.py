@@ -182,18 +182,26 @@ def execute(
     plant: PlantKind = "nominal",
     trials: int = 1,
     seed: int = 0,
+    replan_every: int | None = None,
     progress: Progress | None = None,
 ) -> TrialStatistics:
     """Execute a plan in closed loop, with the belief filter, feedback and replanning, over seeded trials.
+
+    Args:
+        replan_every: steps after which the rest of the plan is optimised again from the belief, 0: never; None: as the
+            problem's settings say.
 
     Raises:
         InputError: if the plan is not a solution.
         MissingDependencyError: if the plant needs a library that is not installed.
     """
     from micah_plan.execution.trials import run_trials
-    from micah_plan.planning.pomdp_hd import replan
+    from micah_plan.planning.pomdp_hd import continue_plan, replan
 
-    return run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan, progress=progress)
+    if replan_every is not None:
+        problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
+    run = partial(run_trials, replan=replan, continue_plan=continue_plan)
+    return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress)
 
 
 def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:

@@ -22,6 +22,7 @@ from micah_plan.automaton.region import HalfSpace, Region
 Floats = NDArray[np.float64]
 
 _DIGITS = 9
+_SMALLEST_STD = 1e-6
 Boundary = tuple[float, ...]
 """Weights and threshold of a half-space's boundary, scaled so that both sides of it are the same value."""
 
@@ -50,6 +51,28 @@ def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAut
     )
     modes = tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes)
     return replace(automaton, modes=modes, edges=edges)
+
+
+def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) -> HybridAutomaton:
+    """The automaton with its uncertain boundaries moved by (b,) amounts, and known to (b,) stds instead of its own.
+
+    A pin at a boundary is known better by what its boundary is.
+    """
+    moved, before = with_shifted_thresholds(automaton, by), boundary_stds(automaton)
+    known = dict(zip(before, map(float, stds), strict=True))
+    edges = []
+    for old, new in zip(automaton.edges, moved.edges, strict=True):
+        at = [boundary_of(h)[0] for h in old.guard.half_spaces]
+        share = max((known[b] / before[b] for b in at if b in before), default=1.0)
+        edges.append(replace(new, threshold_std=old.threshold_std * share))
+    modes = []
+    for mode, new_mode in zip(automaton.modes, moved.modes, strict=True):
+        of_pin = boundaries_of_pins(automaton, mode)
+        gained = {i: before[b] ** 2 - known[b] ** 2 for i, b in of_pin.items() if b in before}
+        stds_now = (max(pin.std**2 - gained.get(pin.coordinate, 0.0), _SMALLEST_STD**2) ** 0.5 for pin in mode.pins)
+        pins = (replace(pin, std=std) for pin, std in zip(new_mode.pins, stds_now, strict=True))
+        modes.append(replace(new_mode, pins=tuple(pins)))
+    return replace(moved, modes=tuple(modes), edges=tuple(edges))
 
 
 def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:

@@ -24,6 +24,7 @@ from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
 Replan = Callable[[HybridBelief], Trajectory | None]
+ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 
 _SPARE_STEPS = 20
 _MOST_REPLANS = 5
@@ -44,6 +45,7 @@ class TrialResult:
         confidence: the belief's probability of the goal at the end.
         steps: control steps taken.
         replans: new plans followed.
+        continuations: how often the rest of the plan was optimised again.
         beliefs: after each measurement, steps + 1 of them.
     """
 
@@ -56,6 +58,7 @@ class TrialResult:
     confidence: float
     steps: int
     replans: int
+    continuations: int
     beliefs: tuple[HybridBelief, ...]
 
 
@@ -68,13 +71,13 @@ def execute(
     run: int = 0,
     max_steps: int | None = None,
     replan: Replan | None = None,
+    continue_plan: ContinuePlan | None = None,
 ) -> TrialResult:
     """Carry out a plan on a plant.
 
     Every step measures the poses, updates the belief, and applies the plan's feedback. It stops when the plan is
-    carried out and the belief is in the goal set with the problem's confidence: a plan aims at the middle of the goal,
-    and to stop at its edge would waste that. A new plan is asked for where the belief leaves the plan, where a planned
-    transition does not happen, and where the plan ends short of the goal. A start in the goal needs no step.
+    carried out and the belief is in the goal set with the problem's confidence: stopping earlier ends at its edge. A
+    new plan is asked for where the belief leaves it, a transition does not happen, or it ends short of the goal.
 
     Args:
         problem: automaton, start belief, goal, confidence and input limits.
@@ -84,21 +87,22 @@ def execute(
         run: the run's number in the log.
         max_steps: control steps at most; None: twice the plan's plus 20.
         replan: gives a trajectory from a belief, or None if there is none; None: never replan.
+        continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
     """
     automaton = problem.automaton
     longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
-    pilot = _Pilot(problem, trajectory, replan)
+    pilot = _Pilot(problem, trajectory, replan, continue_plan)
     log = RunLog(automaton)
     prior = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
     measurement = plant.reset(rng)
     beliefs = [_updated(automaton, prior, measurement)]
     confidence = goal_probability(automaton, problem.goal, beliefs[-1])
     while len(beliefs) <= longest:
-        belief = beliefs[-1]
+        belief, number = beliefs[-1], beliefs[-1].most_likely
         if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
             break
         u = pilot.input(belief)
-        order = command(automaton, automaton.modes[belief.most_likely].name, belief.means[belief.most_likely], u)
+        order = command(automaton, automaton.modes[number].name, belief.means[number], u)
         log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
         measurement = plant.apply(order)
         beliefs.append(_updated(automaton, predict(automaton, belief, u), measurement))
@@ -115,6 +119,7 @@ def execute(
         confidence=confidence,
         steps=len(beliefs) - 1,
         replans=pilot.replans,
+        continuations=pilot.continuations,
         beliefs=tuple(beliefs),
     )
 
@@ -122,13 +127,19 @@ def execute(
 class _Pilot:
     """Decides the input of each step: follows the plan, and asks for another when the plan no longer serves."""
 
-    def __init__(self, problem: Problem, trajectory: Trajectory, replan: Replan | None) -> None:
+    def __init__(
+        self, problem: Problem, trajectory: Trajectory, replan: Replan | None, continue_plan: ContinuePlan | None
+    ) -> None:
         self._automaton = problem.automaton
         self._max_step = limits_of(problem).max_step
         self._replan = replan
+        self._continue_plan = continue_plan
+        self._every = problem.settings.replan_every
+        self._followed = 0
         self._waited = 0
         self._asked = 0
         self.replans = 0
+        self.continuations = 0
         self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
 
     def is_finished(self, belief: HybridBelief) -> bool:
@@ -137,6 +148,8 @@ class _Pilot:
 
     def input(self, belief: HybridBelief) -> Floats:
         """(m,) the input to apply now."""
+        self._look_ahead(belief)
+        self._followed += 1
         advice = self._follower.advise(belief)
         self._waited = 0 if advice.fit == "on_plan" else self._waited + 1
         if not self._wants_replan(advice) or self._replan is None:
@@ -147,8 +160,23 @@ class _Pilot:
         if fresh is None:
             return advice.u
         self.replans += 1
-        self._follower = PlanFollower(self._automaton, fresh, self._max_step)
+        self._follow(fresh)
         return self._follower.advise(belief).u
+
+    def _follow(self, trajectory: Trajectory) -> None:
+        self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
+        self._followed = 0
+
+    def _look_ahead(self, belief: HybridBelief) -> None:
+        """Where it is time to, optimise the rest of the plan from the belief."""
+        due = self._continue_plan is not None and 0 < self._every <= self._followed
+        if self._continue_plan is None or not due or self._follower.is_finished(belief):
+            return
+        fresh = self._continue_plan(belief, *self._follower.place)
+        self._followed = 0
+        if fresh is not None:
+            self.continuations += 1
+            self._follow(fresh)
 
     def _wants_replan(self, advice: Advice) -> bool:
         if self._asked == _MOST_REPLANS or advice.fit == "on_plan":

@@ -69,6 +69,11 @@ class PlanFollower:
             return Advice(self._towards(mode, estimate, earlier[-1]), "lagging")
         return Advice(self._towards(mode, estimate, knot), "off_plan")
 
+    @property
+    def place(self) -> tuple[Trajectory, int]:
+        """The trajectory, and the knot that the next input belongs to."""
+        return self._trajectory, self._knot
+
     def is_finished(self, belief: HybridBelief) -> bool:
         """Whether the plan has no further steps for this belief."""
         mode = self._automaton.modes[belief.most_likely].name

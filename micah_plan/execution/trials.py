@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from micah_plan.recording.value import Recording
 Floats = NDArray[np.float64]
 PlantKind = Literal["nominal", "mujoco"]
 ProblemReplan = Callable[[Problem, HybridBelief], Trajectory | None]
+ProblemContinuePlan = Callable[[Problem, HybridBelief, Trajectory, int], Trajectory | None]
 Progress = Callable[[str, float], None]
 
 
@@ -65,6 +67,7 @@ def run_trials(
     seed: int = 0,
     max_steps: int | None = None,
     replan: ProblemReplan | None = None,
+    continue_plan: ProblemContinuePlan | None = None,
     progress: Progress | None = None,
 ) -> TrialStatistics:
     """Execute a plan several times; trial i has its own random stream, the same whatever runs before it.
@@ -73,6 +76,7 @@ def run_trials(
         plant: which plant to build from the problem, or a plant.
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
         replan: gives a trajectory from a belief; None: never replan.
+        continue_plan: gives the rest of a trajectory from a knot on, optimised again; None: never.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -84,14 +88,16 @@ def run_trials(
         raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
-    again = None if replan is None else (lambda belief: replan(problem, belief))
+    again = None if replan is None else partial(replan, problem)
+    onward = None if continue_plan is None else partial(continue_plan, problem)
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0]))
     machine = make_plant(problem, plant) if isinstance(plant, str) else plant
     results = []
     try:
         for trial in range(trials):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,)))
-            results.append(execute(problem, trajectory, machine, rng, run=trial, max_steps=max_steps, replan=again))
+            ways = partial(execute, replan=again, continue_plan=onward)
+            results.append(ways(problem, trajectory, machine, rng, run=trial, max_steps=max_steps))
             if progress is not None:
                 done = sum(result.success for result in results)
                 progress(f"trial {trial + 1} of {trials}: {done} successful", (trial + 1) / trials)

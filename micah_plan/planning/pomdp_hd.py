@@ -18,10 +18,11 @@ from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.mode_search import ModeSequence, search_modes
 from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason, obstacle_of_status, obstacles_of
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
-from micah_plan.planning.problem import Problem, Start
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.replanning import believed_problem, rest_of
 from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.transcription import transcribe
-from micah_plan.planning.transcription_guess import guess
+from micah_plan.planning.transcription_guess import guess, guess_again
 from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
@@ -49,16 +50,34 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
         return Plan("no_plan", reason, seed=seed, timings=_Clock().timings(), obstacles=endpoint_obstacles(problem))
-    return _plan_from(problem, mode, seed, progress or (lambda _text, _fraction: None))
+    return _plan_from(problem, mode, seed, progress or _silent)
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
-    """A new trajectory from the most likely mode of a belief, its stds taken as independent; None if there is none."""
-    index = belief.most_likely
-    mode = problem.automaton.modes[index].name
-    stds = np.linalg.norm(belief.factors[index], axis=1)
-    start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
-    return _plan_from(replace(problem, start=start), mode, seed, lambda _text, _fraction: None).trajectory
+    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`); None if there is none."""
+    here = believed_problem(problem, belief)
+    mode = problem.automaton.modes[belief.most_likely].name
+    return _plan_from(here, mode, seed, _silent).trajectory
+
+
+def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
+    """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
+
+    Modes and numbers of steps stay those of the trajectory: there is no search, and the end comes no later, however
+    often it is continued. None where the steps left do not suffice, or the belief is in another mode.
+    """
+    here, clock = believed_problem(problem, belief), _Clock()
+    if here.start.mode != trajectory.modes[knot]:
+        return None
+    limits, compiled = limits_of(here), compile_automaton(here.automaton)
+    sequence, steps = rest_of(problem.automaton, trajectory, knot)
+    start = guess_again(here, limits, compiled, sequence, steps)
+    path = solve(transcribe(here, limits, compiled, start), _with_time_left(here, clock))
+    return _solved(here, limits, path, (), 0, clock).trajectory if path.feasible else None
+
+
+def _silent(_text: str, _fraction: float) -> None:
+    """Nobody is told."""
 
 
 def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:

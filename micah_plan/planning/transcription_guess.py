@@ -85,6 +85,13 @@ def guess(
     return Guess(rolled)
 
 
+def guess_again(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
+) -> tuple[PhaseGuess, ...]:
+    """The warm start of a path that is followed already, with its number of steps in each mode."""
+    return _roll(problem, limits, compiled, sequence, steps)[0]
+
+
 def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
     """Least number of steps (not rounded) of one mode's waypoints."""
     B = problem.automaton.mode(sequence.modes[phase]).B

@@ -190,3 +190,28 @@ def test_a_door_perhaps_not_shut_is_pressed_once_more():
     np.testing.assert_array_equal(follower.advise(shut).u, [0.0])
     doubted = HybridBelief(np.array([0.1, 0.9]), shut.means, shut.factors)
     np.testing.assert_allclose(follower.advise(doubted).u, [1.22 - 1.19], atol=1e-12)
+
+
+def test_a_receding_horizon_looks_ahead_every_so_many_steps():
+    problem = replace(PULL, settings=replace(PULL.settings, replan_every=3))
+    asked = []
+
+    def onward(belief, trajectory, knot):
+        asked.append((len(trajectory.modes) - knot, belief.mean[0]))
+        rest = np.linspace(belief.mean[0], 0.25, len(trajectory.modes) - knot)
+        return straight(["sliding"] * len(rest), list(rest), 0.002)
+
+    result = run(problem, pulling(), continue_plan=onward)
+    assert result.success, result.reason
+    assert result.continuations == len(asked) > 1
+    assert np.diff([left for left, _ in asked]).tolist() == [-3] * (len(asked) - 1)
+    assert result.steps == run(PULL, pulling()).steps
+    assert not run(PULL, pulling(), continue_plan=onward).continuations
+
+
+def test_what_cannot_be_continued_is_followed_as_it_is():
+    problem = replace(PULL, settings=replace(PULL.settings, replan_every=2))
+    result = run(problem, pulling(), continue_plan=lambda *_: None)
+    same = run(PULL, pulling())
+    assert result.continuations == 0
+    assert (result.steps, result.final_x.tolist()) == (same.steps, same.final_x.tolist())

@@ -1,0 +1,98 @@
+"""Planning while a plan is followed: from the belief of now, through what is left, past thresholds as learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_examples import DOOR_SHUT, door_automaton, door_problem
+
+from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries, with_shifted_thresholds
+from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.policy import time_knots
+from micah_plan.planning.pomdp_hd import continue_plan, plan, replan
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.replanning import believed_problem, rest_of
+
+STD = 0.04
+
+
+def latching() -> Problem:
+    """Shut a door whose latch lies at 1.2 rad, give or take."""
+    automaton = door_automaton(pin_std=0.05)
+    edges = tuple(e if e.is_self_transition else replace(e, threshold_std=STD) for e in automaton.edges)
+    problem = door_problem(0.9, DOOR_SHUT, tolerance=0.2, goal_modes=("shut",))
+    return replace(problem, automaton=replace(automaton, edges=edges))
+
+
+def still_open(problem: Problem) -> HybridBelief:
+    """Measured to be open at 1.23 rad, where the model has it shut."""
+    belief = initial_belief(problem.automaton, [1.13], [0.01], "swings")
+    for z in (1.18, 1.23):
+        belief = update(problem.automaton, predict(problem.automaton, belief, [0.05]), [z])
+    return belief
+
+
+def test_the_rest_of_a_trajectory_keeps_modes_steps_and_way() -> None:
+    problem = latching()
+    trajectory = plan(problem).trajectory
+    assert trajectory is not None
+    sequence, steps = rest_of(problem.automaton, trajectory, 2)
+    assert sequence.modes == ("swings", "shut")
+    assert problem.automaton.edges[sequence.edges[0]].name == "swings -> shut"
+    assert sum(steps) == len(time_knots(trajectory)) - 2
+    np.testing.assert_array_equal(np.concatenate(sequence.waypoints), trajectory.means[2:])
+    last, none_left = rest_of(problem.automaton, trajectory, len(trajectory.modes) - 1)
+    assert (last.modes, none_left) == (("shut",), [0])
+
+
+def test_a_plan_continued_from_its_own_belief_stays_as_it_was() -> None:
+    problem = latching()
+    trajectory = plan(problem).trajectory
+    assert trajectory is not None
+    belief = initial_belief(problem.automaton, trajectory.means[3], trajectory.factors[3], "swings")
+    onward = continue_plan(problem, belief, trajectory, 3)
+    assert onward is not None
+    assert onward.modes == trajectory.modes[3:]
+    assert np.abs(onward.means[-1] - trajectory.means[-1]).max() < 1e-3
+    assert np.abs(onward.means - trajectory.means[3:]).max() < 0.5 * 0.06
+    assert continue_plan(problem, initial_belief(problem.automaton, [1.2], [0.01], "shut"), trajectory, 3) is None
+
+
+def test_too_few_steps_left_continue_nothing() -> None:
+    problem = latching()
+    trajectory = plan(problem).trajectory
+    assert trajectory is not None
+    behind = initial_belief(problem.automaton, [0.3], [0.01], "swings")
+    assert continue_plan(problem, behind, trajectory, len(trajectory.modes) - 4) is None
+
+
+def test_a_new_plan_goes_past_where_the_threshold_is_now_believed_to_be() -> None:
+    problem = latching()
+    belief = still_open(problem)
+    assert belief.shifts[0, 0] > 0.03
+    here = believed_problem(problem, belief)
+    guard = here.automaton.edges[0].guard.half_spaces[0]
+    assert guard.c == pytest.approx(DOOR_SHUT + belief.shifts[0, 0])
+    assert here.automaton.edges[0].threshold_std == pytest.approx(belief.shift_stds[0, 0])
+    assert here.start.mean[0] == pytest.approx(belief.means[0, 0])
+    learned, first = replan(problem, belief), plan(problem).trajectory
+    assert learned is not None
+    assert first is not None
+    assert learned.means.max() > guard.c
+    assert learned.factors[-1, 0, 0] < first.factors[-1, 0, 0]
+
+
+def test_known_boundaries_are_shifted_ones_with_their_stds() -> None:
+    automaton = latching().automaton
+    same = with_known_boundaries(automaton, np.zeros(1), np.array([STD]))
+    assert (same.modes, same.edges) == (automaton.modes, automaton.edges)
+    known = with_known_boundaries(automaton, np.array([0.1]), np.array([0.01]))
+    moved = with_shifted_thresholds(automaton, np.array([0.1]))
+    assert [edge.guard for edge in known.edges] == [edge.guard for edge in moved.edges]
+    assert list(boundary_stds(known).values()) == pytest.approx([0.01])
+    assert known.mode("shut").pins[0].value == pytest.approx(DOOR_SHUT + 0.1)
+    # What else makes the pin uncertain stays: 0.05² - 0.04² = 0.03².
+    assert known.mode("shut").pins[0].std == pytest.approx(np.hypot(0.03, 0.01))
