@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
-_RARE = 4.6  # nats: one in a hundred joints is a screw
+RARE_SCREW = 4.6  # nats: one in a hundred joints is a screw
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
 _BLOCKS = 8  # in which the rows are averaged to see so
 _TRAVEL = 7.0  # a motion, in the noise of these means
@@ -54,7 +54,7 @@ def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float
     information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    rare = _RARE * joints.twisting + _denied(pool, noise)
+    rare = RARE_SCREW * joints.twisting + _denied(pool, noise)
     return np.asarray(far + rare + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
 
 

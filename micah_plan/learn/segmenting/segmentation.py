@@ -16,6 +16,7 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.occam import RARE_SCREW
 from micah_plan.learn.segmenting.pool import pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
@@ -33,6 +34,9 @@ _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 _CLOSE = 10.0  # nats; outcomes further apart under their own noises are not compared under others
 _SAME_ROWS = 0.6  # of the rows of either
+# How many times as large as they should be log odds are, in simulations of short and noisy motions
+# (benchmarks/reliability.py): joints and noise are fitted to the rows that they are judged by.
+_KINDS_OVERSTATED, _COUNTS_OVERSTATED = 6.0, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +213,8 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     apart: Floats = np.where(np.eye(len(moving)) > 0, np.inf, ANOTHER_JOINT * np.outer(~moving, ~moving))
     prior = _prior(found.track, settings)
     result = changepoint_posterior(table, cost, apart, prior, len(settings.kinds), len(pieces) - 1)
-    return replace(result, log_evidence=result.log_evidence - paid)
+    counts = result.counts ** (1 / _COUNTS_OVERSTATED)
+    return replace(result, counts=counts / counts.sum(), log_evidence=result.log_evidence - paid)
 
 
 def kind_probabilities(
@@ -245,6 +250,9 @@ def kind_probabilities(
     best = np.array(
         [max((sums[i] for i, name in enumerate(names) if name == kind and rival[i]), default=-np.inf) for kind in kinds]
     )
+    # That screws are rare is known beforehand, and not told by rows.
+    rare = RARE_SCREW * np.array([kind == "screw" for kind in kinds])
+    best = (best + rare) / _KINDS_OVERSTATED - rare
     share = np.exp(best - best.max())
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
