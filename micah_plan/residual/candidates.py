@@ -61,15 +61,31 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def smooth(lane: Lane, looseness: float = 1.0) -> Candidate:
-    """The correction without a name: a smooth function of configuration, direction and speed of the command."""
+def indistinguishable(name: str, lane: Lane) -> tuple[str, ...]:
+    """Forms that were not tried because on this lane they would do exactly the same as another."""
+    same = []
+    if name == "gain":
+        same += [] if lane.visits_end() else ["sensor_scale"]
+        same += [] if _frame_rotation(lane) is not None else ["frame_rotation"]
+    if name == "bias":
+        same += [] if lane.visits_end() else ["drift"]
+        same += ["gravity"] if lane.unit == "m" else []
+    return tuple(same)
+
+
+def smooth(lane: Lane, *, is_lean: bool = False) -> Candidate:
+    """The correction without a name: a smooth function of configuration, direction and speed of the command.
+
+    Args:
+        is_lean: fit only what depends on the command alone.
+    """
     low, high = lane.visited
     margin = 0.02 * (high - low) + 1e-6
     size = lane.command_size
     start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *_NEVER_GATED]
-    free = tuple(range(3, 6 + 2 * SMOOTH_BUMPS))
+    free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
     scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
-    return Candidate(Term(form("unexplained")), np.array([start]), free, looseness * np.array(scale))
+    return Candidate(Term(form("unexplained")), np.array([start]), free, np.array(scale[: len(free)]))
 
 
 def _bounds(name: str, lane: Lane) -> dict[int, tuple[float, float]]:
@@ -98,7 +114,15 @@ def _plain(own: EffectForm, lane: Lane) -> _Made:
     return np.array([start]), tuple(range(len(start))), scale
 
 
+def _sensor_scale(lane: Lane) -> _Made:
+    """Only where an end is reached; else it is a gain."""
+    return (np.array([[1.0]]), (0,), [0.3]) if lane.visits_end() else None
+
+
 def _drift(lane: Lane) -> _Made:
+    """Only where an end is reached; else it is a bias."""
+    if not lane.visits_end():
+        return None
     return np.array([[0.0]]), (0,), [0.3 * lane.command_size / lane.period]
 
 
@@ -196,6 +220,7 @@ def _guard_hysteresis(lane: Lane) -> _Made:
 
 _STARTS = {
     "drift": _drift,
+    "sensor_scale": _sensor_scale,
     "frame_rotation": _frame_rotation,
     "delay": _delay,
     "lag": _lag,

@@ -49,6 +49,7 @@ class Lane:
         period: median time from row to row [s].
         rows: of the recording, before stretches were chosen.
         modes: names of the automaton's modes.
+        motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
     """
 
     coordinate: str
@@ -70,6 +71,18 @@ class Lane:
     period: float
     rows: int
     modes: tuple[str, ...]
+    motion_noise: float = 0.0
+
+    @property
+    def process_profile(self) -> Floats:
+        """(S, T) variance of the process noise of the step that starts at each row, relative to its mean."""
+        return (1.0 - self.motion_noise) + self.motion_noise * (self.u / self.command_size) ** 2
+
+    def visits_end(self) -> bool:
+        """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
+        low, high = self.visited
+        reach = 0.03 * (high - low)
+        return low < self.lower + reach or high > self.upper - reach
 
     @property
     def command_size(self) -> float:

@@ -26,7 +26,10 @@ _HOPELESS = 1.5
 _FOLD_ROUNDS = 4
 _POLISH_ROUNDS = 5
 _START_SHARES = (-1.0, 2.0)
-_FREEDOMS = (4.0, 10.0, 60.0)
+_FREEDOMS = (60.0, 10.0, 4.0)
+_MOTION_NOISES = (0.0, 0.6, 0.97)
+# Likelihood by which a less plain kind of noise must fit better [nats].
+_CLEARLY = 3.0
 # The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
 _LOOSE = 20.0
 
@@ -64,14 +67,14 @@ class Search:
 
     def __init__(self, lane: Lane) -> None:
         self.lane = lane
-        self.freedom = _FREEDOMS[-1]
+        self.freedom = _FREEDOMS[0]
         runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
         count = len(lane.run)
         self.folds = min(FOLDS, count)
         by_run = len(runs) >= FOLDS
         number = np.array([runs[run] for run in lane.run.tolist()]) if by_run else np.arange(count)
         self.fold: Ints = number % self.folds
-        self.freedom = self._suited_freedom()
+        self.lane, self.freedom = self._suited_noise()
         self.nominal = self.score(())
 
     def score(self, parts: Sequence[Candidate], base: Scored | None = None) -> Scored:
@@ -119,7 +122,7 @@ class Search:
         counted = self.lane.counted
         innovation = float(np.mean(own[counted] ** 2))
         r = float(measurement_share(scored.fit.share)[0])
-        q = 1.0 - r
+        q = (1.0 - r) * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
         # Steady state of the scalar Riccati equation: prior variance p with p = p r / (p + r) + q.
         p = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
         return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
@@ -192,17 +195,23 @@ class Search:
             at += part.term.size
         return tuple(fitted)
 
-    def _suited_freedom(self) -> float:
-        """Degrees of freedom of the noise that suit what a smooth correction leaves."""
-        problem = self._problem((smooth(self.lane),))
-        start = smooth(self.lane).starts
-        everything = np.ones((1, len(self.lane.run)), dtype=bool)
-        losses = []
-        for freedom in _FREEDOMS:
-            suited = replace(problem, freedom=freedom)
-            fit = optimise(suited, start, np.zeros(1), everything, 5)
-            losses.append(float(fit.loss[0]))
-        return _FREEDOMS[int(np.argmin(losses))]
+    def _suited_noise(self) -> tuple[Lane, float]:
+        """The lane with the kind of noise, and the degrees of freedom, that suit what a smooth correction leaves."""
+        best: tuple[float, Lane, float] | None = None
+        part = smooth(self.lane)
+        problem = self._problem((part,))
+        share = np.zeros(1)
+        for motion_noise in _MOTION_NOISES:
+            lane = replace(self.lane, motion_noise=motion_noise)
+            for freedom in _FREEDOMS:
+                suited = replace(problem, lane=lane, freedom=freedom)
+                fit = optimise(suited, part.starts, share, self._all(1), 4)
+                share = fit.share
+                if best is None or fit.loss[0] < best[0] - _CLEARLY:
+                    best = float(fit.loss[0]), lane, freedom
+        if best is None:
+            return self.lane, self.freedom
+        return best[1], best[2]
 
 
 def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:

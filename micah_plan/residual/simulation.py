@@ -86,6 +86,7 @@ class _Run:
         self.lane, self.model = lane, model
         self.p = _split(model, parameters)
         self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
+        self.profile = lane.process_profile
         self.memory = [term.form.at_rest(p) for term, p in zip(model, self.p, strict=True)]
         self.low, self.high, self.release = self._ends(parameters)
         self.commands = self._commands()
@@ -116,7 +117,7 @@ class _Run:
         )
         free = np.where(stuck, self.c, free)
         ended = (free < low) | (free > high) | stuck
-        self.variance = (self.variance + self.q) * np.where(ended, _HELD_VARIANCE, 1.0)
+        self.variance = (self.variance + self.q * self.profile[:, t]) * np.where(ended, _HELD_VARIANCE, 1.0)
         self.c = np.minimum(np.maximum(free, low), high)
 
     def measure(self, t: int, kind: Kind) -> tuple[Floats, Floats]:

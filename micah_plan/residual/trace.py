@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.residual.candidates import Candidate, candidates, smooth
+from micah_plan.residual.candidates import Candidate, candidates, indistinguishable, smooth
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.search import Scored, Search, gated
-from micah_plan.residual.simulation import Term
+from micah_plan.residual.simulation import GATES, Term
 from micah_plan.residual.verdict import Verdict, verdict
 
 Floats = NDArray[np.float64]
@@ -48,9 +48,9 @@ PLAINEST = (
     "delay",
     "lag",
     "backlash",
-    "latch",
     "guard_shift",
     "limit",
+    "latch",
     "guard_hysteresis",
     "drift",
     "sensor_scale",
@@ -108,20 +108,21 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     told = progress or _silent
     told(f"{lane.coordinate}: noise", 0.0)
     search = Search(lane)
+    lane = search.lane
     library = candidates(lane)
     singles = _scored_all(search, search.nominal, library, told, 0.05, 0.5)
-    loose = search.score((smooth(lane),))
+    loose = _smoothed(search, search.nominal)
     ranking = sorted([(one.names[-1], *one.over(search.nominal)) for one in [*singles, loose]], key=lambda row: -row[1])
     able = [one for one in singles if not one.is_idle]
     chosen, alternatives = _grown(search, library, able, told)
     told(f"{lane.coordinate}: what remains", 0.9)
-    remaining = search.score((*chosen.parts, smooth(lane)))
+    remaining = _smoothed(search, chosen)
     correlation, chance = search.whiteness(chosen)
     is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY
     is_left = _is_worth(remaining, chosen, lane)
     # Several effects together that predict worse than a correction without a name only imitate it.
     is_outdone = len(chosen.parts) > 1 and loose.over(chosen)[0] > LEAST_EVIDENCE
-    fraction = _fraction_left(search, chosen, [loose, remaining])
+    fraction = _fraction_left(search.nominal, chosen, [loose, remaining])
     final = remaining if is_left else chosen
     return LaneTrace(
         lane=lane,
@@ -235,12 +236,16 @@ def _is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
     return gain > max(LEAST_EVIDENCE, _ERRORS * error, _PER_ROW * rows)
 
 
-def _fraction_left(search: Search, chosen: Scored, smoother: Sequence[Scored]) -> float:
-    """Share of the explainable squared one-step error that the chosen effects leave, 0 to 1."""
-    squared = {id(one): float(np.sum(search.innovations(one) ** 2)) for one in (search.nominal, chosen, *smoother)}
-    before, after = squared[id(search.nominal)], squared[id(chosen)]
-    best = min(squared.values())
-    return float(np.clip((after - best) / (before - best), 0.0, 1.0)) if before > best else 0.0
+def _smoothed(search: Search, base: Scored) -> Scored:
+    """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
+    both = [search.score((*base.parts, smooth(search.lane, is_lean=is_lean)), base) for is_lean in (True, False)]
+    return _ranked(both)[0]
+
+
+def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) -> float:
+    """Share of the evidence against the nominal model that the chosen effects leave to smooth corrections, 0 to 1."""
+    best = max(one.over(nominal)[0] for one in (chosen, *smoother))
+    return float(np.clip(1.0 - chosen.over(nominal)[0] / best, 0.0, 1.0)) if best > 0 else 0.0
 
 
 def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
@@ -259,6 +264,8 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         if len(chosen.parts) == 1:
             rivals = {one.names[-1]: one for one in alternatives if one.names[-1] != part.name}
             tied = tuple(name for name, one in rivals.items() if _is_tied(chosen, one))
+        same = () if np.isfinite(part.starts[0, -GATES:]).any() else indistinguishable(part.name, search.lane)
+        tied = tuple(dict.fromkeys((*tied, *same)))
         found.append(Finding(part, std, evidence, tied))
         at += part.term.size
     return tuple(sorted(found, key=lambda finding: -finding.evidence))
