@@ -8,7 +8,7 @@ overestimates) guides the search, so only prefixes that compete with the k cheap
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count, islice
@@ -23,6 +23,8 @@ Ints = NDArray[np.int64]
 
 # Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
 TRANSITION_COST = 1.0
+# Digits [steps] to which costs are told apart.
+_DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,31 +84,37 @@ class _Prefix:
         return (*(self.parent.modes if self.parent else ()), self.mode)
 
 
-def cheapest_sequences(roadmap: JoinedRoadmap, k: int, *, revisits: int = 0) -> list[VertexPath]:
+def cheapest_sequences(
+    roadmap: JoinedRoadmap, k: int, *, revisits: int = 0, is_over: Callable[[], bool] = lambda: False
+) -> list[VertexPath]:
     """At most k sequences with different edges, cheapest first; empty if the goal is not connected to the start.
 
     Args:
         revisits: how many times a sequence may come back to a mode that it has been in.
+        is_over: asked now and then; what was found until it says so is returned.
     """
-    return list(islice(_sequences(roadmap, revisits), k))
+    return list(islice(_sequences(roadmap, revisits, is_over), k))
 
 
-def _sequences(roadmap: JoinedRoadmap, revisits: int) -> Iterator[VertexPath]:
+def _sequences(roadmap: JoinedRoadmap, revisits: int, is_over: Callable[[], bool]) -> Iterator[VertexPath]:
     search = _Search(roadmap)
-    queue: list[tuple[float, int, _Prefix, bool]] = []
+    queue: list[tuple[float, int, int, float, _Prefix, bool]] = []
     ticket = count()
 
     def push(cost: float, prefix: _Prefix, complete: bool) -> None:
         if np.isfinite(cost):
-            heapq.heappush(queue, (cost, next(ticket), prefix, complete))
+            # Orders of independent transitions cost the same but for rounding: the longest prefix goes on, or all of
+            # their permutations would be expanded side by side.
+            depth = len(prefix.modes) + int(complete)
+            heapq.heappush(queue, (round(cost, _DIGITS), -depth, next(ticket), cost, prefix, complete))
 
     mode, vertex = roadmap.start
     entry = np.full(roadmap.graphs[mode].shape[0], np.inf)
     entry[vertex] = 0.0
     first = _Prefix(mode, entry, None, -1, np.full(len(entry), -1))
     push(float(search.to_go[mode][vertex]), first, False)
-    while queue:
-        cost, _, prefix, complete = heapq.heappop(queue)
+    while queue and not is_over():
+        *_, cost, prefix, complete = heapq.heappop(queue)
         if complete:
             yield search.trace(prefix, cost)
             continue

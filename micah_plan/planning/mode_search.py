@@ -8,7 +8,7 @@ NumPy batch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -69,10 +69,15 @@ class SearchResult:
     reason: str = ""
 
 
-def search_modes(problem: Problem, limits: Limits, start_mode: str, seed: int = 0) -> SearchResult:
+def search_modes(
+    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, is_over: Callable[[], bool] = lambda: False
+) -> SearchResult:
     """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
 
     The shortest sequences compete with detours that localise (`localising_paths`) by length and predicted uncertainty.
+
+    Args:
+        is_over: asked between the modes' roadmaps and between sequences; once it says so the search ends.
     """
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed))
     reason = why_unreachable(problem, limits, samples, start_mode)
@@ -80,26 +85,41 @@ def search_modes(problem: Problem, limits: Limits, start_mode: str, seed: int = 
         return SearchResult((), reason)
     motions = motions_of(problem.automaton, limits.max_step, limits.speed)
     points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
-    graphs = {name: _graph(points[name], limits.speed, motions[name]) for name in points}
+    graphs: dict[str, csr_array] = {}
+    for name in points:
+        if is_over():
+            return SearchResult((), _out_of_time(problem, f"{len(graphs)} of {len(points)} modes had a roadmap"))
+        graphs[name] = _graph(points[name], limits.speed, motions[name])
     edges = problem.automaton.edges
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
     roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
-    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits)
+    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=is_over)
+    if not shortest and is_over():
+        return SearchResult((), _out_of_time(problem, "no mode sequence was complete"))
     if not shortest:
         in_the_way = _guards_in_the_way(problem, limits, roadmap, points)
         return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, points)
     localising = LocalisingSearch(roadmap, beliefs, revisits)
     best: dict[tuple[int, ...], ScoredPath] = {}
-    for path in [*map(localising.score, shortest), *localising.paths()]:
+    detours = () if is_over() else localising.paths()
+    for path in [*map(localising.score, shortest), *detours]:
         taken = _edges(path, beliefs)
         # A detour through the same modes must be worth it: rounding is no reason.
         if taken not in best or path.cost < best[taken].cost - WORTH_A_DETOUR:
             best[taken] = path
     chosen = sorted(best.values(), key=lambda path: path.cost)[:candidates]
     return SearchResult(tuple(_mode_sequence(path, beliefs, motions) for path in chosen))
+
+
+def _out_of_time(problem: Problem, state: str) -> str:
+    limit = problem.settings.solve_time_limit_s
+    return (
+        f"the time limit of {limit:g} s (solve_time_limit_s) was reached in the search: {state}; raise it or lower "
+        f"samples_per_mode"
+    )
 
 
 def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:

@@ -87,7 +87,9 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
     limits = limits_of(problem)
     say("searching mode sequences", 0.0)
     with clock.stage("search"):
-        found = search_modes(problem, limits, mode, seed)
+        found = search_modes(
+            problem, limits, mode, seed, is_over=lambda: clock.seconds >= problem.settings.solve_time_limit_s
+        )
     if not found.sequences:
         obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", found.reason),)
         return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), obstacles=obstacles)

@@ -128,7 +128,7 @@ def test_a_goal_behind_a_wall_of_guards_is_not_connected() -> None:
     problem = planar_problem()
     wall = replace(problem.automaton.edges[2], guard=Region(problem.automaton.edges[2].guard.half_spaces[:1]))
     automaton = replace(problem.automaton, edges=(*problem.automaton.edges[:2], wall))
-    assert "do not connect the start to the goal" in search(replace(problem, automaton=automaton), "left").reason
+    assert "leads to the goal without 'x >= -0.6'" in search(replace(problem, automaton=automaton), "left").reason
 
 
 def test_candidates_limit_the_number_of_sequences() -> None:
@@ -207,3 +207,36 @@ def test_revisits_only_when_asked() -> None:
     (found,) = cheapest_sequences(roadmap, 1, revisits=1)
     assert found.modes == ("a", "b", "a")
     assert found.cost == pytest.approx(2 * TRANSITION_COST)
+
+
+def test_orders_of_independent_transitions_are_not_all_expanded() -> None:
+    """Eight latches to open in any order: 40,320 sequences of equal cost, of which four are asked for."""
+    latches = 8
+    modes = list(itertools.product((0, 1), repeat=latches))
+    name = {q: "".join(map(str, q)) for q in modes}
+    pairs = [(q, (*q[:i], 1, *q[i + 1 :])) for q in modes for i in range(latches) if not q[i]]
+    graphs = {name[q]: csr_array(np.zeros((1, 1))) for q in modes}
+    exits = {i: np.array([[0, 0]]) for i in range(len(pairs))}
+    ends = {i: (name[a], name[b]) for i, (a, b) in enumerate(pairs)}
+    last = name[modes[-1]]
+    roadmap = JoinedRoadmap(graphs, exits, ends, (name[modes[0]], 0), {last: np.array([0])}, {last: np.array([0.0])})
+    asked = 0
+
+    def is_over() -> bool:
+        nonlocal asked
+        asked += 1
+        return False
+
+    found = cheapest_sequences(roadmap, 4, is_over=is_over)
+    assert [s.cost for s in found] == pytest.approx([latches * TRANSITION_COST] * 4)
+    assert len({s.edges for s in found}) == 4
+    assert asked < 100
+
+
+def test_the_time_limit_ends_the_search() -> None:
+    problem = planar_problem()
+    for asked in (0, 3):
+        answers = itertools.chain([False] * asked, itertools.repeat(True))
+        found = search_modes(problem, limits_of(problem), "left", is_over=lambda answers=answers: next(answers))
+        assert found.sequences == ()
+        assert "(solve_time_limit_s) was reached in the search" in found.reason
