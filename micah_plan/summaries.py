@@ -219,7 +219,26 @@ def predicted(runs: Sequence[RunPrediction]) -> dict[str, Any]:
         "per_run": [
             {"run": run.run, "one_step": _rmse([run.one_step]), "rollout": _rmse([run.rollout])} for run in runs
         ],
+        "per_mode": _per_mode(runs),
+        "whiteness": _whiteness(runs),
     }
+
+
+def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
+    """One-step errors of the configuration by the mode that a step ended in."""
+    found: dict[str, list[float]] = {}
+    for run in runs:
+        for mode, errors in zip(run.one_step.modes, run.one_step.configuration, strict=True):
+            found.setdefault(mode, []).extend(np.square(errors).tolist())
+    return {m: {"configuration_rmse": float(np.sqrt(np.mean(v))), "steps": len(v)} for m, v in found.items()}
+
+
+def _whiteness(runs: Sequence[RunPrediction]) -> dict[str, float]:
+    """Mean over std of the one-step errors, and their correlation with the next; noise alone gives 0 and 0 to -0.5."""
+    from micah_plan.residual.prediction import whiteness
+
+    bias, correlation = whiteness(runs)
+    return {"mean_over_std": bias, "lag_1_correlation": correlation}
 
 
 def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.candidates import Candidate
-from micah_plan.residual.geometry import geometry_findings
+from micah_plan.residual.geometry import geometry_findings, scatter_across
 from micah_plan.residual.lane import ENOUGH_RUNS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.simulation import GATES, Kind
@@ -122,8 +122,11 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     found.sort(key=lambda effect: -effect.evidence)
     improved = corrected.with_effect(*_to_add(traces))
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
+    floor = _together([one.search.noise_floor(one.final) for one in traces], traces)
     if geometry:
         before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
+        across, arm = scatter_across(corrected, measured)
+        floor = float(np.hypot(across, arm * floor))
     answer = overall([one.verdict for one in traces] + (["explained"] if geometry else []))
     return Calibration(
         automaton=improved,
@@ -131,7 +134,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         effects=tuple(found),
         before=before,
         after=after,
-        noise_floor=_together([one.search.noise_floor(one.final) for one in traces], traces),
+        noise_floor=floor,
         unexplained_fraction=max((one.unexplained_fraction for one in traces), default=0.0),
         traces=traces,
         notes=_notes(traces),

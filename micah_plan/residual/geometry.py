@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 # Evidence [nats] and size against the scatter that a change of geometry must have: the model's own error is no effect.
 _LEAST_EVIDENCE = 20.0
 _LEAST_RATIO = 1.0
+# Share of the squared residual that held-out rows may keep.
+_MOST_LEFT = 0.6
 _FOLDS = 4
 _FEWEST_ROWS = 20
 
@@ -67,6 +69,25 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
     return tuple(found)
 
 
+def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[float, float]:
+    """Root mean square distance of measured origins from their joints, and length of the lever arm or 1 [m, m/rad]."""
+    squared, arms = 0.0, []
+    for number, link in measuring_links(automaton):
+        joint = moving_joint(automaton, number)
+        away, lever = [], []
+        for track in tracks:
+            c = track.x[:, link.coordinate]
+            tangent = jacobian(joint, c)[:, 3:]
+            length2 = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
+            off = track.position[:, number] - forward(joint, c).translation
+            off = off - tangent * ((off * tangent).sum(axis=1, keepdims=True) / length2)
+            away.append((off**2).sum(axis=1))
+            lever.append(np.sqrt(length2[:, 0]))
+        squared += float(np.mean(np.concatenate(away)))
+        arms.append(float(np.mean(np.concatenate(lever))))
+    return float(np.sqrt(squared / len(arms))), float(np.mean(arms))
+
+
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:
     """Residuals along the axis and along the lever arm, with what would explain them."""
     parts: list[tuple[Floats, Floats, Floats, Floats]] = []
@@ -95,16 +116,19 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
         return None
     constant = np.ones((len(rows.residual), 1))
     with_it, without = np.hstack([constant, rows.regressors]), constant
-    evidence = 0.0
+    evidence, squared = 0.0, np.zeros(2)
     for fold in range(_FOLDS):
         train, test = rows.block != fold, rows.block == fold
         if train.sum() < _FEWEST_ROWS // 2 or not test.any():
             continue
         evidence += _predicts(rows, with_it, train, test) - _predicts(rows, without, train, test)
+        for k, design in enumerate((with_it, without)):
+            left = rows.residual - design @ _regression(rows, design, train)[0]
+            squared[k] += float((left[test] ** 2).sum())
     everything = np.ones(len(rows.residual), dtype=bool)
     beta, covariance, scatter, _ = _regression(rows, with_it, everything)
     size = float(np.std(rows.regressors @ beta[1:]))
-    if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO * scatter:
+    if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO * scatter or squared[0] > _MOST_LEFT * squared[1]:
         return None
     std = np.sqrt(np.maximum(np.diag(covariance)[1:], 0.0))
     pairs = tuple(zip(names, (float(b) for b in beta[1:]), strict=True))

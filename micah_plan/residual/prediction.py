@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,23 @@ def rmse(errors: list[Floats]) -> float:
     """Root of the mean square over all entries of all arrays; 0 for none."""
     values = np.concatenate([np.ravel(error) for error in errors]) if errors else np.zeros(0)
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def whiteness(runs: Sequence[RunPrediction]) -> tuple[float, float]:
+    """Whether anything is left to find: mean over std of the one-step errors, and their correlation with the next.
+
+    Noise alone gives a mean of about 0 and a correlation from 0 (only the motion is noisy) to -0.5 (the measurement
+    alone is, which enters two errors in a row with opposite signs); a positive one says that errors have a cause that lasts.
+    """
+    errors = [run.one_step.configuration for run in runs]
+    every = np.concatenate(errors)
+    std = float(np.std(every))
+    if std == 0.0:
+        return 0.0, 0.0
+    centred = [own - every.mean(axis=0) for own in errors]
+    power = float(sum((own**2).sum() for own in centred))
+    product = float(sum((own[1:] * own[:-1]).sum() for own in centred))
+    return float(np.mean(every)) / std, product / power if power > 0 else 0.0
 
 
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:

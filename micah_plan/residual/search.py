@@ -42,6 +42,7 @@ class Scored:
         parts: its candidates; the starts of each are what was fitted to all stretches, (1, size).
         fit: to all stretches; folds: (K fits) to all but one fold's.
         density: (S,) log predictive density of each stretch, held out [nats].
+        squared: sum of squared innovations, held out.
         is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
 
@@ -49,6 +50,7 @@ class Scored:
     fit: Fit
     folds: Fit
     density: Floats
+    squared: float
     is_idle: bool = False
 
     @property
@@ -90,7 +92,7 @@ class Search:
         kept = first.best(_KEPT_STARTS)
         fit = optimise(problem, kept.parameters, kept.share, self._all(len(kept.loss)), _ROUNDS).best()
         if base is not None and float(base.fit.loss[0] - fit.loss[0]) < _HOPELESS:
-            return Scored(self._fitted(parts, fit), fit, base.folds, base.density, is_idle=True)
+            return Scored(self._fitted(parts, fit), fit, base.folds, base.density, base.squared, is_idle=True)
         # Once more from other shares of noise: what is process and what measurement noise has several optima.
         again = np.repeat(fit.parameters, len(_START_SHARES) + 1, axis=0)
         shares = np.array([float(fit.share[0]), *_START_SHARES])
@@ -185,8 +187,10 @@ class Search:
             trained = np.ones_like(trained)
         start = np.repeat(fit.parameters, self.folds, axis=0)
         folds = optimise(problem, start, np.repeat(fit.share, self.folds), trained, _FOLD_ROUNDS)
-        density, _ = held_out(problem, folds)
-        return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, np.arange(len(self.fold))])
+        density, errors = held_out(problem, folds)
+        rows = np.arange(len(self.fold))
+        squared = float((errors[self.fold, rows] ** 2).sum())
+        return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, rows], squared)
 
     def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
         fitted, at = [], 0

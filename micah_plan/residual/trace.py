@@ -36,6 +36,7 @@ _VARIANT_EVIDENCE = 8.0
 # Candidates within this of the best are tied with it, or within two standard errors up to so much per stretch [nats].
 TIE = 3.0
 _SLACK = 0.5
+_SHORTER = 0.999
 _WIDE = 3
 # Of forms that the data cannot tell apart the plainest is named first.
 PLAINEST = (
@@ -123,7 +124,7 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     # Several effects together that predict worse than a correction without a name only imitate it.
     is_outdone = len(chosen.parts) > 1 and loose.over(chosen)[0] > LEAST_EVIDENCE
     fraction = _fraction_left(search.nominal, chosen, [loose, remaining])
-    final = remaining if is_left else chosen
+    final = remaining if is_left and _shortens(search, remaining, chosen) else chosen
     return LaneTrace(
         lane=lane,
         search=search,
@@ -169,6 +170,9 @@ def _grown(
     promising = [one for one in _ranked(singles)[:_WIDE] if one.over(current)[0] > LEAST_EVIDENCE]
     options = [*singles, *(variant for one in promising for variant in _variants(search, one, current))]
     first = _plainest(options, current)
+    while first is not None and _is_worth(first, current, lane) and not _shortens(search, first, current):
+        options = [one for one in options if one is not first]
+        first = _plainest(options, current)
     if first is None or not _is_worth(first, current, lane):
         return current, options
     grown: list[Scored] = []
@@ -219,6 +223,8 @@ def _ranked(scored: Sequence[Scored]) -> list[Scored]:
 
 def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
     """The best; of those that are as good, the one with the plainest last effect."""
+    # Likelihood alone could be bought by calling a few rows noise.
+    options = [one for one in options if one.squared < base.squared]
     if not options:
         return None
     best = _ranked(options)[0].over(base)[0]
@@ -233,7 +239,7 @@ def _plainness(name: str) -> int:
 def _is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
     gain, error = better.over(base)
     rows = int(lane.counted.sum())
-    return gain > max(LEAST_EVIDENCE, _ERRORS * error, _PER_ROW * rows)
+    return better.squared < base.squared and gain > max(LEAST_EVIDENCE, _ERRORS * error, _PER_ROW * rows)
 
 
 def _smoothed(search: Search, base: Scored) -> Scored:
@@ -246,6 +252,12 @@ def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) 
     """Share of the evidence against the nominal model that the chosen effects leave to smooth corrections, 0 to 1."""
     best = max(one.over(nominal)[0] for one in (chosen, *smoother))
     return float(np.clip(1.0 - chosen.over(nominal)[0] / best, 0.0, 1.0)) if best > 0 else 0.0
+
+
+def _shortens(search: Search, better: Scored, base: Scored) -> bool:
+    """Whether plain one-step errors get smaller too: what only helps a filter is not worth a place in the model."""
+    after, before = (float(np.sum(search.errors(one, "one_step") ** 2)) for one in (better, base))
+    return after < _SHORTER * before
 
 
 def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:

@@ -1,0 +1,51 @@
+"""Plan, execute where more friction acts than the model knows, calibrate on the logs, plan and execute again.
+
+    python examples/close_the_loop.py [drawer_open|microwave_close] [trials]
+
+Needs the extra `sim` (MuJoCo).
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from micah_plan import workflow
+from micah_plan.execution.trials import TrialStatistics, run_trials
+from micah_plan.planning.plan import Plan
+from micah_plan.planning.problem import Problem
+from micah_plan.spec.problem_file import load_problem
+
+PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
+FRICTION = 25.0
+"""Dry friction at the handle [N]; the hand yields by 3000 N/m."""
+
+
+def executed(problem: Problem, plan: Plan, trials: int) -> TrialStatistics:
+    """Runs in MuJoCo with the friction that no model knows."""
+    rough = replace(problem, plant={**problem.plant, "friction": FRICTION})
+    return run_trials(rough, plan, plant="mujoco", trials=trials)
+
+
+def report(name: str, statistics: TrialStatistics) -> None:
+    """One line on the trials."""
+    print(f"{name}: {statistics.successes} of {statistics.trials} reach the goal, ", end="")
+    print(f"final error {statistics.final_error.mean:.4f} +- {statistics.final_error.std:.4f}")
+
+
+def main(name: str = "drawer_open", trials: int = 8) -> None:
+    problem = load_problem(PROBLEMS / f"{name}.yaml")
+    first = executed(problem, workflow.solve(problem), trials)
+    report("nominal model", first)
+    found = workflow.calibrate(problem.automaton, first.recording)
+    print(f"calibration: {found.verdict}")
+    for effect in found.effects:
+        values = ", ".join(f"{key} {value:.4g}" for key, value in effect.effect.parameters)
+        print(f"  {effect.effect.name}: {values}" + (f" (or {', '.join(effect.tied)})" if effect.tied else ""))
+    improved = replace(problem, automaton=found.automaton)
+    report("calibrated model", executed(improved, workflow.solve(improved), trials))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2], *map(int, sys.argv[2:3]))
