@@ -81,7 +81,7 @@ def whiteness(runs: Sequence[RunPrediction]) -> tuple[float, float]:
     """Whether anything is left to find: mean over std of the one-step errors, and their correlation with the next.
 
     Noise alone gives a mean of about 0 and a correlation from 0 (only the motion is noisy) to -0.5 (the measurement
-    alone is, which enters two errors in a row with opposite signs); a positive one says that errors have a cause that lasts.
+    alone is, which enters two errors in a row with opposite signs); a positive one says that errors last.
     """
     errors = [run.one_step.configuration for run in runs]
     every = np.concatenate(errors)
