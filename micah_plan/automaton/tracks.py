@@ -49,16 +49,15 @@ def moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
 
 
 def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
-    """(number, link) that measures each coordinate: the first whose joint moves, for a part fixed to it shows nothing.
+    """(number, link) that measures each coordinate: the first of those whose joint moves in most modes.
 
-    A coordinate that nothing ever moves is that of its first link.
+    A part that is fixed to it shows nothing, and one that follows it in some modes only shows it in those only.
     """
     found: dict[int, tuple[int, Link]] = {}
+    moves = [sum(mode.joints[n].kind != "rigid" for mode in automaton.modes) for n in range(len(automaton.links))]
     for number, link in enumerate(automaton.links):
         before = found.get(link.coordinate)
-        if before is None or (
-            moving_joint(automaton, before[0]).kind == "rigid" and moving_joint(automaton, number).kind != "rigid"
-        ):
+        if before is None or moves[before[0]] < moves[number]:
             found[link.coordinate] = (number, link)
     return tuple(found.values())
 

@@ -32,35 +32,36 @@ def mjcf(links: Sequence[PhysicalLink], base_shapes: Iterable[Primitive], parame
         InputError: for a shape of unknown kind or size.
     """
     root = ElementTree.Element("mujoco", model="object")
-    _add(root, "compiler", {"angle": "radian"})
-    _add(root, "option", {"gravity": _numbers((0.0, 0.0, -parameters.gravity))})
-    world = _add(root, "worldbody", {})
+    add(root, "compiler", {"angle": "radian"})
+    add(root, "option", {"gravity": numbers((0.0, 0.0, -parameters.gravity))})
+    world = add(root, "worldbody", {})
     for shape in base_shapes:
-        _add(world, "geom", _geometry(shape, mass=0.0))
-    equality = _add(root, "equality", {})
+        add(world, "geom", geometry(shape, mass=0.0))
+    equality = add(root, "equality", {})
     bodies: dict[str, ElementTree.Element] = {}
     for link in links:
         above = world if link.parent is None else bodies[link.parent]
         bodies[link.name] = _body(above, link, parameters)
         for constraint in _constraints(link):
-            _add(equality, "joint", constraint)
+            add(equality, "joint", constraint)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _add(above: ElementTree.Element, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
+def add(above: ElementTree.Element, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
+    """A new element under another."""
     return ElementTree.SubElement(above, tag, attributes)
 
 
 def _body(above: ElementTree.Element, link: PhysicalLink, parameters: PhysicalParameters) -> ElementTree.Element:
-    pose = {"pos": _numbers(link.joint.position), "quat": _scalar_first(link.joint.quaternion)}
-    body = _add(above, "body", {"name": link.name, **pose})
+    pose = {"pos": numbers(link.joint.position), "quat": scalar_first(link.joint.quaternion)}
+    body = add(above, "body", {"name": link.name, **pose})
     for joint in _joints(link, parameters):
-        _add(body, "joint", joint)
-    volumes = [_volume(shape) for shape in link.shapes]
+        add(body, "joint", joint)
+    volumes = [volume(shape) for shape in link.shapes]
     for shape, volume in zip(link.shapes, volumes, strict=True):
-        _add(body, "geom", _geometry(shape, mass=parameters.mass * volume / sum(volumes)))
-    _add(body, "site", {"name": link.name, "pos": _numbers(link.handle)})
+        add(body, "geom", geometry(shape, mass=parameters.mass * volume / sum(volumes)))
+    add(body, "site", {"name": link.name, "pos": numbers(link.handle)})
     return body
 
 
@@ -70,19 +71,19 @@ def _joints(link: PhysicalLink, parameters: PhysicalParameters) -> list[dict[str
     if joint.kind == "rigid":
         return []
     to_part = Rotation.from_quat(joint.quaternion).inv()
-    axis = {"axis": _numbers(to_part.apply(joint.axis))}
+    axis = {"axis": numbers(to_part.apply(joint.axis))}
     # A hinge's moment is the force at the handle times the arm; its damping relates moment to angular velocity.
     resistance = {
         "damping": _number(parameters.damping * link.arm**2),
         "frictionloss": _number(parameters.friction * link.arm),
     }
-    limits = {"range": _numbers(np.clip([link.lower, link.upper], -_UNLIMITED, _UNLIMITED)), "limited": "true"}
+    limits = {"range": numbers(np.clip([link.lower, link.upper], -_UNLIMITED, _UNLIMITED)), "limited": "true"}
     stiff = {f"{key}{kind}": value for key, value in _STIFF.items() for kind in ("limit", "friction")}
     common = {"name": link.name, **axis, **resistance, **limits, **stiff}
     if joint.kind == "prismatic":
         return [{"type": "slide", **common}]
     center = to_part.apply(np.subtract(joint.center, joint.position))
-    hinge = {"type": "hinge", "pos": _numbers(center), **common}
+    hinge = {"type": "hinge", "pos": numbers(center), **common}
     return [hinge] if joint.kind == "revolute" else [hinge, {"name": _slide(link.name), "type": "slide", **axis}]
 
 
@@ -92,10 +93,10 @@ def _constraints(link: PhysicalLink) -> list[dict[str, str]]:
         return []
     constraints = []
     for number, configuration in enumerate(link.latches):
-        held = {"joint1": link.name, "polycoef": _numbers((configuration, 0, 0, 0, 0)), "active": "false"}
+        held = {"joint1": link.name, "polycoef": numbers((configuration, 0, 0, 0, 0)), "active": "false"}
         constraints.append({"name": latch_name(link.name, number), **held, **_STIFF})
     if link.joint.kind == "screw":
-        follow = _numbers((0, link.joint.pitch, 0, 0, 0))
+        follow = numbers((0, link.joint.pitch, 0, 0, 0))
         constraints.append({"joint1": _slide(link.name), "joint2": link.name, "polycoef": follow, **_STIFF})
     return constraints
 
@@ -109,21 +110,23 @@ def _slide(part: str) -> str:
     return f"{part}/slide"
 
 
-def _geometry(shape: Primitive, mass: float) -> dict[str, str]:
+def geometry(shape: Primitive, mass: float) -> dict[str, str]:
+    """Attributes of the geom of a shape [kg], without contacts."""
     _check(shape)
     size = {"box": [s / 2 for s in shape.size], "cylinder": [shape.size[0], shape.size[-1] / 2], "sphere": shape.size}
     return {
         "type": shape.kind,
-        "size": _numbers(size[shape.kind]),
-        "pos": _numbers(shape.position),
-        "quat": _scalar_first(shape.quaternion),
+        "size": numbers(size[shape.kind]),
+        "pos": numbers(shape.position),
+        "quat": scalar_first(shape.quaternion),
         "mass": _number(mass),
         "contype": "0",
         "conaffinity": "0",
     }
 
 
-def _volume(shape: Primitive) -> float:
+def volume(shape: Primitive) -> float:
+    """[m^3]."""
     _check(shape)
     if shape.kind == "box":
         return math.prod(shape.size)
@@ -132,21 +135,23 @@ def _volume(shape: Primitive) -> float:
 
 
 def _check(shape: Primitive) -> None:
-    numbers = {"box": 3, "cylinder": 2, "sphere": 1}
-    if shape.kind not in numbers:
-        raise InputError(f"unknown shape {shown(shape.kind)}", remedy=f"choose among {', '.join(numbers)}")
-    if len(shape.size) != numbers[shape.kind] or not all(math.isfinite(s) and s > 0 for s in shape.size):
-        raise InputError(f"a {shape.kind} has {numbers[shape.kind]} positive sizes. Got {shown(shape.size)}")
+    sizes = {"box": 3, "cylinder": 2, "sphere": 1}
+    if shape.kind not in sizes:
+        raise InputError(f"unknown shape {shown(shape.kind)}", remedy=f"choose among {', '.join(sizes)}")
+    if len(shape.size) != sizes[shape.kind] or not all(math.isfinite(s) and s > 0 for s in shape.size):
+        raise InputError(f"a {shape.kind} has {sizes[shape.kind]} positive sizes. Got {shown(shape.size)}")
 
 
 def _number(value: float) -> str:
     return repr(float(value))
 
 
-def _numbers(values: Iterable[float]) -> str:
+def numbers(values: Iterable[float]) -> str:
+    """Numbers as MJCF writes them."""
     return " ".join(_number(value) for value in values)
 
 
-def _scalar_first(quaternion: Quaternion) -> str:
+def scalar_first(quaternion: Quaternion) -> str:
+    """A quaternion (scalar last) as MJCF writes it."""
     x, y, z, w = quaternion
-    return _numbers((w, x, y, z))
+    return numbers((w, x, y, z))

@@ -72,7 +72,7 @@ class MujocoPlant:
             MissingDependencyError: if MuJoCo is not installed.
             InputError: if the automaton cannot be built as a mechanism.
         """
-        self._mj = _import_mujoco()
+        self._mj = import_mujoco()
         self.automaton = automaton
         self.start = start
         self.parameters = parameters or PhysicalParameters()
@@ -223,7 +223,12 @@ class MujocoPlant:
         return Measurement(float(self._data.time), position, quaternion, self._force.copy())
 
 
-def _import_mujoco() -> ModuleType | Any:
+def import_mujoco() -> ModuleType | Any:
+    """The library.
+
+    Raises:
+        MissingDependencyError: if it is not installed.
+    """
     try:
         import mujoco
     except ImportError as error:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.execution.closed_loop import TrialResult, execute
+from micah_plan.execution.held_plant import HeldPlant
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.nominal import NominalPlant
@@ -110,6 +111,8 @@ def run_trials(
 def make_plant(problem: Problem, kind: PlantKind) -> Plant:
     """The plant of that kind for a problem's model, start belief and physical parameters."""
     parameters = PhysicalParameters.from_mapping(problem.plant)
+    if kind == "mujoco" and problem.hold is not None:
+        return HeldPlant(problem)
     if kind == "mujoco":
         return MujocoPlant(problem.automaton, problem.start, parameters)
     if kind == "nominal":
