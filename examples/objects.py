@@ -1,4 +1,4 @@
-"""The true microwave, drawer, cabinet and stapler of the simulated demonstrations.
+"""The true microwave, drawer, cabinet, stapler and box of the simulated demonstrations.
 
 The base frame has x to the right, y out of the front and z up, in metres. `micah-plan learn` does not see these
 mechanisms; it sees recordings. Shapes and handles are not learned: the true objects and the learned models take them
@@ -40,6 +40,9 @@ CABINET_TRAVEL = 0.3
 STAPLER_OPEN = 0.55
 """Angle between the open stapler and the latched one [rad]."""
 
+LID_OPEN = 0.9
+"""Angle between the open lid of the box and the latched one [rad]."""
+
 _HINGE = (-0.24, 0.01, 0.0)
 _TRACKED = 0.31
 _CABINET_HINGE = (-0.2, 0.01, 0.0)
@@ -48,6 +51,8 @@ _CABINET_DRAWER = (0.0, 0.0, 0.28)
 _HANDLE_ON_DOOR = (0.15, 0.045, 0.05)
 _STAPLER_HINGE = (-0.06, 0.0, 0.02)
 _STAPLER_TRACKED = 0.1
+_BOX_HINGE = (-0.08, 0.0, 0.03)
+_LID_TRACKED = 0.12
 _PARTS = Path(__file__).resolve().parent.parent / "models" / "parts"
 
 
@@ -111,19 +116,31 @@ def cabinet() -> HybridAutomaton:
 
 def stapler() -> HybridAutomaton:
     """A desk stapler, one arm at rest, the other on a hinge at the back. It is 0 when open and latches at 0.55."""
-    direction = Rotation.from_rotvec([0.0, -STAPLER_OPEN, 0.0])
-    tracked = np.array(_STAPLER_HINGE) + direction.apply([_STAPLER_TRACKED, 0.0, 0.0])
-    swing = revolute((0.0, 1.0, 0.0), _STAPLER_HINGE, tracked, direction.as_quat())
-    pose = forward(swing, STAPLER_OPEN)[0]
-    shut = rigid(pose.translation, pose.rotation.as_quat(), STAPLER_OPEN)
-    swinging = Mode("swinging", (swing,), ((1.0,),), box([0.0], [STAPLER_OPEN], 1, ["arm"]))
-    at_latch = Region((above(0, STAPLER_OPEN, 1, 1, name="arm"),))
-    latched = Mode("latched", (shut,), ((0.0,),), at_latch, pins=(Pin(0, STAPLER_OPEN, 1e-3),))
+    return _folding("arm", _STAPLER_HINGE, _STAPLER_TRACKED, STAPLER_OPEN, stapler_parts())
+
+
+def lidded_box() -> HybridAutomaton:
+    """A box with a lid on a hinge at the back. The lid is 0 when open and latches at 0.9."""
+    return _folding("lid", _BOX_HINGE, _LID_TRACKED, LID_OPEN, box_parts())
+
+
+def _folding(
+    name: str, hinge: tuple[float, float, float], distance: float, opening: float, parts: tuple[Part, ...]
+) -> HybridAutomaton:
+    """A part that folds down about a hinge along y and latches where it is level."""
+    direction = Rotation.from_rotvec([0.0, -opening, 0.0])
+    tracked = np.array(hinge) + direction.apply([distance, 0.0, 0.0])
+    swing = revolute((0.0, 1.0, 0.0), hinge, tracked, direction.as_quat())
+    pose = forward(swing, opening)[0]
+    shut = rigid(pose.translation, pose.rotation.as_quat(), opening)
+    swinging = Mode("swinging", (swing,), ((1.0,),), box([0.0], [opening], 1, [name]))
+    at_latch = Region((above(0, opening, 1, 1, name=name),))
+    latched = Mode("latched", (shut,), ((0.0,),), at_latch, pins=(Pin(0, opening, 1e-3),))
     edges = (
         Edge("swinging", "latched", at_latch),
-        Edge("latched", "swinging", Region((input_below(0, 0.0, 1, 1, strict=True, name="input arm"),))),
+        Edge("latched", "swinging", Region((input_below(0, 0.0, 1, 1, strict=True, name=f"input {name}"),))),
     )
-    return _object("arm", "rad", stapler_parts(), (swinging, latched), edges)
+    return _object(name, "rad", parts, (swinging, latched), edges)
 
 
 def microwave_parts() -> tuple[Part, ...]:
@@ -144,6 +161,11 @@ def cabinet_parts() -> tuple[Part, ...]:
 def stapler_parts() -> tuple[Part, ...]:
     """The lower arm, which is the base, and the upper arm; its frame: x from the hinge along it, z up, 0.1 m out."""
     return load_parts(_PARTS / "stapler.yaml")
+
+
+def box_parts() -> tuple[Part, ...]:
+    """The box and its lid; the lid's frame: x from the hinge along it, z up when it is shut, 0.12 m out."""
+    return load_parts(_PARTS / "box.yaml")
 
 
 def _object(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from objects import DOOR_OPEN, STAPLER_OPEN, cabinet, drawer, microwave, stapler
+from objects import DOOR_OPEN, LID_OPEN, STAPLER_OPEN, cabinet, drawer, lidded_box, microwave, stapler
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco_plant import MujocoPlant
@@ -117,6 +117,12 @@ def close_stapler(seed: int = 4) -> Recording:
     return demonstration(stapler(), targets, seed)
 
 
+def shut_lid(seed: int = 5) -> Recording:
+    """A lid shut from 0.9 rad in 4.5 s, then pressed for 2.5 s."""
+    targets = np.concatenate([stroke(LID_OPEN, 4.5, seed), press(LID_OPEN, 0.03, 2.5, seed + 1)])
+    return demonstration(lidded_box(), targets, seed)
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demonstrations"
     folder.mkdir(parents=True, exist_ok=True)
@@ -125,6 +131,7 @@ def main() -> None:
         "drawer.csv": pull_drawer(),
         "cabinet.csv": use_cabinet(),
         "stapler.csv": close_stapler(),
+        "box.csv": shut_lid(),
     }
     for name, recording in made.items():
         write_csv(recording, folder / name)

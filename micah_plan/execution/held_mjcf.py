@@ -1,7 +1,7 @@
 """A held object among bodies as MJCF text: a hand on three slides, an arm that may turn in it, a part that swings.
 
 Names that the plant looks up: joints and actuators ``x``, ``y``, ``z``, joints ``pivot`` and ``swing``, equality
-``latch``, bodies `hand` and the two parts, geoms ``scene/...``, ``held/...``, ``moving/...``. ``swing`` is 0 at the datum.
+``latch``, bodies `hand` and the two parts, geoms ``scene/..``, ``held/..``, ``moving/..``. ``swing`` is 0 at the datum.
 """
 
 from __future__ import annotations
@@ -82,9 +82,11 @@ def _object(hand: ElementTree.Element, grip: Grip, opening: float, turns: bool, 
     _shapes(held, grip.held, "held", parameters)
     moving = add(held, "body", {"name": grip.moving.name})
     kind = {"type": "hinge", "axis": "0 -1 0"} if turns else {"type": "slide", "axis": "0 0 1"}
-    stop = {"limited": "true", "range": numbers((-opening, 0.0)), "solreflimit": "0.004 1"}
+    stop = {"limited": "true", "range": numbers((-opening, 0.0))}
+    # Soft constraints creep: dry friction holds the part up only if it is stiff.
+    stiff = {f"{key}{kind}": value for key, value in _RIGID.items() for kind in ("limit", "friction")}
     resistance = {"frictionloss": str(parameters.joint_friction), "damping": str(parameters.joint_damping)}
-    add(moving, "joint", {"name": "swing", **kind, **stop, **resistance})
+    add(moving, "joint", {"name": "swing", **kind, **stop, **stiff, **resistance})
     _shapes(moving, grip.moving, "moving", parameters)
 
 
@@ -96,4 +98,4 @@ def _shapes(body: ElementTree.Element, part: HeldPart, name: str, parameters: He
 
 
 def _friction(parameters: HeldParameters) -> dict[str, str]:
-    return {"friction": numbers((parameters.friction, 0.005, 0.0001))}
+    return {"friction": numbers((parameters.contact_friction, 0.005, 0.0001))}

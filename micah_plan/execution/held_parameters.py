@@ -13,7 +13,7 @@ class HeldParameters:
     """Defaults serve a desk stapler.
 
     Attributes:
-        mass: of each part [kg]; friction: of contacts; spread: both vary by this share from trial to trial.
+        mass: of each part [kg]; contact_friction: its coefficient; spread: both vary by this share from trial to trial.
         joint_friction: dry friction of the object's joint [N m or N]: it holds the part up while nothing touches it.
         joint_damping: [N m s/rad or N s/m].
         pivot_stiffness, pivot_damping: of the held part in the hand [N m/rad], [N m s/rad].
@@ -24,7 +24,7 @@ class HeldParameters:
     """
 
     mass: float = 0.15
-    friction: float = 0.5
+    contact_friction: float = 0.5
     spread: float = 0.2
     joint_friction: float = 0.2
     joint_damping: float = 0.01

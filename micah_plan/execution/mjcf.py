@@ -59,8 +59,8 @@ def _body(above: ElementTree.Element, link: PhysicalLink, parameters: PhysicalPa
     for joint in _joints(link, parameters):
         add(body, "joint", joint)
     volumes = [volume(shape) for shape in link.shapes]
-    for shape, volume in zip(link.shapes, volumes, strict=True):
-        add(body, "geom", geometry(shape, mass=parameters.mass * volume / sum(volumes)))
+    for shape, share in zip(link.shapes, volumes, strict=True):
+        add(body, "geom", geometry(shape, mass=parameters.mass * share / sum(volumes)))
     add(body, "site", {"name": link.name, "pos": numbers(link.handle)})
     return body
 

@@ -169,6 +169,8 @@ def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiec
     for (a, at_a), (b, at_b) in pairwise(zip(grid, states, strict=True)):
         if at_a != at_b:
             breaks.append(_change(geometry, float(a), float(b), at_a))
+    # Where a part lies flush exactly at an end of the range two edges touch at once; that is the end of one piece.
+    breaks = [at for at in breaks if at == low or min(at - low, high - at) > _SAME_HEIGHT]
     breaks.append(high)
     pieces = []
     for a, b in pairwise(breaks):
