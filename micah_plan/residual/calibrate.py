@@ -12,7 +12,7 @@ from scipy.stats import norm
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import tracks
+from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
@@ -29,6 +29,9 @@ Progress = Callable[[str, float], None]
 
 FEWEST_ROWS = 8
 _CONFIDENCE = 0.95
+# Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
+_FAR = 0.08
+_FAR_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,9 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
-    geometry = geometry_findings(automaton, tracks(automaton, recording))
+    seen = tracks(automaton, recording)
+    _check_same_object(automaton, seen)
+    geometry = geometry_findings(automaton, seen)
     corrected = automaton.with_effect(*(found.effect for found in geometry))
     measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
     if sum(len(track.time) for track in measured) < FEWEST_ROWS:
@@ -140,6 +145,15 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         notes=_notes(traces),
         experiment=_next_experiment(found, traces),
     )
+
+
+def _check_same_object(automaton: HybridAutomaton, seen: Sequence[Track]) -> None:
+    across, arm = scatter_across(automaton, seen)
+    if across > max(_FAR, _FAR_SHARE * arm):
+        raise InputError(
+            f"the measured poses do not fit the model: they lie {across:.2g} m beside its joints",
+            remedy="take the model that was learned from this object, or the base frame that it was learned in",
+        )
 
 
 def _shared(progress: Progress, number: int, count: int) -> Progress:

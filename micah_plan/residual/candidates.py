@@ -61,12 +61,14 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def indistinguishable(name: str, lane: Lane) -> tuple[str, ...]:
+def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
     """Forms that were not tried because on this lane they would do exactly the same as another."""
-    same = []
+    same, name = [], part.name
     if name == "gain":
         same += [] if lane.visits_end() else ["sensor_scale"]
-        same += [] if _frame_rotation(lane) is not None else ["frame_rotation"]
+        # Turning a command along the joint can only shorten it.
+        may_turn = abs(part.starts[0, 0]) < 1.0 and _frame_rotation(lane) is None
+        same += ["frame_rotation"] if may_turn and lane.action is not None else []
     if name == "bias":
         same += [] if lane.visits_end() else ["drift"]
         same += ["gravity"] if lane.unit == "m" else []

@@ -24,7 +24,7 @@ _LONGEST = 250
 MOST_ROWS = 20_000
 # With fewer runs than this, stretches of the same run are held out from each other.
 ENOUGH_RUNS = 4
-_SHORTEST = 12
+_SHORTEST = 5
 _NO_MOTION = 1e-12
 
 

@@ -31,12 +31,16 @@ _PER_ROW = 0.01
 # Innovations that are correlated more than this, and less probably so by chance, have something left in them.
 _CORRELATED = 0.25
 _UNLIKELY = 1e-4
+# Errors below this are those of arithmetic [rad or m].
+_EXACT = 1e-7
 # A more complicated variant (only in a mode, only since a time) must gain this much over the plain one [nats].
 _VARIANT_EVIDENCE = 8.0
 # Candidates within this of the best are tied with it, or within two standard errors up to so much per stretch [nats].
 TIE = 3.0
 _SLACK = 0.5
 _SHORTER = 0.999
+# Steps that a smooth function of the configuration needs at least.
+_ROWS_FOR_SMOOTH = 60
 _WIDE = 3
 # Of forms that the data cannot tell apart the plainest is named first.
 PLAINEST = (
@@ -119,7 +123,8 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     told(f"{lane.coordinate}: what remains", 0.9)
     remaining = _smoothed(search, chosen)
     correlation, chance = search.whiteness(chosen)
-    is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY
+    size = float(np.sqrt(chosen.squared / lane.counted.sum()))
+    is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
     is_left = _is_worth(remaining, chosen, lane)
     # Several effects together that predict worse than a correction without a name only imitate it.
     is_outdone = len(chosen.parts) > 1 and loose.over(chosen)[0] > LEAST_EVIDENCE
@@ -244,8 +249,9 @@ def _is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
 
 def _smoothed(search: Search, base: Scored) -> Scored:
     """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
-    both = [search.score((*base.parts, smooth(search.lane, is_lean=is_lean)), base) for is_lean in (True, False)]
-    return _ranked(both)[0]
+    lane = search.lane
+    kinds = (True, False) if lane.counted.sum() >= _ROWS_FOR_SMOOTH else (True,)
+    return _ranked([search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds])[0]
 
 
 def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) -> float:
@@ -276,7 +282,7 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         if len(chosen.parts) == 1:
             rivals = {one.names[-1]: one for one in alternatives if one.names[-1] != part.name}
             tied = tuple(name for name, one in rivals.items() if _is_tied(chosen, one))
-        same = () if np.isfinite(part.starts[0, -GATES:]).any() else indistinguishable(part.name, search.lane)
+        same = () if np.isfinite(part.starts[0, -GATES:]).any() else indistinguishable(part, search.lane)
         tied = tuple(dict.fromkeys((*tied, *same)))
         found.append(Finding(part, std, evidence, tied))
         at += part.term.size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import planted_effects as plants
 import pytest
 
@@ -88,6 +89,29 @@ def test_another_object_or_no_actions_is_refused(door) -> None:
     without = type(recording)(time=recording.time, position=recording.position, run=recording.run, has_run=True)
     with pytest.raises(InputError, match="expected actions, found no columns ax, ay, az"):
         calibrate(door, without)
+    elsewhere = type(recording)(
+        time=recording.time,
+        position=recording.position + np.array([0.5, 0.0, 0.0]),
+        action=recording.action,
+        run=recording.run,
+        has_run=True,
+    )
+    with pytest.raises(InputError, match=r"do not fit the model: they lie .* m beside its joints"):
+        calibrate(door, elsewhere)
+
+
+def test_ten_rows_give_no_confident_answer(door) -> None:
+    found, _ = found_in(door, plants.honest, runs=1, rows=10)
+    assert found.verdict == "none"
+    assert any("one run only" in note for note in found.notes)
+    assert any("steps only" in note for note in found.notes)
+
+
+def test_perfect_measurements_are_no_trouble(door) -> None:
+    recording = plants.door_recording(plants.runs_of(plants.short_steps, 5, 25, 1, noise=0.0, disturbance=0.0))
+    found = calibrate(door, recording)
+    assert found.verdict == "explained"
+    assert found.effects[0].effect.values[0] == pytest.approx(0.8, abs=1e-6)
 
 
 def test_the_same_recording_gives_the_same_answer(door) -> None:
