@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.gain import mode_gains
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
@@ -334,6 +335,23 @@ class HybridAutomaton:
         held = {pin.coordinate for pin in mode.pins} | {tie.coordinate for tie in mode.ties}
         return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
 
+    def gain_std(self, mode: Mode) -> Floats:
+        """(n,) relative std of how far an input moves each coordinate in a mode (`gain`); 0 for held and tied ones."""
+        known: dict[str, Floats] = self.derived.setdefault("gain_std", {})
+        if mode.name not in known:
+            held = {pin.coordinate for pin in mode.pins} | {tie.coordinate for tie in mode.ties}
+            known[mode.name] = np.zeros(self.n)
+            for i, _, std in mode_gains(self, mode):
+                known[mode.name][i] = 0.0 if i in held else std
+        return known[mode.name]
+
+    def step_noise_std(self, mode: Mode, u: Floats) -> Floats:
+        """(..., n) std of the noise of a step under inputs u (..., m): process noise, and the uncertain gain's."""
+        free, gain = np.array(self.free_process_std(mode)), self.gain_std(mode)
+        if not gain.any():
+            return np.broadcast_to(free, (*u.shape[:-1], self.n))
+        return np.asarray(np.hypot(free, gain * (u @ mode.B.T)))
+
     def sensing(self, mode: Mode) -> Sensing:
         """How a mode measures: what it states itself, and else the model's noise, with its light."""
         std, light = list(self.noise.observation_std), self.noise.light
@@ -342,11 +360,11 @@ class HybridAutomaton:
             std[i], growth[i] = own, 0.0
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
 
-    def process_factor(self, mode: Mode) -> Floats:
-        """(n, n) N with N N' the covariance of a step's process noise in a mode: tied coordinates move with others."""
-        factor = np.diag(self.free_process_std(mode))
+    def process_factor(self, mode: Mode, u: Floats) -> Floats:
+        """(..., n, n) N with N N' the covariance of a step's noise in a mode under u (..., m); ties included."""
+        factor = self.step_noise_std(mode, u)[..., None] * np.eye(self.n)
         for tie in mode.ties:
-            factor[tie.coordinate] = np.array(tie.weights) @ factor
+            factor[..., tie.coordinate, :] = np.array(tie.weights) @ factor
         return factor
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.motion import CoordinateMotion
+from micah_plan.automaton.gain import gain_factors, uncertain_gains, with_gains
 from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_tables
 from micah_plan.automaton.hybrid import HybridAutomaton, Tie
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
@@ -35,6 +36,7 @@ class _Mode:
         states, inputs: (r, n), (r, m) scaled weights; thresholds, tolerances: (t, r); strict: (r,).
         first: (e,) first half-space of each exit.
         effects: what changes the motion of a coordinate, by its index.
+        gains: (t, n) what multiplies the motion of each object's coordinates; None: nothing.
     """
 
     pinned: Ints
@@ -49,29 +51,43 @@ class _Mode:
     strict: Booleans
     first: Ints
     effects: dict[int, CoordinateMotion]
+    gains: Floats | None
 
 
 class TransitionBatch:
-    """t objects of one model, each with its own thresholds."""
+    """t objects of one model, each with its own thresholds and gains."""
 
-    def __init__(self, automaton: HybridAutomaton, shifts: Floats) -> None:
-        """Args: the model, and (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`)."""
+    def __init__(self, automaton: HybridAutomaton, shifts: Floats, gains: Floats | None = None) -> None:
+        """
+        Args:
+            automaton: the model.
+            shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
+            gains: (t, g) relative errors of its gains (`gain.drawn_gains`); None: they are the model's.
+        """
         self._automaton = automaton
         self.shifts = shifts
+        self.gains = np.zeros((len(shifts), len(uncertain_gains(automaton)))) if gains is None else gains
         self._objects: dict[int, HybridAutomaton] = {}
         unit = np.eye(threshold_stds(automaton).size)
         moved = [mode_tables(with_shifted_thresholds(automaton, by)) for by in unit]
         self._modes = [
-            _mode(automaton, mode_tables(automaton)[mode.name], [tables[mode.name] for tables in moved], shifts)
+            _mode(
+                automaton,
+                mode_tables(automaton)[mode.name],
+                [tables[mode.name] for tables in moved],
+                shifts,
+                self.gains,
+            )
             for mode in automaton.modes
         ]
 
     def object(self, number: int) -> HybridAutomaton:
         """The automaton of one object."""
-        if not self.shifts.shape[1]:
+        if not self.shifts.shape[1] and not self.gains.shape[1]:
             return self._automaton
         if number not in self._objects:
-            self._objects[number] = with_shifted_thresholds(self._automaton, self.shifts[number])
+            own = with_gains(self._automaton, self.gains[number])
+            self._objects[number] = with_shifted_thresholds(own, self.shifts[number])
         return self._objects[number]
 
     def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:
@@ -84,7 +100,7 @@ class TransitionBatch:
             start[:, mode.pinned] = mode.pins[chosen]
             for tie in mode.ties:
                 start[:, tie.coordinate] = tie.value(start)
-            d = _displacement(mode, start, u[chosen])
+            d = _displacement(mode, chosen, start, u[chosen])
             for tie in mode.ties:
                 d[:, tie.coordinate] = d @ np.array(tie.weights)
             d = d + disturbance[chosen] @ mode.moved.T
@@ -99,9 +115,11 @@ class TransitionBatch:
         return modes, x
 
 
-def _displacement(mode: _Mode, x: Floats, u: Floats) -> Floats:
-    """(k, n) motion without disturbance from x (k, n)."""
+def _displacement(mode: _Mode, chosen: Ints, x: Floats, u: Floats) -> Floats:
+    """(k, n) motion without disturbance of the chosen objects from x (k, n)."""
     d = u @ mode.B.T
+    if mode.gains is not None:
+        d *= mode.gains[chosen]
     for i, motion in mode.effects.items():
         d[:, i] = motion.displacement(np, x[:, i], d[:, i])
     return np.asarray(d)
@@ -125,7 +143,7 @@ def _fires(mode: _Mode, chosen: Ints, x: Floats, d: Floats, u: Floats) -> Boolea
     return np.asarray((first < last).any(axis=1))
 
 
-def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], shifts: Floats) -> _Mode:
+def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], shifts: Floats, gains: Floats) -> _Mode:
     """Everything is affine in the shifts, so tables with one boundary moved by one unit give the slopes."""
     n, m = automaton.n, automaton.m
     rows = [row for e in table.exits for row in e.rows]
@@ -150,6 +168,7 @@ def _mode(automaton: HybridAutomaton, table: ModeTable, moved: list[ModeTable], 
         strict=np.array([row.strict for row in rows], dtype=bool),
         first=np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64),
         effects={i: motion for i, motion in table.effects.items() if free[i]},
+        gains=gain_factors(automaton, automaton.mode(table.name), gains) if gains.any() else None,
     )
 
 

@@ -63,7 +63,7 @@ def whole_step(
     mode = automaton.mode(mode_name)
     n = mean.size
     displacement, slope = displaced(automaton, mode, mean, u)
-    noise = automaton.process_factor(mode)
+    noise = automaton.process_factor(mode, u)
     joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
     for tie in mode.ties:
         weights = np.array(tie.weights)
@@ -210,7 +210,7 @@ def _event(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats, bind
         held=_held(automaton, piece, edge) if at_once else np.full(n, np.nan),
         entered=(piece.entered if at_once else frozenset([edge.source])) | {edge.target},
     )
-    return arrived if edge.is_self_transition else _entered(automaton, arrived, edge)
+    return arrived if edge.is_self_transition else _entered(automaton, arrived, edge, u)
 
 
 def _held(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Floats:
@@ -235,7 +235,7 @@ def _share_behind(piece: Piece, binding: HalfSpace | None, u: Floats) -> tuple[f
     return float(after / (after - before)), weights1 / (after - before)
 
 
-def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Piece:
+def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> Piece:
     """The piece in its new mode: held coordinates stand still and are known, freed ones get their process noise.
 
     A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
@@ -252,7 +252,7 @@ def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Piece:
         weights, i = np.array(tie.weights), tie.coordinate
         mean[n + i], factor[n + i] = tie.offset + weights @ mean[n:], weights @ factor[n:]
         displacement[i] = weights @ displacement
-    old, new = (np.array(automaton.free_process_std(mode)) for mode in (source, target))
+    old, new = (automaton.step_noise_std(mode, u) for mode in (source, target))
     noise = np.vstack([np.zeros((n, n)), np.diag(piece.fraction * np.where(old == 0, new, 0.0))])
     factor = lower_factor(np.hstack([factor, noise]))
     mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.automaton.gain import drawn_gains, with_gains
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, jacobian
 from micah_plan.automaton.thresholds import with_drawn_thresholds
@@ -26,7 +27,7 @@ _MOST_ROTATION = 0.5
 class NominalPlant:
     """What the planner believes in: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
 
-    Thresholds are drawn at every reset, as well as the model knows them.
+    Thresholds and gains are drawn at every reset, as well as the model knows them.
 
     Pose noise is white in position and rotation, in the ratio in which the inverse kinematics weighs them, and of such
     a size that the configuration found from it has the std that the model states for the true mode and place. The pose
@@ -49,7 +50,8 @@ class NominalPlant:
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
         self._rng = rng
-        self._true = with_drawn_thresholds(self.automaton, rng)
+        gains = drawn_gains(self.automaton, rng, 1)[0]
+        self._true = with_drawn_thresholds(with_gains(self.automaton, gains), rng)
         self._mode, self._x = sample_start(self._true, self.start, rng)
         self._time = 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)

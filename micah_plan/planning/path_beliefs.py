@@ -31,10 +31,12 @@ _SMALLEST_WEIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """Per mode (q, ...): inverse input matrix (q, m, n), process variance, measured std and its growth (q, n)."""
+    """Per mode (q, ...): inverse input matrix (q, m, n), process variance, variance of the gain, measured std and its
+    growth (q, n)."""
 
     inverse: Floats
     process: Floats
+    gain: Floats
     std: Floats
     growth: Floats
 
@@ -60,6 +62,7 @@ class PathBeliefs:
         self._modes = _Modes(
             np.array([np.linalg.pinv(mode.B) for mode in modes]),
             np.square([automaton.free_process_std(mode) for mode in modes]),
+            np.square([automaton.gain_std(mode) for mode in modes]),
             np.array([one.std for one in sensing]),
             np.array([one.growth for one in sensing]),
         )
@@ -93,8 +96,10 @@ class PathBeliefs:
         variance = variance.copy()
         for step in range(int(count.max(initial=0))):
             on = step < count
-            x = self.points[origin[on]] + delta[on] * ((step + 1.0) / count[on])[:, None]
-            variance[on] = self._measured(variance[on], x, mode[on])
+            each = delta[on] / count[on, None]
+            x = self.points[origin[on]] + each * (step + 1.0)
+            moving = variance[on] + self._modes.gain[mode[on]] * each**2
+            variance[on] = self._measured(moving, x, mode[on])
         overshoot = np.zeros(len(origin))
         leaves = np.flatnonzero(~moves)
         pairs = zip(origin[leaves].tolist(), end[leaves].tolist(), strict=True)

@@ -1,8 +1,8 @@
 """Closed-loop roll-outs of a trajectory, all trials at once: true states, filters with noisy measurements, feedback.
 
 Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps and
-with thresholds drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid filter with
-noisy measurements, and the inputs are those of the policy.
+with thresholds and gains drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid
+filter with noisy measurements, and the inputs are those of the policy.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.gain import drawn_gains
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
@@ -32,7 +33,7 @@ class Chances:
     """All that is random in t roll-outs of T steps.
 
     Attributes:
-        objects: t of them, with the boundaries where they truly are.
+        objects: t of them, with the boundaries where they truly are and the levers that they truly have.
         starts: (t, n) true states at first [rad or m].
         process: (T, t, n) noise of the steps [rad or m].
         observation: (T, t, n) noise of the measurements in standard deviations, which depend on mode and place; NaN:
@@ -64,7 +65,8 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     """The random part of that many roll-outs; the same for the same seed."""
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     stds = threshold_stds(automaton)
-    objects = TransitionBatch(automaton, stds * rng.standard_normal((trials, stds.size)))
+    shifts = stds * rng.standard_normal((trials, stds.size))
+    objects = TransitionBatch(automaton, shifts, drawn_gains(automaton, rng, trials))
     name = trajectory.modes[0]
     drawn = [draw_state(one := objects.object(i), one.mode(name), problem.start, rng) for i in range(trials)]
     shape = (time_knots(trajectory).size, trials, automaton.n)

@@ -179,10 +179,11 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         for tie in mode.ties:
             tied[tie.coordinate, :] = ca.DM(tie.weights).T
             flowed[tie.coordinate] = tie.offset + ca.dot(ca.DM(tie.weights), flowed)
-        noise = ca.sparsify(ca.DM(automaton.process_factor(mode)))
+        noise = ca.mtimes(ca.sparsify(tied), ca.diag(ca.vertcat(*_step_noise_std(automaton, mode, s))))
+        noise = ca.sparsify(noise)
         spread = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(ca.sparsify(tied), carried), noise)))
     else:
-        spread = add_noise(carried, automaton.free_process_std(mode))
+        spread = add_noise(carried, _step_noise_std(automaton, mode, s))
     updated = _update(s.x, s.factor, sensing_std(sensing, s.x), s.z)
     stepped = _update(flowed, spread, sensing_std(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)
@@ -214,6 +215,15 @@ def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> ca.SX:
         if i not in held:
             moved[i] = motion.displacement(CasadiOperations(), s.x[i], moved[i])
     return s.x + moved
+
+
+def _step_noise_std(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> list[float | ca.SX]:
+    """`HybridAutomaton.step_noise_std`: numbers where the gain is certain."""
+    free, gains, moved = automaton.free_process_std(mode), automaton.gain_std(mode), ca.mtimes(ca.DM(mode.B), s.u)
+    return [
+        std if gain == 0.0 else ca.sqrt(max(std, SMALLEST_STD) ** 2 + (gain * moved[i]) ** 2)
+        for i, (std, gain) in enumerate(zip(free, gains, strict=True))
+    ]
 
 
 def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:

@@ -7,6 +7,7 @@ decomposition again, so no pivot can become negative by rounding, whatever the s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -56,12 +57,12 @@ def lower_factor(matrix: ca.SX) -> ca.SX:
     return _lower(columns, n)
 
 
-def add_noise(factor: ca.SX, std: tuple[float, ...]) -> ca.SX:
+def add_noise(factor: ca.SX, std: Sequence[float | ca.SX]) -> ca.SX:
     """Factor of L L' + diag(std²): one rank-one update per coordinate that has noise."""
     n = factor.shape[0]
     columns = [[factor[i, j] for i in range(n)] for j in range(n)]
     for start, deviation in enumerate(std):
-        if deviation == 0.0:
+        if not isinstance(deviation, ca.SX) and deviation == 0.0:
             continue
         added = [ca.SX(deviation) if i == start else ca.SX(0) for i in range(n)]
         for row in range(start, n):

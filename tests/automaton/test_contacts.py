@@ -108,8 +108,8 @@ def test_disturbances_move_a_tied_joint_with_the_hand():
     after = step(TASK, "line", x, np.zeros(3), [0.001, 0.0, -0.002, 0.3])
     assert after.mode == "line"
     assert after.x[3] == pytest.approx(tie.value(after.x))
-    assert TASK.process_factor(TASK.mode("line"))[3] == pytest.approx(
-        tie.weights[2] * TASK.process_factor(TASK.mode("line"))[2]
+    assert TASK.process_factor(TASK.mode("line"), np.zeros(3))[3] == pytest.approx(
+        tie.weights[2] * TASK.process_factor(TASK.mode("line"), np.zeros(3))[2]
     )
 
 

@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
+from uncertain_joints import swinging
 
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
@@ -127,9 +128,18 @@ def followed(seed: int) -> HybridAutomaton:
     return replace(automaton, modes=(free, replace(pinned, pins=pins)))
 
 
+def unsure(seed: int) -> HybridAutomaton:
+    """The example with two coordinates that turn about axes whose levers are known only so well."""
+    automaton = example(seed)
+    joints = (swinging(0.2), JOINT, swinging(0.05))
+    links = tuple(Link("base", f"part {i}", i) for i in range(N))
+    modes = tuple(replace(mode, joints=joints) for mode in automaton.modes)
+    return replace(automaton, links=links, modes=modes)
+
+
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("make", [example, followed])
+@pytest.mark.parametrize("make", [example, followed, unsure])
 def test_belief_functions_equal_their_numpy_twins(
     make: Callable[[int], HybridAutomaton], seed: int, scale: float
 ) -> None:
@@ -139,7 +149,7 @@ def test_belief_functions_equal_their_numpy_twins(
     close = {"rtol": 1e-9, "atol": 1e-9 * max(1.0, scale)}
     for mode in automaton.modes:
         functions, sensing = compiled.modes[mode.name], automaton.sensing(mode)
-        predicted = gaussian.predict(mean, factor, mode.B @ u, automaton.free_process_std(mode))
+        predicted = gaussian.predict(mean, factor, mode.B @ u, automaton.step_noise_std(mode, u))
         for ours, twin in zip(call(functions.predict, mean, factor, u), predicted, strict=True):
             assert np.allclose(ours, twin, **close)
         updated = gaussian.update(mean, factor, z, sensing.std_at(mean))

@@ -106,7 +106,7 @@ def whole_step(
     joint = np.zeros((count, 2 * n, 2 * n))
     joint[:, :n, :n] = factor
     joint[:, n:, :n] = slope[:, :, None] * factor
-    joint[:, n:, n:] = automaton.process_factor(q)
+    joint[:, n:, n:] = automaton.process_factor(q, u)
     for tie in q.ties:
         weights = np.array(tie.weights)
         displacement[:, tie.coordinate] = displacement @ weights
@@ -290,7 +290,7 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
         events=pieces.events,
         entered=entered,
     )
-    return arrived if edge.is_self_transition else _entered(automaton, arrived, edge)
+    return arrived if edge.is_self_transition else _entered(automaton, arrived, edge, u)
 
 
 def _share_behind(pieces: Pieces, binding: _Bindings | None, u: Floats) -> tuple[Floats, Floats]:
@@ -307,7 +307,7 @@ def _share_behind(pieces: Pieces, binding: _Bindings | None, u: Floats) -> tuple
     return share, slope
 
 
-def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge) -> Pieces:
+def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats) -> Pieces:
     """The pieces in their new mode: held coordinates stand still and are known, freed ones get their process noise."""
     n = pieces.n
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
@@ -321,9 +321,9 @@ def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge) -> Pieces:
         weights, i = np.array(tie.weights), tie.coordinate
         mean[:, n + i], factor[:, n + i] = tie.offset + mean[:, n:] @ weights, weights @ factor[:, n:]
         displacement[:, i] = displacement @ weights
-    old, new = (np.array(automaton.free_process_std(mode)) for mode in (source, target))
+    old, new = (automaton.step_noise_std(mode, u) for mode in (source, target))
     noise = np.zeros((len(pieces), 2 * n, n))
-    noise[:, n:] = pieces.fraction[:, None, None] * np.diag(np.where(old == 0, new, 0.0))
+    noise[:, n:] = (pieces.fraction[:, None] * np.where(old == 0, new, 0.0))[:, :, None] * np.eye(n)
     factor = lower_factors(np.concatenate([factor, noise], axis=2))
     mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))
     return replace(pieces, mean=mean, factor=factor, displacement=displacement)
