@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr, ndtr
 
+from micah_plan.belief.batch.corners import Moments, corner, half_plane, whole_plane
 from micah_plan.belief.batch.gaussian import lower_factors
 from micah_plan.belief.gaussian import SMALLEST_STD
 from micah_plan.belief.truncation import REACH
@@ -21,6 +22,10 @@ Affine = tuple[Floats, Floats]
 _NOTHING = 1e-30
 # What is this many standard deviations short of a half-space does not reach it (mass 2e-11, less than filters keep).
 _NEAR = 6.6
+# Closed forms are exact to 1e-15 absolutely: for shares above this one they are as good as quadrature. Where the two
+# margins move nearly as one, their corner has its point far out.
+_SURE = 1e-8
+_SINE = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
@@ -31,15 +36,6 @@ class Parts:
     probability: Floats
     mean: Floats
     factor: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Masses (p,), first (p, 2) and second moments (p, 2, 2) of the whitened coordinates; not normalised."""
-
-    mass: Floats
-    first: Floats
-    second: Floats
 
 
 def split(mean: Floats, factor: Floats, before: Affine, after: Affine) -> tuple[Parts, Parts]:
@@ -59,7 +55,7 @@ def split(mean: Floats, factor: Floats, before: Affine, after: Affine) -> tuple[
     staying = Parts(np.ones(len(mean)), mean.copy(), padded.copy())
     margins = (m0[near] - SMALLEST_STD, s0[near], m1[near] - SMALLEST_STD, k[near], t[near])
     inside = m0[near] > SMALLEST_STD
-    crossed, stayed, tail = _integrate(*margins, inside)
+    crossed, stayed, tail = _shares(*margins, inside)
     # Without any mass to fit moments to, nothing crosses.
     some = crossed.mass >= _NOTHING
     share = np.where(some, np.minimum(1.0, crossed.mass + tail), 0.0)
@@ -110,6 +106,50 @@ def _normalised(rows: Floats, lengths: Floats) -> Floats:
     return np.where(lengths[:, None] > 0, rows / np.where(lengths > 0, lengths, 1.0)[:, None], 0.0)
 
 
+def _shares(
+    m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats, inside: Booleans
+) -> tuple[Moments, Moments, Floats]:
+    """Moments of what crosses and of what stays, and the mass of the tail that crosses (p,): closed forms, if any."""
+    crossing, staying, tail = Moments.empty(len(k)), Moments.empty(len(k)), np.zeros(len(k))
+    left = np.ones(len(k), dtype=bool)
+    known = ~inside & (s0 == 0) & (k > 0)
+    if known.any():
+        offset, ones = -m1[known] / k[known], np.ones(int(known.sum()))
+        crossing.put(known, half_plane(ones, offset))
+        staying.put(known, half_plane(-ones, -offset))
+        left &= ~known
+    sines = np.minimum(t / (np.hypot(k, t) + SMALLEST_STD), t / (np.hypot(k - 2 * s0, t) + SMALLEST_STD))
+    moved = ~inside & (s0 > 0) & (sines > _SINE)
+    if moved.any():
+        crossed, stayed, behind = _corners(m0[moved], s0[moved], m1[moved], k[moved], t[moved])
+        sure = np.minimum(crossed.mass, stayed.mass) > _SURE
+        moved[moved] = sure
+        crossing.put(moved, crossed.where(sure))
+        staying.put(moved, stayed.where(sure))
+        tail[moved] = behind[sure]
+        left &= ~moved
+    if left.any():
+        crossed, stayed, tail[left] = _integrate(m0[left], s0[left], m1[left], k[left], t[left], inside[left])
+        crossing.put(left, crossed)
+        staying.put(left, stayed)
+    return crossing, staying, tail
+
+
+def _corners(m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats) -> tuple[Moments, Moments, Floats]:
+    """As `_shares`, for margins that both move: what crosses fills a corner of the plane, the tail that does another.
+
+    The first is m0 < 0 and m1 > 0, the second m0 > 0 and m1 > 2 m0.
+    """
+    ones = np.ones(len(k))
+    parts = []
+    for sign, end, slope in ((-1.0, m1, k), (1.0, m1 - 2 * m0, k - 2 * s0)):
+        size = np.hypot(slope, t)
+        normal = np.stack([slope, t], axis=1) / size[:, None]
+        parts.append(corner(sign * ones, -sign * m0 / s0, normal, -end / size))
+    crossing, behind = parts
+    return crossing, whole_plane(len(k)).without(crossing, behind), behind.mass
+
+
 def _breaks(m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats) -> Floats:
     """(p, 18) sorted ends of the intervals of quadrature; those that are not needed are empty."""
     fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
@@ -124,7 +164,7 @@ def _breaks(m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats) -> Floats:
 
 def _integrate(
     m0: Floats, s0: Floats, m1: Floats, k: Floats, t: Floats, inside: Booleans
-) -> tuple[_Moments, _Moments, Floats]:
+) -> tuple[Moments, Moments, Floats]:
     """Moments of what crosses and of what stays, and the mass of the tail that crosses (p,)."""
     edges = _breaks(m0, s0, m1, k, t)
     # Only intervals that are not empty: (i, nodes) of them, each with the number of its Gaussian.
@@ -151,7 +191,7 @@ def _integrate(
 
 def _moments(
     first: NDArray[np.intp], mass: Floats, zeta: Floats, zeroth: Floats, density: Floats, limit: Floats
-) -> _Moments:
+) -> Moments:
     """Sums over the intervals of each Gaussian, which begin at `first`."""
 
     def total(values: Floats, weights: Floats) -> Floats:
@@ -162,7 +202,7 @@ def _moments(
     second = zeroth + limit * density
     along = np.stack([total(once * zeta, zeroth), cross], axis=1)
     across = np.stack([cross, total(mass, second)], axis=1)
-    return _Moments(
+    return Moments(
         total(mass, zeroth),
         np.stack([total(once, zeroth), total(mass, density)], axis=1),
         np.stack([along, across], axis=1),
@@ -170,7 +210,7 @@ def _moments(
 
 
 def _fill(
-    parts: Parts, chosen: NDArray[np.int64], share: Floats, moments: _Moments, some: Booleans, basis: Floats
+    parts: Parts, chosen: NDArray[np.int64], share: Floats, moments: Moments, some: Booleans, basis: Floats
 ) -> None:
     """Write shares and moments of the chosen Gaussians; one without mass keeps the moments of the whole."""
     parts.probability[chosen] = share
@@ -182,9 +222,18 @@ def _fill(
     mass, inner_basis = moments.mass[has], basis[has]
     center = moments.first[has] / mass[:, None]
     second = moments.second[has] / mass[:, None, None] - center[:, :, None] * center[:, None, :]
-    values, vectors = np.linalg.eigh(second)
     factor = parts.factor[rows, :, 2:]
     inner = factor @ inner_basis.transpose(0, 2, 1)
     parts.mean[rows] += (inner @ center[:, :, None])[:, :, 0]
-    parts.factor[rows, :, :2] = inner @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    parts.factor[rows, :, :2] = inner @ _root(second)
     parts.factor[rows, :, 2:] = factor - inner @ inner_basis
+
+
+def _root(second: Floats) -> Floats:
+    """(p, 2, 2) lower square roots of covariances, which rounding may leave a hair short of positive."""
+    root = np.zeros_like(second)
+    root[:, 0, 0] = np.sqrt(np.maximum(second[:, 0, 0], 0.0))
+    has = root[:, 0, 0] > 0
+    root[has, 1, 0] = second[has, 1, 0] / root[has, 0, 0]
+    root[:, 1, 1] = np.sqrt(np.maximum(second[:, 1, 1] - root[:, 1, 0] ** 2, 0.0))
+    return root
