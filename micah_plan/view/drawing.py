@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
+from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import moving_joint
@@ -24,7 +24,7 @@ VIEW_ANGLE_DEG = 36.0
 _MARGIN = 1.08
 _HIDDEN_COST = 2.0
 _CURVE_POINTS = 49
-_ELEVATION = math.radians(28.0)
+_ELEVATION, _LOW_ELEVATION = math.radians(28.0), math.radians(13.0)
 _AZIMUTHS = np.radians(np.arange(-60, 300, 15))
 
 
@@ -138,11 +138,18 @@ def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: F
         radius: of what the camera looks at [m].
         blockers: as for `camera`.
     """
-    level = math.cos(_ELEVATION) * np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], axis=1)
-    toward = np.column_stack([level, np.full(len(level), math.sin(_ELEVATION))])
+    toward = _directions(_ELEVATION)
+    if blockers is not None and len(blockers):
+        toward = np.concatenate([toward, _directions(_LOW_ELEVATION)])  # to look under what stands above
     hidden = [_hidden_share(way, motion, blockers) for way in toward]
     quality = [_view_quality(way, motion, target, radius) for way in toward]
     return np.asarray(toward[np.argmax(np.array(quality) - _HIDDEN_COST * np.array(hidden))])
+
+
+def _directions(elevation: float) -> Floats:
+    """(a, 3) unit vectors all around, at an elevation [rad]."""
+    level = math.cos(elevation) * np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], axis=1)
+    return np.column_stack([level, np.full(len(level), math.sin(elevation))])
 
 
 def _hidden_share(way: Floats, motion: Floats, blockers: Floats | None) -> float:
@@ -182,9 +189,18 @@ def _view_quality(way: Floats, motion: Floats, target: Floats, radius: float) ->
 
 
 def link_shapes(automaton: HybridAutomaton, link: int) -> tuple[Primitive, ...]:
-    """The shapes of a link's child, or default ones that follow its joint."""
-    shapes = automaton.part(automaton.links[link].child).shapes
-    return shapes or moving_shapes(moving_joint(automaton, link), reach(automaton, link))
+    """The shapes of a link's child; default ones that follow its joint if no part that moves has any.
+
+    A part without shapes among others that have some is a frame only, such as the hand of a held object.
+    """
+    if any(automaton.part(item.child).shapes for item in automaton.links):
+        return automaton.part(automaton.links[link].child).shapes
+    return moving_shapes(moving_joint(automaton, link), reach(automaton, link))
+
+
+def shown_links(automaton: HybridAutomaton) -> list[tuple[int, Link]]:
+    """The links whose child is drawn, with their numbers."""
+    return [(number, link) for number, link in enumerate(automaton.links) if link_shapes(automaton, number)]
 
 
 def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
@@ -193,7 +209,7 @@ def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
     shapes = tuple(shape for part in automaton.parts if part.name not in children for shape in part.shapes)
     if shapes:
         return shapes
-    carried = (i for i, link in enumerate(automaton.links) if link.parent not in children)
+    carried = (i for i, link in shown_links(automaton) if link.parent not in children)
     return tuple(s for i in carried for s in base_shapes(moving_joint(automaton, i), reach(automaton, i)))
 
 
@@ -209,7 +225,7 @@ def reach(automaton: HybridAutomaton, link: int) -> float:
 def object_size(automaton: HybridAutomaton) -> float:
     """A length to scale symbols by [m]: the farthest that a part lies from its axis or moves."""
     sizes = [0.02]
-    for number, _ in enumerate(automaton.links):
+    for number, _ in shown_links(automaton):
         joint = moving_joint(automaton, number)
         if joint.kind in ("revolute", "screw"):
             sizes.append(float(np.linalg.norm(np.array(joint.position) - joint.center)))

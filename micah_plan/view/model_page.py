@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
@@ -19,6 +20,7 @@ from micah_plan.view.drawing import (
     link_shapes,
     object_size,
     shape_corners,
+    shown_links,
 )
 from micah_plan.view.motion import Keyframes, animate_attached, animate_bodies, handle_path
 from micah_plan.view.palette import FRAME_AXES, GRID, GUARD, INK, category
@@ -121,10 +123,12 @@ def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) -> No
 def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, size: float) -> None:
     """The joints of all modes, each link's in the frame of its parent, in the colours of the modes."""
     colors = mode_colors(automaton)
-    paths = []
-    for number, link in enumerate(automaton.links):
-        path = f"joints/{slug(link.child, number)}"
-        paths.append(path)
+    paths = {}
+    shown = {BASE, *(part.name for part in automaton.parts), *(link.child for _, link in shown_links(automaton))}
+    for number, link in shown_links(automaton):
+        if link.parent not in shown:
+            continue
+        path = paths[number] = f"joints/{slug(link.child, number)}"
         point = handle_in_part(automaton, link.child)
         for order, mode in enumerate(automaton.modes):
             limits = coordinate_range(automaton, mode, link.coordinate)[:2]

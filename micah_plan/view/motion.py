@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.part_poses import part_poses
-from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners
+from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 from micah_plan.view.scene import Scene, slug, transforms
 
@@ -55,8 +55,9 @@ def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Float
 
 def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) -> None:
     """The moving parts with their shapes."""
-    for number, (name, poses) in enumerate(poses_over_time(automaton, keys).items()):
-        path = f"object/{slug(name, number)}"
+    moved = poses_over_time(automaton, keys)
+    for number, link in shown_links(automaton):
+        path, poses = f"object/{slug(link.child, number)}", moved[link.child]
         shapes = link_shapes(automaton, number)
         draw_shapes(scene, path, shapes)
         scene.animate(path, keys.times, poses)
@@ -64,10 +65,11 @@ def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) ->
             scene.reserve(shape_corners(shapes, poses[i]))
 
 
-def animate_attached(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Sequence[str]) -> None:
-    """What is drawn in the frame of each link's parent (`paths`, one per link) moves with that parent."""
+def animate_attached(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Mapping[int, str]) -> None:
+    """What is drawn in the frame of a link's parent (`paths`, by number of the link) moves with that parent."""
     poses = poses_over_time(automaton, keys)
-    for link, path in zip(automaton.links, paths, strict=True):
+    for number, path in paths.items():
+        link = automaton.links[number]
         if link.parent in poses:
             scene.animate(path, keys.times, poses[link.parent])
 
@@ -80,10 +82,11 @@ def animate_ghosts(
         return
     spread = sigmas * np.sqrt((keys.factors**2).sum(axis=2))
     for side, sign in (("ahead", 1.0), ("behind", -1.0)):
-        for number, (name, poses) in enumerate(poses_over_time(automaton, keys, sign * spread).items()):
-            path = f"{layer}/{side}/{slug(name, number)}"
+        moved = poses_over_time(automaton, keys, sign * spread)
+        for number, link in shown_links(automaton):
+            path = f"{layer}/{side}/{slug(link.child, number)}"
             draw_shapes(scene, path, link_shapes(automaton, number), color=color, opacity=0.16)
-            scene.animate(path, keys.times, poses)
+            scene.animate(path, keys.times, moved[link.child])
 
 
 def belief_ellipsoids(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
+from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.planning.plan import Plan, Trajectory
@@ -15,7 +16,8 @@ from micah_plan.planning.problem import Problem
 from micah_plan.planning.start_state import start_mode
 from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
-from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners
+from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners, shown_links
+from micah_plan.view.held_object import with_shown_points
 from micah_plan.view.model_page import (
     draw_mode_joints,
     draw_object,
@@ -24,10 +26,10 @@ from micah_plan.view.model_page import (
     surroundings_legend,
 )
 from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids, handle_path
-from micah_plan.view.palette import BELIEF, GOAL, INK, START
+from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.scene import Scene, slug
-from micah_plan.view.solids import tube
+from micah_plan.view.solids import straightened, tube
 from micah_plan.view.text import length, percent, quantity, short_quantity
 
 Floats = NDArray[np.float64]
@@ -35,6 +37,7 @@ Floats = NDArray[np.float64]
 _DURATION_S = 10.0
 _FRAMES_PER_STEP = 3
 _TRANSITION_S = 0.02
+_PATH, _HELD_PATH = 0.006, 0.014
 _BADGES: dict[str, tuple[str, Status]] = {
     "solved": ("SOLVED", "good"),
     "no_plan": ("NO PLAN", "bad"),
@@ -57,6 +60,7 @@ class _Sigmas:
 
 def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal."""
+    problem = with_shown_points(problem)
     automaton = problem.automaton
     scene = Scene()
     size = object_size(automaton)
@@ -69,12 +73,15 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     if plan.trajectory:
         _draw_belief(scene, problem, keys, sigmas, size)
         animate_ghosts(scene, automaton, keys, sigmas.ghosts, "spread", BELIEF)
+    if problem.hold is not None:
+        _draw_changes(scene, problem, keys)
     if plan.trajectory and plan.arm:
         draw_arm(scene, problem, plan.arm, _knot_times(plan.trajectory), keys.times)
     draw_bodies(scene, problem.scene)
     spacing = draw_surroundings(scene, size)
-    points = np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])
-    goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), link.child) for link in automaton.links])
+    parts = [link.child for _, link in shown_links(automaton)]
+    points = np.concatenate([handle_path(automaton, keys, part) for part in parts])
+    goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), part) for part in parts])
     document = Document(
         title=title,
         kind="plan",
@@ -158,7 +165,7 @@ def _draw_state(scene: Scene, layer: str, problem: Problem, x: Floats, mode: str
     """A pale copy of the moving parts at one state."""
     automaton = problem.automaton
     poses = part_poses(automaton, automaton.mode(mode), x)
-    for number, link in enumerate(automaton.links):
+    for number, link in shown_links(automaton):
         path = f"{layer}/{slug(link.child, number)}"
         shapes = link_shapes(automaton, number)
         draw_shapes(scene, path, shapes, color=color, opacity=0.28)
@@ -173,7 +180,9 @@ def _handle_at(automaton: HybridAutomaton, x: Floats, mode: str, part: str) -> F
 def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigmas, size: float) -> None:
     """The ellipsoid of each part's handle along the plan, and the path of its centre."""
     automaton = problem.automaton
-    for number, link in enumerate(automaton.links):
+    colors = mode_colors(automaton)
+    thickness = (_PATH if problem.hold is None else _HELD_PATH) * size
+    for number, link in shown_links(automaton):
         freedoms = len(chain_coordinates(automaton, link.child))
         factor = float(np.sqrt(chi2.ppf(problem.settings.confidence, freedoms)))
         poses, radii = belief_ellipsoids(automaton, keys, link.child, factor, sigmas.floor)
@@ -181,8 +190,29 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigma
         scene.unit_sphere(path, BELIEF, opacity=0.65)
         scene.animate(path, keys.times, poses, scales=radii)
         centers = poses.translation
-        scene.mesh(f"path/{slug(link.child, number)}", tube(centers, 0.006 * size), INK)
         scene.reserve(centers)
+        for order, (first, last) in enumerate(_stretches(keys)):
+            ends = centers[first : min(last + 2, len(centers))]
+            name = f"path/{slug(link.child, number)}/{order}"
+            scene.mesh(
+                name,
+                tube(straightened(ends), thickness),
+                colors[keys.modes[first]],
+            )
+
+
+def _stretches(keys: Keyframes) -> list[tuple[int, int]]:
+    """First and last keyframe of every stretch of one mode."""
+    starts = [k for k in range(len(keys.modes)) if k == 0 or keys.modes[k] != keys.modes[k - 1]]
+    return list(zip(starts, [*(k - 1 for k in starts[1:]), len(keys.modes) - 1], strict=True))
+
+
+def _draw_changes(scene: Scene, problem: Problem, keys: Keyframes) -> None:
+    """Pale copies of a held object where it enters a mode, in the mode's colour."""
+    colors = mode_colors(problem.automaton)
+    for number, (first, _) in enumerate(_stretches(keys)[1:]):
+        mode = keys.modes[first]
+        _draw_state(scene, f"changes/{number}", problem, keys.states[first], mode, colors[mode])
 
 
 def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> list[LegendEntry]:
@@ -198,12 +228,15 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
                 "dot",
             ),
             LegendEntry(BELIEF, f"object at the mean ± {sigmas.ghosts:.2f} σ", "spread"),
-            LegendEntry(INK, "planned path of the handle", "path", "line"),
+            LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]
+        if problem.hold is not None:
+            entries.append(LegendEntry(MUTED, "object where it enters a mode", "changes"))
     entries += [LegendEntry(START, "start", "start"), LegendEntry(GOAL, "goal", "goal")]
     colors = mode_colors(problem.automaton)
     entries.append(LegendEntry(INK, "joint axes, and paths by mode:", "joints", "line"))
-    entries += [LegendEntry(colors[mode.name], f"mode {mode.name}", shape="line") for mode in problem.automaton.modes]
+    shown = [mode.name for mode in problem.automaton.modes if mode.name != COLLIDED or COLLIDED in plan.mode_sequence]
+    entries += [LegendEntry(colors[name], f"mode {name}", shape="line") for name in shown]
     return [*entries, *arm_legend(plan, problem), *surroundings_legend(spacing)]
 
 

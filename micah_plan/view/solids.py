@@ -67,6 +67,18 @@ def tube(points: Floats, radius: float | Floats) -> Mesh:
     return Mesh(np.concatenate([body, points[:1], points[-1:]]), faces)
 
 
+def straightened(points: Floats, tolerance: float = 1e-6) -> Floats:
+    """(k', 3) a polyline (k, 3) without the points that lie on the way between their neighbours, to a tolerance [m]."""
+    kept = [0]
+    for k in range(1, len(points) - 1):
+        way, ahead = points[k] - points[kept[-1]], points[k + 1] - points[k]
+        length = float(np.linalg.norm(ahead))
+        beside = np.linalg.norm(np.cross(way, ahead)) / length if length > 0 else 0.0
+        if beside > tolerance or float(way @ ahead) < 0:
+            kept.append(k)
+    return np.asarray(points[[*kept, len(points) - 1]] if len(points) > 1 else points)
+
+
 def arrow(start: Floats, end: Floats, radius: float) -> Mesh:
     """An arrow from start to end, (3,) each; the head takes up to a third of it."""
     start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
