@@ -75,11 +75,23 @@ class ModeTable:
         return held
 
 
+class _Tables(dict[str, ModeTable]):
+    """Tables by name of the mode, made when they are asked for: a roll-out sees few modes of its object."""
+
+    def __init__(self, automaton: HybridAutomaton) -> None:
+        super().__init__()
+        self._automaton = automaton
+
+    def __missing__(self, name: str) -> ModeTable:
+        self[name] = _mode_table(self._automaton, name)
+        return self[name]
+
+
 def mode_tables(automaton: HybridAutomaton) -> dict[str, ModeTable]:
-    """The tables of all modes by name, made at the first call for an automaton."""
+    """The tables of an automaton by name of the mode, to be had by indexing."""
     tables: dict[str, ModeTable] | None = automaton.derived.get("mode_tables")
     if tables is None:
-        tables = {mode.name: _mode_table(automaton, mode.name) for mode in automaton.modes}
+        tables = _Tables(automaton)
         automaton.derived["mode_tables"] = tables
     return tables
 

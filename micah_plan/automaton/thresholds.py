@@ -77,12 +77,16 @@ def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) 
 
 def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
     """Std of every uncertain boundary, in the unit of its scaled threshold, in the order of the edges."""
+    known: dict[Boundary, float] | None = automaton.derived.get("boundary_stds")
+    if known is not None:
+        return known
     stds: dict[Boundary, float] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces if edge.threshold_std > 0 else ():
             if any(half_space.a):
                 boundary, scale = boundary_of(half_space)
                 stds[boundary] = max(stds.get(boundary, 0.0), edge.threshold_std / abs(scale))
+    automaton.derived["boundary_stds"] = stds
     return stds
 
 
@@ -125,6 +129,13 @@ def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boun
 
     A mode that is only entered from others that hold the coordinate at the same place holds it at their boundary.
     """
+    memo: dict[str, dict[int, Boundary]] = automaton.derived.setdefault("boundaries_of_pins", {})
+    if mode.name not in memo:
+        memo[mode.name] = _boundaries_of_pins(automaton, mode)
+    return memo[mode.name]
+
+
+def _boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
     found: dict[int, Boundary] = {}
     for edge in automaton.edges:
         for pin in automaton.pins_located_by(edge):

@@ -13,6 +13,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.batch.gaussian import condition_on_pins, hold_at_pins, lower_factors
 from micah_plan.belief.batch.truncation import Affine, Parts, split
+from micah_plan.belief.filter import NEGLIGIBLE
 from micah_plan.belief.gaussian import FAR_STDS, SMALLEST_STD
 
 Floats = NDArray[np.float64]
@@ -138,7 +139,8 @@ def cross(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, inputs: Floats
         return _event(automaton, _counted(tried), edge, inputs[may], None), passed
     binding = _binding(tried, on_state, inputs[may])
     taken, left = _cut(tried, on_state, binding, inputs[may])
-    crosses, stays = taken.probability > 0.0, left.probability > 0.0
+    # Shares that are passed over later need no event now.
+    crosses, stays = (tried.probability * part.probability >= NEGLIGIBLE for part in (taken, left))
     staying = _with(tried, left).where(stays)
     if not crosses.any():
         return tried.where(crosses), passed.joined(staying)
@@ -188,12 +190,21 @@ def _is_near(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Boo
     """Whether each piece can be inside every half-space at the start or the end, with more than a share of 1e-15."""
     near, n = np.ones(len(pieces), dtype=bool), pieces.n
     for half_space in half_spaces:
-        a, reached = np.array(half_space.a), np.zeros(len(pieces), dtype=bool)
+        reached = np.zeros(len(pieces), dtype=bool)
         for part in (slice(0, n), slice(n, None)):
-            std = np.linalg.norm(a @ pieces.factor[:, part], axis=1)
+            std = _stds(half_space, pieces.factor[:, part])
             reached |= half_space.margin(pieces.mean[:, part], u) >= -FAR_STDS * (std + SMALLEST_STD)
         near &= reached
     return near
+
+
+def _stds(half_space: HalfSpace, factors: Floats) -> Floats:
+    """(p,) stds of a half-space's margin over states with factors (p, n, K)."""
+    row = np.zeros((len(factors), factors.shape[2]))
+    for i, weight in enumerate(half_space.a):
+        if weight:
+            row += weight * factors[:, i]
+    return np.asarray(np.sqrt(np.einsum("pk,pk->p", row, row)))
 
 
 def _is_met_by_mean(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Booleans:
@@ -214,7 +225,7 @@ def _binding(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> _Bi
         return _same(half_spaces[0], len(pieces))
     worst = []
     for half_space in half_spaces:
-        along = np.linalg.norm(np.array(half_space.a) @ pieces.factor[:, : pieces.n], axis=1)
+        along = _stds(half_space, pieces.factor[:, : pieces.n])
         worst.append(half_space.margin(pieces.mean[:, : pieces.n], u) / (along + SMALLEST_STD))
     index = np.argmin(np.stack(worst), axis=0)
     a, b, c = (np.array([getattr(h, name) for h in half_spaces], dtype=float) for name in ("a", "b", "c"))
@@ -312,8 +323,8 @@ def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats) 
     n = pieces.n
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     located = automaton.pins_located_by(edge)
-    mean, factor = hold_at_pins(pieces.mean, lower_factors(pieces.factor), located)
-    mean, displacement = mean.copy(), pieces.displacement.copy()
+    mean, factor = hold_at_pins(pieces.mean, pieces.factor, located)
+    displacement = pieces.displacement.copy()
     for pin in target.pins:
         mean[:, n + pin.coordinate], factor[:, n + pin.coordinate] = mean[:, pin.coordinate], factor[:, pin.coordinate]
         displacement[:, pin.coordinate] = 0.0

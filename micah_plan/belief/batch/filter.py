@@ -15,7 +15,7 @@ from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
-from micah_plan.belief.batch.truncation import truncate
+from micah_plan.belief.batch.truncation import log_inside, truncate
 from micah_plan.belief.filter import MOST_EVENTS, NEGLIGIBLE, guard_limits
 from micah_plan.belief.hybrid_belief import HybridBelief, joint_of
 
@@ -94,12 +94,11 @@ def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> Belie
         before = means[owner, index], factors[owner, index]
         mean, factor, score = gaussian.update(*before, z[owner], whole.sensing(mode).std_at(before[0]))
         for weights, offset in guard_limits(whole.edges_from(mode.name)):
-            score = score - truncate(*before, weights, offset)[0]
-            outside, inward, narrowed = truncate(mean, factor, weights, offset)
-            score = score + outside
+            score = score - log_inside(*before, weights, offset) + log_inside(mean, factor, weights, offset)
             behind = mean @ weights < offset
-            mean = np.where(behind[:, None], inward, mean)
-            factor = np.where(behind[:, None, None], narrowed, factor)
+            if behind.any():
+                mean, factor = mean.copy(), factor.copy()
+                mean[behind], factor[behind] = truncate(mean[behind], factor[behind], weights, offset)
         means[owner, index], factors[owner, index] = mean, factor
         scores[owner, index] = score + np.log(beliefs.weights[owner, index])
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))

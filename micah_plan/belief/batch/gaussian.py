@@ -22,7 +22,7 @@ def lower_factors(matrices: Floats) -> Floats:
     roots: Floats = np.asarray(np.linalg.qr(padded.transpose(0, 2, 1), mode="r"))
     factors = roots.transpose(0, 2, 1)
     signs = np.where(np.diagonal(factors, axis1=1, axis2=2) < 0, -1.0, 1.0)
-    return np.asarray(np.tril(factors * signs[:, None, :]))
+    return np.asarray(factors * signs[:, None, :])
 
 
 def update(means: Floats, factors: Floats, z: Floats, observation_std: ArrayLike) -> tuple[Floats, Floats, Floats]:
@@ -65,9 +65,11 @@ def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tu
 
 
 def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Means and factors once a mode holds its pins at places that its guard defines."""
-    if not pins:
-        return means, factors
+    """Means and square roots (p, n, k + pins) of the covariances once a mode holds its pins where its guard is.
+
+    Args:
+        factors: (p, n, k) any square roots.
+    """
     count, n = means.shape
     means, factors = means.copy(), np.concatenate([factors, np.zeros((count, n, len(pins)))], axis=2)
     for column, pin in enumerate(pins, start=factors.shape[2] - len(pins)):
@@ -76,4 +78,4 @@ def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[F
             means[:, pin.coordinate] += means[:, pin.follows]
             factors[:, pin.coordinate] = factors[:, pin.follows]
         factors[:, pin.coordinate, column] = pin.std
-    return means, lower_factors(factors)
+    return means, factors

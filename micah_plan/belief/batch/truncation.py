@@ -65,11 +65,14 @@ def split(mean: Floats, factor: Floats, before: Affine, after: Affine) -> tuple[
     return crossing, staying
 
 
-def truncate(mean: Floats, factor: Floats, weights: Floats, offset: Floats | float) -> tuple[Floats, Floats, Floats]:
-    """log P(m > 0) (p,), means and factors given m > 0, with m = weights @ x - offset; weights (n,)."""
-    row = weights @ factor
-    std = np.sqrt(np.einsum("pk,pk->p", row, row) + SMALLEST_STD**2)
-    z = (mean @ weights - offset) / std
+def log_inside(mean: Floats, factor: Floats, weights: Floats, offset: float) -> Floats:
+    """log P(m > 0) (p,), with m = weights @ x - offset; weights (n,)."""
+    return np.asarray(log_ndtr(_in_stds(mean, factor, weights, offset)[0]))
+
+
+def truncate(mean: Floats, factor: Floats, weights: Floats, offset: float) -> tuple[Floats, Floats]:
+    """Means and factors given m > 0, with m = weights @ x - offset; weights (n,)."""
+    z, std, row = _in_stds(mean, factor, weights, offset)
     mills = np.sqrt(2 / np.pi) / erfcx(-z / np.sqrt(2))
     direction = row / std[:, None]
     with np.errstate(divide="ignore"):
@@ -77,7 +80,16 @@ def truncate(mean: Floats, factor: Floats, weights: Floats, offset: Floats | flo
     shrink = 1.0 - np.sqrt(variance)
     along = (factor @ direction[:, :, None])[:, :, 0]
     narrowed = factor - (shrink[:, None] * along)[:, :, None] * direction[:, None, :]
-    return np.asarray(log_ndtr(z)), mean + along * mills[:, None], lower_factors(narrowed)
+    return mean + along * mills[:, None], lower_factors(narrowed)
+
+
+def _in_stds(mean: Floats, factor: Floats, weights: Floats, offset: float) -> tuple[Floats, Floats, Floats]:
+    """Margins in stds (p,), the stds (p,), and the margins' rows (p, K) of the factors."""
+    row = np.zeros((len(factor), factor.shape[2]))
+    for i in np.flatnonzero(weights):
+        row += weights[i] * factor[:, i]
+    std = np.sqrt(np.einsum("pk,pk->p", row, row) + SMALLEST_STD**2)
+    return (mean @ weights - offset) / std, std, row
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
