@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
+from scipy.sparse import eye_array, kron
 
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
@@ -44,7 +45,7 @@ class Polytope:
         """Whether no state lies inside."""
         if np.any(self.lower > self.upper + TOLERANCE):
             return True
-        return bool(len(self.b)) and self._extreme(np.zeros(self.n)) is None
+        return bool(len(self.b)) and not len(self._extremes(np.zeros((1, self.n))))
 
     def intersect(self, region: Region, max_step: Floats) -> Polytope:
         """This set within a region of (x, u): the states that some input |u| <= max_step takes into each half-space."""
@@ -106,14 +107,19 @@ class Polytope:
         if not len(self.b):
             return np.asarray(self.lower + rng.random((count, self.n)) * (self.upper - self.lower))
         directions = rng.normal(size=(4 + 4 * self.n, self.n))
-        corners = np.array([x for d in directions if (x := self._extreme(d)) is not None])
+        corners = self._extremes(directions)
         return np.asarray(rng.dirichlet(np.full(len(corners), 0.5), count) @ corners)
 
-    def _extreme(self, direction: Floats) -> Floats | None:
-        """The state farthest along a direction; None if the set is empty."""
-        bounds = list(zip(self.lower, self.upper, strict=True))
-        found = linprog(-direction, A_ub=-self.A, b_ub=-self.b, bounds=bounds, method="highs")
-        return np.asarray(found.x) if found.status == 0 else None
+    def _extremes(self, directions: Floats) -> Floats:
+        """(k, n) the states farthest along each direction (k, n); (0, n) if the set is empty.
+
+        One linear programme over all of them side by side: its set-up costs more than its solution.
+        """
+        count = len(directions)
+        rows, limits = kron(eye_array(count), -self.A, format="csr"), np.tile(-self.b, count)
+        bounds = np.tile(np.stack([self.lower, self.upper], axis=1), (count, 1))
+        found = linprog(-directions.ravel(), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
+        return np.asarray(found.x).reshape(count, self.n) if found.status == 0 else np.zeros((0, self.n))
 
 
 def mode_states(mode: Mode, lower: Floats, upper: Floats, max_step: Floats) -> Polytope:
