@@ -130,8 +130,9 @@ def cross(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, inputs: Floats
             margin = inputs @ np.array(half_space.b) - half_space.c
             may &= (margin > 0) | ((margin == 0) & (not half_space.strict))
     if on_state:
-        may &= (pieces.events == 0) | _is_met_by_mean(pieces, on_state, inputs)
         may &= _is_near(pieces, on_state, inputs)
+        if may.any():
+            may &= (pieces.events == 0) | _is_met_by_mean(pieces, on_state, inputs)
     passed, tried = pieces.where(~may), pieces.where(may)
     if not len(tried):
         return tried, pieces
@@ -190,11 +191,16 @@ def _is_near(pieces: Pieces, half_spaces: Sequence[HalfSpace], u: Floats) -> Boo
     """Whether each piece can be inside every half-space at the start or the end, with more than a share of 1e-15."""
     near, n = np.ones(len(pieces), dtype=bool), pieces.n
     for half_space in half_spaces:
-        reached = np.zeros(len(pieces), dtype=bool)
-        for part in (slice(0, n), slice(n, None)):
-            std = _stds(half_space, pieces.factor[:, part])
-            reached |= half_space.margin(pieces.mean[:, part], u) >= -FAR_STDS * (std + SMALLEST_STD)
-        near &= reached
+        parts = slice(0, n), slice(n, None)
+        start, end = (half_space.margin(pieces.mean[:, part], u) for part in parts)
+        reached = np.maximum(start, end) >= 0.0
+        if not reached.all():
+            for margin, part in zip((start, end), parts, strict=True):
+                std = _stds(half_space, pieces.factor[:, part])
+                reached |= margin >= -FAR_STDS * (std + SMALLEST_STD)
+            near &= reached
+            if not near.any():
+                break
     return near
 
 

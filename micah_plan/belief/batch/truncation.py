@@ -10,6 +10,7 @@ from scipy.special import erfcx, log_ndtr, ndtr
 
 from micah_plan.belief.batch.corners import Moments, corner, half_plane, whole_plane
 from micah_plan.belief.batch.gaussian import lower_factors
+from micah_plan.belief.filter import NEGLIGIBLE
 from micah_plan.belief.gaussian import SMALLEST_STD
 from micah_plan.belief.truncation import REACH
 
@@ -22,9 +23,10 @@ Affine = tuple[Floats, Floats]
 _NOTHING = 1e-30
 # What is this many standard deviations short of a half-space does not reach it (mass 2e-11, less than filters keep).
 _NEAR = 6.6
-# Closed forms are exact to 1e-15 absolutely: for shares above this one they are as good as quadrature. Where the two
-# margins move nearly as one, their corner has its point far out.
-_SURE = 1e-8
+# Closed forms are exact to 1e-15 absolutely: for shares above this one they are as good as quadrature, and for those
+# that are passed over. Where the two margins move nearly as one, their corner has its point far out.
+_SURE = 1e-9
+_PASSED_OVER = 1e-11
 _SINE = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
@@ -134,7 +136,8 @@ def _shares(
     moved = ~inside & (s0 > 0) & (sines > _SINE)
     if moved.any():
         crossed, stayed, behind = _corners(m0[moved], s0[moved], m1[moved], k[moved], t[moved])
-        sure = np.minimum(crossed.mass, stayed.mass) > _SURE
+        sure = (crossed.mass > _SURE) | (crossed.mass + behind < _PASSED_OVER)
+        sure &= (stayed.mass > _SURE) | (stayed.mass < _PASSED_OVER)
         moved[moved] = sure
         crossing.put(moved, crossed.where(sure))
         staying.put(moved, stayed.where(sure))
@@ -224,9 +227,9 @@ def _moments(
 def _fill(
     parts: Parts, chosen: NDArray[np.int64], share: Floats, moments: Moments, some: Booleans, basis: Floats
 ) -> None:
-    """Write shares and moments of the chosen Gaussians; one without mass keeps the moments of the whole."""
+    """Write shares and moments of the chosen Gaussians; one that filters pass over keeps the moments of the whole."""
     parts.probability[chosen] = share
-    has = some & (share > 0.0) & (moments.mass >= _NOTHING)
+    has = some & (share >= NEGLIGIBLE) & (moments.mass >= _NOTHING)
     parts.probability[chosen[some & ~has]] = 0.0
     rows = chosen[has]
     if not rows.size:
