@@ -53,8 +53,8 @@ def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:
     found = [misfit_of(calibration.free_recording(motion, seed, orientation)) for seed in range(6)]
-    # A plane in which a hand moves nearly straight is nearly a drawer.
-    assert sum(one is not None for one in found) >= (3 if motion == "plane" else 5)
+    # Positions alone: a plane in which a hand moves nearly straight is nearly a drawer.
+    assert sum(one is not None for one in found) >= (3 if motion == "plane" and not orientation else 5)
 
 
 @pytest.mark.parametrize("kind", list(JOINTS))

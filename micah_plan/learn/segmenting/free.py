@@ -1,10 +1,13 @@
 """Free motion: what explains rows that no single joint does (two degrees of freedom, a path that deforms).
 
-Every channel goes on as it went on average over the last steps, with errors of one scale for positions and one for
+Every channel goes on as it went on average over the last steps, or stays where it was on average: positions one way,
+rotations perhaps the other (a part may slide freely without turning). Errors have one scale for positions and one for
 rotations. A joint foretells all but one of six channels to within noise, so it wins wherever there is one.
 """
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,7 @@ from micah_plan.learn.track import PartTrack
 Floats = NDArray[np.float64]
 
 _LOOKING_BACK = (1, 2, 3, 5)  # steps over which the velocity is averaged
+_STAYING = (3, 8)  # steps over which what stays is averaged
 _DOF = 8.0
 _FINEST_EXTENT = 1e-3
 
@@ -30,17 +34,21 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     path = _path(track)
     n, d = path.shape
     finest = np.sqrt(noise.left[-1])
+    ways = [_expected(path, back) for back in _LOOKING_BACK] + [_average(path, back) for back in _STAYING]
+    missed = path[1:] - np.array(ways)
+    scale = np.sqrt((missed.reshape(len(ways), n - 1, d // 3, 3) ** 2).mean(axis=(1, 3)))
+    scales = np.maximum(np.repeat(scale, 3, axis=1), finest)
+    squares = ((missed / scales[:, None]) ** 2).reshape(len(ways), n - 1, d // 3, 3).sum(axis=3)
+    sizes = np.log(scales).reshape(len(ways), d // 3, 3).sum(axis=2)
     best = -np.inf
-    for back in _LOOKING_BACK:
-        missed = path[1:] - _expected(path, back)
-        groups = missed.reshape(n - 1, d // 3, 3)
-        scale = np.maximum(np.repeat(np.sqrt((groups**2).mean(axis=(0, 2))), 3), finest)
-        squares = ((missed / scale) ** 2).sum(axis=1)
-        density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(squares / (_DOF + d)) - np.log(scale).sum()
+    for way in product(range(len(ways)), repeat=d // 3):
+        chosen = sum(squares[one, :, group] for group, one in enumerate(way))
+        size = sum(sizes[one, group] for group, one in enumerate(way))
+        density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(chosen / (_DOF + d)) - size
         best = max(best, float(density.sum()))
     first = float(np.log(np.maximum(np.ptp(path, axis=0), _FINEST_EXTENT)).sum())
-    # One scale per group is fitted, and the number of steps looked back is chosen.
-    fitted = 0.5 * (d // 3) * np.log(3.0 * n) + np.log(len(_LOOKING_BACK))
+    # One scale per group is fitted, and its way of going on is chosen.
+    fitted = 0.5 * (d // 3) * np.log(3.0 * n) + (d // 3) * np.log(len(ways))
     return trust * (best - first) - float(fitted)
 
 
@@ -59,3 +67,11 @@ def _expected(path: Floats, back: int) -> Floats:
     begins = np.maximum(ends - back, 0)
     taken = np.maximum(ends - begins, 1)[:, None]
     return np.asarray(path[ends] + (path[ends] - path[begins]) / taken)
+
+
+def _average(path: Floats, back: int) -> Floats:
+    """(n - 1, d) the mean of up to `back` rows before each row after the first."""
+    sums = np.concatenate([np.zeros((1, path.shape[1])), np.cumsum(path, axis=0)])
+    ends = np.arange(1, len(path))
+    begins = np.maximum(ends - back, 0)
+    return np.asarray((sums[ends] - sums[begins]) / (ends - begins)[:, None])
