@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
+from micah_plan.learn.joints.helix_steps import helix_covariance, helix_stepped
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import TrackerNoise
@@ -57,7 +58,7 @@ def fit_likelihood(
         step = np.asarray(np.linalg.solve(damped, pull))
         if 0.5 * float(step @ pull) < converged:
             break
-        trial = stepped(fit.joint, fit.chart, step)
+        trial = _moved(fit, step)
         if trial is not None:
             after = seen_with(trial, position, quaternion, noise)
             *equations, next_cost = _normal_equations(after, noise)
@@ -70,6 +71,23 @@ def fit_likelihood(
     return fit
 
 
+def _moved(fit: Fit, step: Floats) -> Joint | None:
+    """The joint after a step of its free numbers."""
+    if _is_helix(fit):
+        return helix_stepped(fit.joint, fit.chart, step, _middle(fit))
+    return stepped(fit.joint, fit.chart, step)
+
+
+def _is_helix(fit: Fit) -> bool:
+    """Whether only positions tell of a screw."""
+    return fit.joint.kind == "screw" and fit.seen.rotation_error is None
+
+
+def _middle(fit: Fit) -> float:
+    """Arc length from the origin to the middle of the rows [m]."""
+    return float(np.mean(fit.seen.configuration)) * float(np.hypot(fit.seen.radius, fit.joint.pitch))
+
+
 def parameter_covariance(
     fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
 ) -> ParameterCovariance:
@@ -79,10 +97,14 @@ def parameter_covariance(
     """
     information, _, _ = _normal_equations(fit, noise)
     prior = np.eye(len(information)) / _UNKNOWN**2
-    spread = fit.chart.free @ np.linalg.inv(information + prior)
+    spread = np.linalg.inv(information + prior)
     within = fit.chart.in_frame
     middle = prior + within.T @ _spread_of_pull(fit.contrasts, noise, posterior) @ within
     matrix = spread @ middle @ spread.T
+    if _is_helix(fit):
+        matrix = helix_covariance(fit.joint, fit.chart, matrix, _middle(fit))
+    else:
+        matrix = fit.chart.free @ matrix @ fit.chart.free.T
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     rows = (0.5 * (matrix + matrix.T)).tolist()
