@@ -25,6 +25,7 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.transcription_solve import ipopt_options
 from micah_plan.symbolic.compiled import CompiledMode, compile_automaton, sensing_std
+from micah_plan.symbolic.normal import log_ndtr
 from micah_plan.symbolic.square_root import SMALLEST_STD, hold, lower_factor, observe
 
 Floats = NDArray[np.float64]
@@ -198,13 +199,13 @@ def _flowed(compiled: CompiledMode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tup
 
 def _guard_chance(edge: Edge, mean: ca.SX, factor: ca.SX, u: ca.SX, limits: Limits) -> ca.SX:
     """The smooth probability that a guard holds; rows on pinned or free coordinates alike."""
-    chance = ca.SX(1)
+    log_chance = ca.SX(0)
     for half_space in edge.guard.half_spaces:
         a = ca.DM(half_space.a)
         margin = ca.dot(a, mean) + ca.dot(ca.DM(half_space.b), u) - half_space.c
         variance = ca.sumsqr(ca.mtimes(factor.T, a)) + (_SOFTNESS * _scale(half_space, limits)) ** 2
-        chance *= 0.5 * (1 + ca.erf(margin / ca.sqrt(2 * (variance + edge.threshold_std**2))))
-    return chance
+        log_chance += log_ndtr(margin / ca.sqrt(variance + edge.threshold_std**2))
+    return ca.exp(log_chance)
 
 
 def _scale(half_space: HalfSpace, limits: Limits) -> float:
