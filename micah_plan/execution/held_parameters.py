@@ -28,9 +28,9 @@ class HeldParameters:
     spread: float = 0.2
     joint_friction: float = 0.2
     joint_damping: float = 0.01
-    pivot_stiffness: float = 8.0
+    pivot_stiffness: float = 4.0
     pivot_damping: float = 0.2
-    stiffness: float = 4000.0
+    stiffness: float = 20000.0
     max_force: float = 80.0
     latch_capture: float = 0.005
     control_period: float = 0.4

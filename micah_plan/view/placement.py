@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.ranges import region_interval, single_bound
 
@@ -40,12 +42,14 @@ def handle_position(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str
 
 def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:
     """(3, n) derivative of the handle's position by the state, by central differences along the chain of links."""
-    columns = []
-    for step in _DIFFERENCE * np.eye(automaton.n):
-        ahead = handle_position(automaton, mode, x + step, part)
-        behind = handle_position(automaton, mode, x - step, part)
-        columns.append((ahead - behind) / (2 * _DIFFERENCE))
-    return np.stack(columns, axis=1)
+    steps = _DIFFERENCE * np.eye(automaton.n)
+    states = np.concatenate([x + steps, x - steps])
+    poses: dict[str, RigidTransform] = {}
+    for link, joint in zip(automaton.links, mode.joints, strict=True):
+        relative = forward(joint, states[:, link.coordinate])
+        poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
+    handles = poses[part].apply(handle_in_part(automaton, part))
+    return np.asarray((handles[: automaton.n] - handles[automaton.n :]).T / (2 * _DIFFERENCE))
 
 
 def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:
