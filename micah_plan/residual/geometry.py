@@ -116,19 +116,23 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
         return None
     constant = np.ones((len(rows.residual), 1))
     with_it, without = np.hstack([constant, rows.regressors]), constant
-    evidence, squared = 0.0, np.zeros(2)
+    evidence, squared, kept = 0.0, np.zeros(2), np.zeros(2)
     for fold in range(_FOLDS):
         train, test = rows.block != fold, rows.block == fold
         if train.sum() < _FEWEST_ROWS // 2 or not test.any():
             continue
         evidence += _predicts(rows, with_it, train, test) - _predicts(rows, without, train, test)
         for k, design in enumerate((with_it, without)):
-            left = rows.residual - design @ _regression(rows, design, train)[0]
-            squared[k] += float((left[test] ** 2).sum())
+            beta = _regression(rows, design, train)[0]
+            squared[k] += float(((rows.residual - design @ beta)[test] ** 2).sum())
+            # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
+            kept[k] += float(((rows.residual - design[:, 1:] @ beta[1:])[test] ** 2).sum())
     everything = np.ones(len(rows.residual), dtype=bool)
     beta, covariance, scatter, _ = _regression(rows, with_it, everything)
     size = float(np.std(rows.regressors @ beta[1:]))
     if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO * scatter or squared[0] > _MOST_LEFT * squared[1]:
+        return None
+    if kept[0] > _MOST_LEFT * kept[1]:
         return None
     std = np.sqrt(np.maximum(np.diag(covariance)[1:], 0.0))
     pairs = tuple(zip(names, (float(b) for b in beta[1:]), strict=True))

@@ -1,0 +1,81 @@
+"""A wrong axis is found under a tracker that wanders, and the wandering itself is not taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute
+from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.geometry import geometry_findings, scatter_across
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+SEEDS = range(20)
+
+
+@pytest.fixture
+def door():
+    """Swings from 0 to 1.2 rad."""
+    end = plants.LENGTH
+    only = Segment(SWING, 0, 0, 99, 0.0, end, (0.0, end), 0.001, 0.003, 0.0, 1.0)
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (only,)),)))
+
+
+def wandering(rng, rows, size, memory=0.98):
+    """A tracker's slow error [m]: a first-order autoregression of this standard deviation."""
+    error = np.zeros(rows)
+    error[0] = size * rng.standard_normal()
+    for k in range(1, rows):
+        error[k] = memory * error[k - 1] + size * np.sqrt(1 - memory**2) * rng.standard_normal()
+    return error
+
+
+def opened_once(seed, *, rows=100, size=0.004, lift=lambda c: 0.0 * c):
+    """One slow opening by a hand, measured by a wandering tracker; lift(c) is what the door rises [m]."""
+    rng = np.random.default_rng(seed)
+    c = np.linspace(0.0, plants.LENGTH, rows)
+    u = np.diff(c, append=c[-1])
+    recording = plants.door_recording([(c + 0.001 * rng.standard_normal(rows), u)])
+    error = np.stack([wandering(rng, rows, size) for _ in range(3)], axis=1)
+    error[:, 2] += lift(c)
+    return replace(recording, position=recording.position + error)
+
+
+def found_and_scatter(door, recording):
+    """Names found, and the scatter beside the joints before and after they are taken in [m]."""
+    found = geometry_findings(door, tracks(door, recording))
+    better = door.with_effect(*(one.effect for one in found))
+    before, after = (scatter_across(model, tracks(model, recording))[0] for model in (door, better))
+    return [one.effect.name for one in found], before, after
+
+
+def test_a_tracker_that_wanders_is_no_screw(door) -> None:
+    named = 0
+    for seed in SEEDS:
+        names, before, after = found_and_scatter(door, opened_once(seed))
+        named += len(names)
+        assert not names or after < before
+    assert named <= 1
+
+
+def test_a_trend_that_only_a_constant_makes_fit_is_not_named(door) -> None:
+    """Poses that wander from one side of the joint to it ask for another place of the joint, not for a pitch."""
+    for seed in SEEDS:
+        names, _, _ = found_and_scatter(door, opened_once(seed, size=0.0005, lift=lambda c: 0.012 - 0.010 * c))
+        assert "screw_pitch" not in names
+
+
+def test_a_real_pitch_is_found_under_a_wandering_tracker(door) -> None:
+    for seed in range(5):
+        recording = opened_once(seed, size=0.001, lift=lambda c: 0.03 * c)
+        (found,) = geometry_findings(door, tracks(door, recording))
+        assert found.effect.name == "screw_pitch"
+        assert found.effect.values[0] == pytest.approx(0.03, abs=4 * found.std[0] + 0.001)
+        names, before, after = found_and_scatter(door, recording)
+        assert names == ["screw_pitch"]
+        assert after < 0.5 * before
