@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
-from micah_plan.automaton.part_poses import part_poses
 from micah_plan.errors import InputError
 from micah_plan.planning.plan import ArmTrajectory, Trajectory
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.settled import settled_poses, touching_pairs
 from micah_plan.robot.clearance import ClearanceModel, Pair, clearance_model
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
@@ -31,7 +31,8 @@ def arm_along(
         problem: with a robot and a grasp.
         trajectory: over K knots.
         seed: of the start postures.
-        touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: none.
+        touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: those of the contacts that a
+            held object is to make, none for others.
 
     Raises:
         InputError: if the problem has no robot or grasp, or its files cannot be used.
@@ -50,24 +51,26 @@ def problem_clearance(problem: Problem) -> ClearanceModel:
     parts = [part for part in problem.automaton.parts if part.shapes]
     known = {part.name for part in parts}
     held = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in known]
-    if problem.grasp.part not in known:
+    if problem.hold is not None:
+        # The tool follows the hand; what it has between its fingers is the held part, which may turn there.
+        held = [problem.hold.grip.held.name, problem.hold.grip.moving.name]
+    elif problem.grasp.part not in known:
         parts, held = [*parts, Part(problem.grasp.part)], [problem.grasp.part, *held]
     return clearance_model(load_arm(problem.robot), problem.scene, parts, held)
 
 
 def tool_path(problem: Problem, trajectory: Trajectory, touching: Sequence[frozenset[Pair]] | None = None) -> ToolPath:
-    """Poses of the tool and of the object's parts at the knots of a plan.
+    """Poses of the tool and of the object's parts at the knots of a plan, as contacts leave them.
 
     Raises:
         InputError: if the problem has no grasp.
     """
-    automaton, grasp = problem.automaton, problem.grasp
+    grasp = problem.grasp
     if grasp is None:
         raise InputError("the problem has no grasp", source=problem.source or None, remedy="add 'grasp'")
-    knots = [
-        part_poses(automaton, automaton.mode(mode), x)
-        for mode, x in zip(trajectory.modes, trajectory.means, strict=True)
-    ]
+    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, trajectory.means, strict=True)]
+    if touching is None and problem.hold is not None:
+        touching = [touching_pairs(problem, poses) for poses in knots]
     moved = {
         name: RigidTransform.from_matrix(np.stack([poses[name].as_matrix() for poses in knots])) for name in knots[0]
     }

@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.settled import settled_poses
 from micah_plan.scene.body import corners
+from micah_plan.view.motion import Keyframes, Moved
+from micah_plan.view.scene import transforms
+
+
+def settled_over_time(problem: Problem, keys: Keyframes) -> Moved:
+    """(k,) poses of every part, as contacts leave them."""
+    single = [settled_poses(problem, mode, x) for mode, x in zip(keys.modes, keys.states, strict=True)]
+    return {name: transforms([poses[name] for poses in single]) for name in single[0]}
 
 
 def with_shown_points(problem: Problem) -> Problem:

@@ -22,7 +22,7 @@ from micah_plan.view.drawing import (
     shape_corners,
     shown_links,
 )
-from micah_plan.view.motion import Keyframes, animate_attached, animate_bodies, handle_path
+from micah_plan.view.motion import Keyframes, Moved, animate_attached, animate_bodies, handle_path
 from micah_plan.view.palette import FRAME_AXES, GRID, GUARD, INK, category
 from micah_plan.view.placement import (
     Threshold,
@@ -112,15 +112,17 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     return Keyframes(np.array(times), tuple(modes), np.stack(states)), tuple(bands)
 
 
-def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) -> None:
-    """The moving parts, animated, and the parts that nothing moves."""
-    animate_bodies(scene, automaton, keys)
+def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved | None = None) -> None:
+    """The moving parts, animated (where `moved` says, if given), and the parts that nothing moves."""
+    animate_bodies(scene, automaton, keys, moved)
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))
 
 
-def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, size: float) -> None:
+def draw_mode_joints(
+    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, size: float, moved: Moved | None = None
+) -> None:
     """The joints of all modes, each link's in the frame of its parent, in the colours of the modes."""
     colors = mode_colors(automaton)
     paths = {}
@@ -134,7 +136,7 @@ def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, 
             limits = coordinate_range(automaton, mode, link.coordinate)[:2]
             joint = mode.joints[number]
             draw_joint(scene, f"{path}/{slug(mode.name, order)}", joint, limits, colors[mode.name], size, point)
-    animate_attached(scene, automaton, keys, paths)
+    animate_attached(scene, automaton, keys, paths, moved)
 
 
 def draw_surroundings(scene: Scene, size: float) -> float:

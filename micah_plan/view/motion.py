@@ -16,6 +16,7 @@ from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 from micah_plan.view.scene import Scene, slug, transforms
 
 Floats = NDArray[np.float64]
+Moved = Mapping[str, RigidTransform]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +54,9 @@ def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Float
     return np.asarray(poses_over_time(automaton, keys)[part].apply(handle_in_part(automaton, part)))
 
 
-def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) -> None:
-    """The moving parts with their shapes."""
-    moved = poses_over_time(automaton, keys)
+def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved | None = None) -> None:
+    """The moving parts with their shapes; `moved` has their poses where those are not the states' own."""
+    moved = poses_over_time(automaton, keys) if moved is None else moved
     for number, link in shown_links(automaton):
         path, poses = f"object/{slug(link.child, number)}", moved[link.child]
         shapes = link_shapes(automaton, number)
@@ -65,9 +66,11 @@ def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes) ->
             scene.reserve(shape_corners(shapes, poses[i]))
 
 
-def animate_attached(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Mapping[int, str]) -> None:
+def animate_attached(
+    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Mapping[int, str], moved: Moved | None = None
+) -> None:
     """What is drawn in the frame of a link's parent (`paths`, by number of the link) moves with that parent."""
-    poses = poses_over_time(automaton, keys)
+    poses = poses_over_time(automaton, keys) if moved is None else moved
     for number, path in paths.items():
         link = automaton.links[number]
         if link.parent in poses:

@@ -10,14 +10,14 @@ from scipy.stats import chi2, norm
 
 from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.part_poses import part_poses
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.settled import settled_poses
 from micah_plan.planning.start_state import start_mode
 from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
 from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners, shown_links
-from micah_plan.view.held_object import with_shown_points
+from micah_plan.view.held_object import settled_over_time, with_shown_points
 from micah_plan.view.model_page import (
     draw_mode_joints,
     draw_object,
@@ -66,8 +66,9 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     size = object_size(automaton)
     sigmas = _Sigmas(float(norm.ppf(problem.settings.confidence)), 0.025 * size)
     keys, bands = keyframes(plan.trajectory, automaton) if plan.trajectory else (_still(problem), ())
-    draw_object(scene, automaton, keys)
-    draw_mode_joints(scene, automaton, keys, size)
+    moved = None if problem.hold is None else settled_over_time(problem, keys)
+    draw_object(scene, automaton, keys, moved)
+    draw_mode_joints(scene, automaton, keys, size, moved)
     _draw_state(scene, "start", problem, np.array(problem.start.mean), _start_mode(problem), START)
     _draw_state(scene, "goal", problem, *_goal(problem, keys), GOAL)
     if plan.trajectory:
@@ -164,7 +165,7 @@ def _goal(problem: Problem, keys: Keyframes) -> tuple[Floats, str]:
 def _draw_state(scene: Scene, layer: str, problem: Problem, x: Floats, mode: str, color: str) -> None:
     """A pale copy of the moving parts at one state."""
     automaton = problem.automaton
-    poses = part_poses(automaton, automaton.mode(mode), x)
+    poses = settled_poses(problem, mode, x)
     for number, link in shown_links(automaton):
         path = f"{layer}/{slug(link.child, number)}"
         shapes = link_shapes(automaton, number)
@@ -191,6 +192,8 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigma
         scene.animate(path, keys.times, poses, scales=radii)
         centers = poses.translation
         scene.reserve(centers)
+        if problem.hold is not None and link.child != problem.hold.grip.held.name:
+            continue  # the mean of what swings is no path that anything takes
         for order, (first, last) in enumerate(_stretches(keys)):
             ends = centers[first : min(last + 2, len(centers))]
             name = f"path/{slug(link.child, number)}/{order}"

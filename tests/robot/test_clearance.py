@@ -80,7 +80,7 @@ def test_pairs_are_those_that_can_meet_and_should_not() -> None:
     assert ("hand", "stick") not in names  # it is what the hand holds
     assert ("forearm", "stick") in names
     assert ("stick", "table") in names
-    assert ("shoulder", "upper_arm") not in names  # one joint between them
+    assert ("shoulder", "upper_link") not in names  # one joint between them
     assert ("forearm", "hand") in names
     assert model.at(model.arm.rest, {"stick": model.arm.poses(model.arm.rest)[0]}).distance > 0.02
 
