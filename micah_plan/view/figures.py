@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.planning.plan import Plan, Trajectory
@@ -30,6 +31,7 @@ from micah_plan.view.text import percent
 Floats = NDArray[np.float64]
 
 _DPI = 150
+_MOST_BARS = 30
 _TRUE_COLUMN = "true_{}"
 
 
@@ -53,7 +55,8 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     executed = [] if runs is None else executed_configurations(problem, runs)
     figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
     steps = step_times(trajectory)
-    k = float(norm.ppf(problem.settings.confidence))
+    settings = problem.settings
+    k = float(norm.ppf(settings.confidence))
     bars = k * np.sqrt((trajectory.factors**2).sum(axis=2))
     _name_modes(grid[0], trajectory, steps)
     for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):
@@ -62,20 +65,29 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
         for number, x in enumerate(executed):
             label = f"executed ({len(executed)} runs)" if len(executed) > 1 else "executed"
             axes.plot(x[:, i], color=EXECUTED, lw=1.1, alpha=0.85, label="" if number else label, zorder=3)
-        axes.errorbar(
-            steps, trajectory.means[:, i], yerr=bars[:, i], color=BELIEF, lw=1.8, elinewidth=1.0, capsize=2.5,
-            label=f"belief, ± {k:.2f} σ ({percent(problem.settings.confidence)})", zorder=4,
-        )  # fmt: skip
+        _plot_belief(axes, steps, trajectory.means[:, i], bars[:, i], f"± {k:.2f} σ ({percent(settings.confidence)})")
         axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
     grid[-1].set_xlabel("step")
     grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    grid[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9)
+    named = {label: line for axes in grid for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    grid[0].legend(named.values(), named.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9)
     return figure
+
+
+def _plot_belief(axes: Axes, steps: NDArray[np.int64], mean: Floats, bars: Floats, margin: str) -> None:
+    """Mean (K,) with error bars (K,), or with a band where bars would stand too close."""
+    if int(steps[-1]) > _MOST_BARS:
+        axes.fill_between(steps, mean - bars, mean + bars, color=BELIEF, alpha=0.28, lw=0, zorder=3)
+        axes.plot(steps, mean, color=BELIEF, lw=1.8, label=f"belief, {margin}", zorder=4)
+        return
+    axes.errorbar(
+        steps, mean, yerr=bars, color=BELIEF, lw=1.8, elinewidth=1.0, capsize=2.5, label=f"belief, {margin}", zorder=4
+    )
 
 
 def _stacked(n: int) -> tuple[Figure, list[Axes]]:
     """A figure with n axes below each other."""
-    figure = _figure((8.0, 1.6 + 2.8 * n))
+    figure = _figure((8.0, 1.6 + (2.8 if n < 4 else 1.9) * n))
     return figure, list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
 
 
@@ -90,16 +102,15 @@ def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]
 
 def executed_configurations(problem: Problem, runs: Recording) -> list[Floats]:
     """(T, n) configurations [rad or m] of every run: the true ones if the recording tells them, else the measured."""
+    names = [_TRUE_COLUMN.format(coordinate.name) for coordinate in problem.automaton.coordinates]
+    if any(name not in runs.extra for name in names):
+        return [track.x.copy() for track in tracks(problem.automaton, runs)]
     found = []
-    for track in tracks(problem.automaton, runs):
-        x = track.x.copy()
-        rows = runs.select(run=track.run)
+    for run in dict.fromkeys(runs.run.tolist()):
+        rows = runs.select(run=run)
         rows = rows.select(part=rows.parts[0])
-        for i, coordinate in enumerate(problem.automaton.coordinates):
-            column = rows.extra.get(_TRUE_COLUMN.format(coordinate.name))
-            if column is not None:
-                x[:, i] = [float(text) if text else np.nan for text in column]
-        found.append(x)
+        columns = [[float(text) if text else np.nan for text in rows.extra[name]] for name in names]
+        found.append(np.array(columns).T)
     return found
 
 
@@ -155,7 +166,7 @@ def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None
             axes.axhline(value, color=GOAL, lw=0.8, zorder=1)
     labelled = False
     for mark in thresholds(problem.automaton):
-        if mark.coordinate == coordinate:
+        if mark.coordinate == coordinate and mark.target != COLLIDED:  # one side of a box says little alone
             axes.axhline(mark.value, color=GUARD, lw=1.1, ls="--", label="" if labelled else "guard", zorder=2)
             labelled = True
 
