@@ -1,4 +1,4 @@
-"""The whole road on one object: learn -> solve -> execute -> page. `make demo` runs it; results go to demo_output/.
+"""The whole road on one object, a stapler: learn -> solve -> execute -> page. `make demo` runs it, into demo_output/.
 
 Each step is a command that you can type yourself; it is printed before it runs.
 """
@@ -16,21 +16,22 @@ OUTPUT = Path("demo_output")
 
 STEPS = (
     (
-        "A recorded demonstration of a microwave door becomes a hybrid automaton.",
-        "learn examples/demonstrations/microwave.csv --parts models/parts/microwave.yaml -o {out}/microwave.yaml"
+        "A recorded demonstration of a desk stapler becomes a hybrid automaton: a hinge that latches.",
+        "learn examples/demonstrations/stapler.csv --parts models/parts/stapler.yaml -o {out}/stapler.yaml"
         " --figure {out}/segments.png --html {out}/recording.html",
     ),
     (
-        "POMDP-HD plans in belief space how to shut the door until it latches.",
-        "solve problems/microwave_close.yaml --model {out}/microwave.yaml -o {out}/plan.json --html {out}/plan.html",
+        "POMDP-HD finds how an arm gets it onto the books: pressed shut on the table first. Only the place is given.",
+        "solve problems/stapler_on_books.yaml --model {out}/stapler.yaml -o {out}/plan.json --html {out}/plan.html"
+        " --figure {out}/plan.png",
     ),
     (
-        "Independent physics (MuJoCo) executes the plan 5 times with tracker noise, filter and feedback.",
-        "execute {out}/plan.json --plant mujoco --trials 5 -o {out}/runs.csv --figure {out}/belief.png",
+        "The model itself executes the plan 3 times, with filter and feedback.",
+        "execute {out}/plan.json --plant nominal --trials 3 -o {out}/nominal.csv",
     ),
     (
-        "The executed runs are recordings: the learned model predicts them.",
-        "predict {out}/microwave.yaml {out}/runs.csv",
+        "Independent physics (MuJoCo) executes it 3 times: contact, friction, a latch, tracker noise.",
+        "execute {out}/plan.json --plant mujoco --trials 3 -o {out}/runs.csv --figure {out}/belief.png",
     ),
 )
 

@@ -70,7 +70,9 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     grid[-1].set_xlabel("step")
     grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     named = {label: line for axes in grid for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    grid[0].legend(named.values(), named.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9)
+    grid[0].legend(
+        named.values(), named.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9
+    )
     return figure
 
 
