@@ -26,7 +26,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("automaton",),
     ("scene",),
     ("planning.problem", "planning.plan"),
-    ("planning.start_state",),
+    ("planning.start_state", "planning.settled"),
     ("spec", "learn", "symbolic"),
     ("robot",),
     ("belief",),
