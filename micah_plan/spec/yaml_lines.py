@@ -27,6 +27,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
     StreamStartEvent,
 )
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from micah_plan.errors import InputError, shown
 from micah_plan.spec.located import KeyPath, Located
@@ -230,6 +231,8 @@ def _commented(value: Any, path: KeyPath, comments: Mapping[KeyPath, str]) -> An
         if not any(isinstance(item, Mapping | list | tuple) for item in value) and not _has_long_text(value):
             sequence.fa.set_flow_style()
         return sequence
+    if isinstance(value, str) and value.startswith("?"):
+        return DoubleQuotedScalarString(value)  # bare in a list, it would read back as a key
     return value
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from spec_attempt import attempt, told
 
@@ -54,6 +54,7 @@ def test_places_are_of_keys_and_items() -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(data=st.dictionaries(CLEAN, VALUES, min_size=1, max_size=4))
+@example(data={"": ["?0"]})
 def test_what_is_written_reads_back(data: dict[str, object]) -> None:
     assert read_yaml(write_yaml(data, "a remark").encode(), "f").data == data
 
