@@ -79,7 +79,13 @@ class EvidenceTable:
 
 
 def tabulated(
-    hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel, use_actions: bool, rest: float, trust: float
+    hypotheses: Hypotheses,
+    track: PartTrack,
+    noise: NoiseModel,
+    use_actions: bool,
+    rest: float,
+    trust: float,
+    begun: bool = False,
 ) -> EvidenceTable:
     """The densities of all rows under all hypotheses.
 
@@ -87,10 +93,11 @@ def tabulated(
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         trust: power of the likelihood (see coarsening.py).
+        begun: whether the part has moved before the first row.
     """
     pool = pool_of(hypotheses, track, noise)
     table, scale = _across(pool, noise)
-    motion = fit_motion(pool, track.action if use_actions else None, rest, scale)
+    motion = fit_motion(pool, track.action if use_actions else None, rest, scale, begun)
     # Where on its joint a segment starts is uniform over what the recording reaches.
     table[1:] += motion.log_density.T
     table[0] -= np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving
@@ -100,7 +107,8 @@ def tabulated(
     # The first row of a segment may go on where the row before was, or not.
     table[:-1, 1:] = np.logaddexp(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
     table *= trust
-    table[0, 0, ~pool.moving] -= _HELD_FIRST
+    if not begun:
+        table[0, 0, ~pool.moving] -= _HELD_FIRST
     rows = np.maximum(hypotheses.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
     cost = parameter_cost(pool, track, noise, trust)

@@ -63,13 +63,14 @@ class Motion:
     parameters: Floats
 
 
-def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) -> Motion:
+def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, begun: bool) -> Motion:
     """Maximum-likelihood step models.
 
     Args:
         action: (n, 3) in the part's frame [m]; None for CHAMP.
         rest: ρ where actions explain nothing.
         scale: (h, n) how much wider than usual the noise of a row is, by what it leaves across the joint.
+        begun: whether the part has moved before; else it may not have started yet.
     """
     count, n = pool.seen.configuration.shape
     members = np.flatnonzero(pool.moving)
@@ -112,7 +113,9 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats) ->
         plausible = np.linalg.norm(turned.gain, axis=1) <= _MOST_AMPLIFIED * np.maximum(*lengths)
         models += [replace(along, allowed=enough >= _FEWEST_ROWS)]
         models += [replace(turned, allowed=plausible & (enough >= _FEWEST_ROWS))]
-    density = _either(*(np.stack([getattr(m, name) for m in models], axis=2) for name in ("forth", "back", "waiting")))
+    density = _either(
+        *(np.stack([getattr(m, name) for m in models], axis=2) for name in ("forth", "back", "waiting")), begun
+    )
     numbers = np.array([m.parameters for m in models])
     score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
     score = np.where(np.stack([m.allowed for m in models], axis=1), score, -np.inf)
@@ -215,7 +218,7 @@ def _freely(
     return _StepModel(forth[:, at, best], back[:, at, best], waiting, np.zeros((len(best), 3)), 2.0, sure)
 
 
-def _either(forth: Floats, back: Floats, waiting: Floats) -> Floats:
+def _either(forth: Floats, back: Floats, waiting: Floats, begun: bool) -> Floats:
     """ln density (n, ...) of rows given those before, with a hidden state: not started yet, going forth, or back.
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
@@ -227,7 +230,9 @@ def _either(forth: Floats, back: Floats, waiting: Floats) -> Floats:
     turned = np.array([[1 - _TURNING, _TURNING], [_TURNING, 1 - _TURNING]])
     change = np.zeros((3, 3))
     change[:2, :2], change[:2, 2], change[2, 2] = turned, 0.5 * _STARTING, 1 - _STARTING
-    chance = np.broadcast_to(np.array([[0.25], [0.25], [0.5]]), likelihood.shape[1:])
+    chance = np.broadcast_to(
+        np.array([[0.5], [0.5], [0.0]] if begun else [[0.25], [0.25], [0.5]]), likelihood.shape[1:]
+    )
     totals = np.empty((len(states), likelihood.shape[2]))
     for t, likely in enumerate(likelihood):
         weight = np.maximum(chance, 1e-300) * likely

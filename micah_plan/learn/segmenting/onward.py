@@ -163,7 +163,9 @@ def _selected(
     """
     prior = LengthPrior.of_rows(track, settings)
     trust = trust_in(first_noise(track, settings), settings)
-    table = _paid(tabulated(pool, track, noise, use_actions, settings.rest, trust), owner, known.first, prior)
+    table = _paid(
+        tabulated(pool, track, noise, use_actions, settings.rest, trust, known.first >= 0), owner, known.first, prior
+    )
     k = len(owner)
     every = range(len(pool))
     apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)

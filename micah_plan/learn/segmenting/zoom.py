@@ -110,7 +110,7 @@ def _scores(
     known = Hypotheses(joints, np.stack([~later, later]))
     noise = first_noise(steps, own)
     noise = refitted_noise(*misses(pool_of(known, steps, noise), later.astype(np.int64)), own)
-    density = tabulated(known, steps, noise, use_actions, settings.rest, 1.0).log_density
+    density = tabulated(known, steps, noise, use_actions, settings.rest, 1.0, begun=True).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
     after = np.zeros(n)
