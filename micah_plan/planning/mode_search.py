@@ -117,8 +117,8 @@ def search_modes(
 def _out_of_time(problem: Problem, state: str) -> str:
     limit = problem.settings.solve_time_limit_s
     return (
-        f"the time limit of {limit:g} s (solve_time_limit_s) was reached in the search: {state}; raise it or lower "
-        f"samples_per_mode"
+        f"the time limit of {limit:g} s (solve_time_limit_s) was reached in the search: {state}; "
+        f"raise solve_time_limit_s or lower samples_per_mode"
     )
 
 

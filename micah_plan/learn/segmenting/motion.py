@@ -63,7 +63,7 @@ class Motion:
     parameters: Floats
 
 
-def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, begun: bool) -> Motion:
+def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, begun: bool = False) -> Motion:
     """Maximum-likelihood step models.
 
     Args:
@@ -81,28 +81,18 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
     used = pool.hypotheses.used[members]
     weight = (used[:, 1:] & used[:, :-1]).T[:, :, None].astype(float)
     enough = np.maximum(weight.sum(axis=(0, 2)), 1.0)
-    steps = weight[..., 0].T * np.diff(c, axis=1)
     white = pool.white[members]
-    mean_square = np.maximum((steps**2).sum(axis=1) / enough, np.maximum(white * 1e-3, _TINY))
+    mean_square = np.maximum(
+        (weight[..., 0].T * np.diff(c, axis=1) ** 2).sum(axis=1) / enough, np.maximum(white * 1e-3, _TINY)
+    )
     grid = mean_square[:, None] * _STEP_SHARES
     # The last column is the filter of a part that has not moved yet.
-    variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
+    variances = np.pad(grid, ((0, 0), (0, 1)))
     innovations, quiet = _innovations(_signals(c, action), white, pool.renewed[members], variances, scale[members])
     waiting = _quiet_density(innovations[:, :, -1, 0], quiet[:, :, -1])
     innovations, quiet = innovations[:, :, :-1], quiet[:, :, :-1]
-    models = [
-        _freely(
-            innovations[..., 0],
-            innovations[..., 1],
-            quiet,
-            mean_square,
-            weight,
-            rest,
-            _directions(c),
-            *_speeds(c, weight, white),
-            waiting,
-        )
-    ]
+    free = innovations[..., 0], innovations[..., 1], quiet, mean_square
+    models = [_freely(*free, weight, rest, _directions(c), *_speeds(c, weight, white), waiting)]
     if action is not None:
         lever = pool.lever[members]
         along = _led(innovations, quiet, grid, weight, lever[:, :, None], waiting)
@@ -113,9 +103,8 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
         plausible = np.linalg.norm(turned.gain, axis=1) <= _MOST_AMPLIFIED * np.maximum(*lengths)
         models += [replace(along, allowed=enough >= _FEWEST_ROWS)]
         models += [replace(turned, allowed=plausible & (enough >= _FEWEST_ROWS))]
-    density = _either(
-        *(np.stack([getattr(m, name) for m in models], axis=2) for name in ("forth", "back", "waiting")), begun
-    )
+    states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
+    density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
     score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
     score = np.where(np.stack([m.allowed for m in models], axis=1), score, -np.inf)
@@ -218,12 +207,12 @@ def _freely(
     return _StepModel(forth[:, at, best], back[:, at, best], waiting, np.zeros((len(best), 3)), 2.0, sure)
 
 
-def _either(forth: Floats, back: Floats, waiting: Floats, begun: bool) -> Floats:
-    """ln density (n, ...) of rows given those before, with a hidden state: not started yet, going forth, or back.
+def _either(densities: list[Floats], begun: bool) -> Floats:
+    """ln density (n, ...) of rows given those before, with a hidden state: going forth, back, or not started yet.
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
     """
-    states = np.stack([forth, back, waiting], axis=1)
+    states = np.stack(densities, axis=1)
     highest = states.max(axis=1)
     # No state is ever ruled out: a row that only one explains must not leave none.
     likelihood = np.exp(np.maximum(states - highest[:, None], -300.0)).reshape(len(states), 3, -1)
