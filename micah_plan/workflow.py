@@ -42,7 +42,7 @@ class Learned:
         automaton: None if some rows follow no single joint; `graph` says which.
         seconds: wall-clock time.
         reason: why there is no automaton and what to do; empty if there is one.
-        warnings: what looks like a mistake in the recording (units, order of columns), one line each.
+        warnings: what looks like a mistake in the recording (units, order of columns), or too little, one line each.
     """
 
     recording: Recording
@@ -93,6 +93,8 @@ def learn(
     from micah_plan.automaton.build import build_automaton
     from micah_plan.automaton.misfit import misfit_error
     from micah_plan.learn.learn import learn_graph
+    from micah_plan.learn.settings import LearnSettings
+    from micah_plan.learn.small_motion import small_motions
     from micah_plan.recording.suspicion import suspicions
 
     begin = time.perf_counter()
@@ -103,7 +105,8 @@ def learn(
         "seed": str(seed),
         "micah_plan": __version__,
     }
-    bodies, warnings, refusal = _matched_parts(graph, parts), suspicions(recording), misfit_error(graph)
+    bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
+    warnings = suspicions(recording) + small_motions(recording, LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
     return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings)

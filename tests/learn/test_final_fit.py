@@ -10,7 +10,7 @@ from planted import AXIS, JOINTS, TRAVEL
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid
+from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, rebased, shifted
 from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
 from micah_plan.learn.joints.likelihood import fit_likelihood, seen_with
@@ -299,3 +299,20 @@ def test_a_circle_is_told_from_positions_with_an_orientationless_guess() -> None
     fit = fitted(guess, position, None)
     assert abs(np.dot(fit.joint.axis, AXIS)) > 0.999
     assert radius(fit.joint) == pytest.approx(radius(TRUTHS["revolute"]), abs=0.01)
+
+
+def test_a_short_helix_seen_by_positions_alone_is_fitted_wherever_it_starts() -> None:
+    """Its axis, centre and pitch run along a bent valley, on which straight steps do not arrive."""
+    truth = screw(AXIS, (0.35, 0.1, 0.3), 0.12, (0.4, 0.1, 0.3))
+    rng = np.random.default_rng(4)
+    position = forward(truth, np.linspace(0, 1.2, 100)).translation + 0.001 * rng.standard_normal((100, 3))
+    noise = white_noise((1.0, 0.001))
+    chart = chart_of(truth, False)
+    found = []
+    for _ in range(4):
+        start = stepped(truth, chart, 0.01 * rng.standard_normal(chart.free.shape[1]))
+        assert start is not None
+        found.append(fit_likelihood(start, position, None, noise, 1e-9).joint)
+    for one in found[1:]:
+        assert one.pitch == pytest.approx(found[0].pitch, abs=1e-4)
+        np.testing.assert_allclose(one.axis, found[0].axis, atol=1e-3)

@@ -1,0 +1,67 @@
+"""Whether a part moves enough for its joint to be told: motions hardly larger than what a tracker is assumed to wander.
+
+A slow deviation of the size of the wander is forgiven, so that the error of a tracker is no motion. On an object of a
+centimetre that forgives the motion: a stop, or the bend of a path, passes for wander unless the wander is set smaller.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.learn.inliers import find_inliers
+from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learn.track import PartTrack, part_track
+from micah_plan.recording.value import Recording
+
+Floats = NDArray[np.float64]
+
+_TELLING = 10.0  # wanders; a larger motion shows its joint
+_BLOCKS = 8  # in which rows are averaged to see whether anything moves
+_BEYOND_NOISE = 7.0  # times the noise of these means
+_MOST, _LEAST = 0.98, 0.02  # quantiles between which a part moves; few rows do not count
+_MISS_STD = 1.4826 / np.sqrt(1.5)  # white std per median miss of the middle of the neighbours
+
+
+def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
+    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
+    found = []
+    names = np.array(recording.part)
+    for part in recording.parts:
+        runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
+        reaches = [reach for run in runs if (reach := _reach(part_track(recording, run, part))) is not None]
+        if not reaches:
+            continue
+        moved, turned = (max(values) for values in zip(*reaches, strict=True))
+        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
+            found.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+    return tuple(found)
+
+
+def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
+    seen, wander = f"moves over {1e3 * moved:.2g} mm", f"LearnSettings.position_wander ({settings.position_wander:g} m)"
+    if has_orientation:
+        seen += f" and turns by {turned:.2g} rad"
+        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
+    return (
+        f"part '{part}' {seen}, hardly more than a tracker is assumed to wander: its stops and its kind of joint may "
+        f"be missed; if the tracker is better, set {wander} to what it wanders"
+    )
+
+
+def _reach(track: PartTrack) -> tuple[float, float] | None:
+    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
+    inlier = find_inliers(track)
+    position = track.position[inlier]
+    misses = position[1:-1] - 0.5 * (position[:-2] + position[2:])
+    noise = _MISS_STD * float(np.linalg.norm(np.median(np.abs(misses), axis=0)))
+    blocks = np.array_split(position, min(_BLOCKS, len(position)))
+    apart = float(np.linalg.norm(np.ptp([block.mean(axis=0) for block in blocks], axis=0)))
+    turned = 0.0
+    if track.quaternion is not None:
+        rotation = Rotation.from_quat(track.quaternion[inlier])
+        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), _MOST))
+    if apart < _BEYOND_NOISE * noise / np.sqrt(len(position) / len(blocks)):
+        return None
+    return float(np.linalg.norm(np.subtract(*np.quantile(position, [_MOST, _LEAST], axis=0)))), turned
