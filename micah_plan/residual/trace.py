@@ -281,7 +281,10 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         tied: tuple[str, ...] = ()
         if len(chosen.parts) == 1:
             rivals = {one.names[-1]: one for one in alternatives if one.names[-1] != part.name}
-            tied = tuple(name for name, one in rivals.items() if _is_tied(chosen, one))
+            able = [(name, one) for name, one in rivals.items() if _is_tied(chosen, one)]
+            # What would do the same as a tied one was not tried, but is tied as well.
+            alike = [name for _, one in able for name in indistinguishable(one.parts[-1], search.lane)]
+            tied = tuple(name for name in (*(name for name, _ in able), *alike) if name != part.name)
         same = () if np.isfinite(part.starts[0, -GATES:]).any() else indistinguishable(part, search.lane)
         tied = tuple(dict.fromkeys((*tied, *same)))
         found.append(Finding(part, std, evidence, tied))

@@ -132,9 +132,7 @@ LIBRARY = {
     "creeping": ("bias",),
     "magnetic": ("latch",),
     "blocked": ("limit",),
-    "shifted": ("guard_shift",),
     "stretched": ("sensor_scale",),
-    "drifting": ("drift",),
     "worn_half_way": ("gain",),
 }
 
@@ -148,6 +146,29 @@ def test_effects_of_the_library_are_named_first(door, plant) -> None:
     assert set(LIBRARY[plant]) & set(names[:1]), names
     assert found.verdict == "explained"
     assert found.after.one_step < 1.2 * found.noise_floor
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("runs", "seed"), [(10, 11), (10, 12), (20, 11)])
+def test_a_threshold_that_few_rows_reach_gets_no_wrong_name(door, runs, seed) -> None:
+    found, _ = found_in(door, plants.shifted, runs=runs, rows=50, seed=seed)
+    if found.effects:
+        assert found.verdict in ("explained", "partly")
+        assert found.effects[0].effect.name in ("guard_shift", "limit")
+    else:
+        assert found.verdict in ("none", "unexplained")
+        assert found.verdict == "unexplained" or found.automaton == door
+
+
+@pytest.mark.slow
+def test_a_drift_away_from_the_ends_is_tied_with_a_bias(door) -> None:
+    """Without a row at an end a reading that wanders off and a part that does look the same."""
+    found, _ = found_in(door, plants.drifting, runs=10, rows=50, seed=11)
+    (effect,) = found.effects
+    names = (effect.effect.name, *effect.tied)
+    assert {"bias", "drift"} <= set(names), names
+    assert effect.experiment
+    assert found.after.rollout < 0.5 * found.before.rollout
 
 
 @pytest.mark.slow
