@@ -77,8 +77,8 @@ def helix_stepped(joint: Joint, chart: Chart, numbers: Floats, middle: float) ->
 def helix_covariance(joint: Joint, chart: Chart, covariance: Floats, middle: float) -> Floats:
     """(k, k) covariance of a screw's named parameters, from that of its free numbers (p, p), along the curves.
 
-    Stds are those whose normal 95 % intervals hold 95 % of what the steps lead to, bent as they are; steps are a fixed
-    even sample of the normal distribution. Other arguments are those of `helix_stepped`.
+    Stds are as much wider than straight steps make them as the 95 % quantiles are; steps are a fixed even sample of the
+    normal distribution. Other arguments are those of `helix_stepped`.
     """
     frame, _ = frame_of(joint)
     planar = frame[:2] @ chart.basis.T
@@ -98,8 +98,11 @@ def helix_covariance(joint: Joint, chart: Chart, covariance: Floats, middle: flo
     if len(kept) <= _SAMPLES:  # the other half led to no screw: no picture of the curves
         return np.asarray(chart.free @ covariance @ chart.free.T)
     off = np.array(kept) @ turn.T
+    straight = np.array([step for step, one in moved if one is not None]) @ named.T
     matrix = off.T @ off / len(off)
-    wide = np.quantile(np.abs(off), _SHARE, axis=0) / norm.ppf(0.5 + 0.5 * _SHARE)
+    # So few steps tell how much wider the curves are than the straight lines, not how wide these are.
+    high, low = (np.maximum(np.quantile(np.abs(side), _SHARE, axis=0), _TINY) for side in (off, straight))
+    wide = np.sqrt(np.maximum(np.diag(named @ covariance @ named.T), 0.0)) * high / low
     scale = wide / np.sqrt(np.maximum(np.diag(matrix), _TINY))
     return np.asarray(turn.T @ (matrix * scale[:, None] * scale) @ turn)
 
