@@ -18,7 +18,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.geometry import geometry_findings, scatter_across
-from micah_plan.residual.lane import ENOUGH_RUNS, Lane, lanes
+from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.simulation import GATES, Kind
 from micah_plan.residual.trace import Finding, LaneTrace, trace
@@ -243,7 +243,12 @@ def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
 
 def _pose_size(automaton: HybridAutomaton, recording: Recording) -> ResidualSize:
     """Position errors [m]: what a change of geometry does is not seen in configurations."""
-    runs = predict_recording(automaton, recording)
+    chosen = recording.runs
+    if len(recording.time) > MOST_ROWS:
+        count = max(1, len(chosen) * MOST_ROWS // len(recording.time))
+        chosen = tuple(chosen[k] for k in np.linspace(0, len(chosen) - 1, count).astype(int).tolist())
+    able = [rows for rows in (recording.select(run=run) for run in chosen) if len(np.unique(rows.time)) > 1]
+    runs = [predicted for rows in able for predicted in predict_recording(automaton, rows)]
     return ResidualSize(rmse([run.one_step.position for run in runs]), rmse([run.rollout.position for run in runs]))
 
 

@@ -12,6 +12,7 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
+from micah_plan.residual import calibrate as calibration
 from micah_plan.residual.geometry import geometry_findings, scatter_across
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
@@ -79,3 +80,16 @@ def test_a_real_pitch_is_found_under_a_wandering_tracker(door) -> None:
         names, before, after = found_and_scatter(door, recording)
         assert names == ["screw_pitch"]
         assert after < 0.5 * before
+
+
+@pytest.mark.parametrize("most_rows", [20_000, 40])
+def test_position_errors_before_and_after_a_pitch_are_told(door, monkeypatch, most_rows) -> None:
+    """Also where only some of the runs are looked at."""
+    recording = plants.door_recording(plants.runs_of(plants.honest, 4, 20, 3))
+    lifted = recording.position.copy()
+    lifted[:, 2] += 0.03 * np.arctan2(lifted[:, 1], lifted[:, 0])
+    monkeypatch.setattr(calibration, "MOST_ROWS", most_rows)
+    found = calibration.calibrate(door, replace(recording, position=lifted))
+    assert found.effects[0].effect.name == "screw_pitch"
+    assert found.effects[0].effect.values[0] == pytest.approx(0.03, abs=1e-3)
+    assert found.after.one_step < 0.5 * found.before.one_step
