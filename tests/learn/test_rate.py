@@ -146,8 +146,9 @@ def test_a_shipped_demonstration_at_any_rate_has_the_same_segments(path: Path) -
     recording = read_recording(path)
     recording = recording.rows(np.flatnonzero(np.array(recording.part) == recording.parts[0]))
     others = [interpolated(recording, factor, cubic) for factor in (2, 4, 16) for cubic in (False, True)]
-    # The stapler's arm comes to rest softly: at 16 times the rate, interpolated rows move its stop by 6 % of the run.
-    assert_same([recording, thinned(recording, 2), *others], "act-champ", 0.08 if path.stem == "stapler" else TOLERANCE)
+    # The stapler's arm and the box's lid come to rest softly: the rate moves their stops by 5 to 6 % of the run.
+    soft = path.stem in ("stapler", "box")
+    assert_same([recording, thinned(recording, 2), *others], "act-champ", 0.08 if soft else TOLERANCE)
 
 
 @pytest.mark.parametrize("scale", [1000.0, 18.0])
