@@ -23,6 +23,7 @@ class LearnSettings:
             independent of the sampling rate and of the unit of time.
         position_misfit, rotation_misfit: how far real joints and trackers deviate from what models say
             [m, rad]; the smaller the noise is against this, the less a row counts.
+        trust: power of the likelihood; None: from the noise and these deviations, one power for all parts.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
             rarer.
@@ -43,6 +44,7 @@ class LearnSettings:
     wander_durations: float = 1.5
     position_misfit: float = 0.002
     rotation_misfit: float = 0.02
+    trust: float | None = None
     mean_length: float | None = None
     length_shape: float = 2.0
     rest: float = 0.2

@@ -53,8 +53,10 @@ def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:
     found = [misfit_of(calibration.free_recording(motion, seed, orientation)) for seed in range(6)]
-    # Positions alone: a plane in which a hand moves nearly straight is nearly a drawer.
-    assert sum(one is not None for one in found) >= (3 if motion == "plane" and not orientation else 5)
+    # Positions alone: a plane in which a hand moves nearly straight is nearly a drawer. A door that slides as it turns
+    # looks like two hinges, one after the other.
+    close = (motion == "plane" and not orientation) or motion == "sliding door on a hinge"
+    assert sum(one is not None for one in found) >= (3 if close else 5)
 
 
 @pytest.mark.parametrize("kind", list(JOINTS))

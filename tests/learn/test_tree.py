@@ -228,7 +228,7 @@ class TestBranchPoses:
 
 
 def planted(parts: dict[str, PlantedPart], method: str, seed: int) -> KinematicGraph:
-    return learn_tree(recorded_parts(parts, seed, actions=method == "act-champ"), partial(_learned, method=method))
+    return learn_graph(recorded_parts(parts, seed, actions=method == "act-champ"), method=method, seed=0)  # type: ignore[arg-type]
 
 
 def _learned(recording: Recording, method: str) -> KinematicEdge:

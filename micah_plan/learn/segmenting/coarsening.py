@@ -14,7 +14,7 @@ import numpy as np
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.settings import LearnSettings
 
-_LEAST = 0.5
+LEAST_TRUST = 0.5
 
 
 def trust_in(noise: NoiseModel, settings: LearnSettings) -> float:
@@ -23,7 +23,9 @@ def trust_in(noise: NoiseModel, settings: LearnSettings) -> float:
     Args:
         noise: as the roughness of the rows tells it, so that all answers for a track are judged with one power.
     """
+    if settings.trust is not None:
+        return settings.trust
     misfits = [settings.rotation_misfit, settings.position_misfit][-len(noise.white) // 3 :]
     whites = noise.white.reshape(-1, 3).mean(axis=1)
     shares = whites / (whites + np.square(misfits))
-    return float(_LEAST + (1 - _LEAST) * shares.mean())
+    return float(LEAST_TRUST + (1 - LEAST_TRUST) * shares.mean())

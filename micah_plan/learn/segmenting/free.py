@@ -1,8 +1,9 @@
 """Free motion: what explains rows that no single joint does (two degrees of freedom, a path that deforms).
 
-Every channel goes on as it went on average over the last steps, or stays where it was on average: positions one way,
-rotations perhaps the other (a part may slide freely without turning). Errors have one scale for positions and one for
-rotations. A joint foretells all but one of six channels to within noise, so it wins wherever there is one.
+Every channel goes on as it went on average over the last steps; rotations may also stay where they were on average (a
+part may slide freely without turning; one that does not slide either is at rest, which is no free motion). Errors have
+one scale for positions and one for rotations. A joint foretells all but one of six channels to within noise, so it wins
+wherever there is one.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     squares = ((missed / scales[:, None]) ** 2).reshape(len(ways), n - 1, d // 3, 3).sum(axis=3)
     sizes = np.log(scales).reshape(len(ways), d // 3, 3).sum(axis=2)
     best = -np.inf
-    for way in product(range(len(ways)), repeat=d // 3):
+    moving, turning = range(len(_LOOKING_BACK)), range(len(ways))
+    for way in product(*[turning] * (d // 3 - 1), moving):
         chosen = sum(squares[one, :, group] for group, one in enumerate(way))
         size = sum(sizes[one, group] for group, one in enumerate(way))
         density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(chosen / (_DOF + d)) - size
