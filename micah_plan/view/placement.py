@@ -10,7 +10,6 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.ranges import region_interval, single_bound
 
 Floats = NDArray[np.float64]
@@ -33,11 +32,6 @@ def handle_in_part(automaton: HybridAutomaton, part: str) -> Floats:
     """(3,) the point of a part whose motion is shown: its handle, or its origin [m, part frame]."""
     handle = automaton.part(part).handle
     return np.zeros(3) if handle is None else np.array(handle)
-
-
-def handle_position(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:
-    """(3,) position of a part's handle in the base frame at the state x (n,) [m]."""
-    return np.asarray(part_poses(automaton, mode, x)[part].apply(handle_in_part(automaton, part)))
 
 
 def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:

@@ -16,8 +16,8 @@ from micah_plan.view.placement import (
     chain_coordinates,
     coordinate_range,
     ellipsoid,
+    handle_in_part,
     handle_jacobian,
-    handle_position,
     representative_state,
     thresholds,
 )
@@ -44,7 +44,7 @@ def test_handle_jacobian_of_a_single_joint_is_the_joints_own() -> None:
 def test_the_handle_is_where_the_part_holds_it() -> None:
     automaton = door(handle=(0.01, -0.03, 0.05))
     mode = automaton.mode("swinging")
-    at_zero = handle_position(automaton, mode, np.zeros(1), "door")
+    at_zero = part_poses(automaton, mode, np.zeros(1))["door"].apply(handle_in_part(automaton, "door"))
     np.testing.assert_allclose(at_zero, np.add(HINGE.position, (0.01, -0.03, 0.05)), atol=1e-12)
 
 
