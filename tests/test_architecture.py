@@ -36,7 +36,6 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("view",),
     ("workflow",),
     ("summaries",),
-    ("cli_tables",),
     ("cli",),
     ("__main__",),
 )

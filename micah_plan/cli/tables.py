@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.table import Table
 
 from micah_plan import summaries
+from micah_plan.cli.console import out
 
 _LEARNED_COLUMNS = ("mode", "rows", "configuration", "axis", "radius\n\\[m]", "sure", "start\n95 %")
-
-out = Console(soft_wrap=True, highlight=False)
 
 
 def print_learned(learned: Any, files: tuple[Path | None, ...]) -> None:

@@ -1,0 +1,82 @@
+"""The commands joined, and how they end: one line and an exit code for every error."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from micah_plan import __version__
+from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, err, out
+from micah_plan.cli.learning import learn
+from micah_plan.cli.pages import show
+from micah_plan.cli.planning import execute, explain, solve
+from micah_plan.cli.residuals import calibrate, predict
+from micah_plan.errors import InputError, MicahError, MissingDependencyError
+
+COMMANDS = (learn, solve, explain, execute, predict, calibrate, show)
+
+# Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    help="From a recorded demonstration of an articulated object to a plan that holds under uncertainty.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for _command in COMMANDS:
+    app.command()(_command)
+
+
+def main() -> None:
+    """Entry point of `micah-plan`: runs a command and turns errors into one line and an exit code."""
+    try:
+        code = app(prog_name="micah-plan", standalone_mode=False) or 0
+    except _UsageError as error:
+        _fail(_usage_line(error), BAD_INPUT)
+    except (InputError, MissingDependencyError) as error:
+        _fail(error, BAD_INPUT)
+    except MicahError as error:
+        _fail(error, HONEST_NEGATIVE)
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except Exception as error:
+        _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
+        raise
+    if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
+        _fail("interrupted; nothing was half-written", INTERRUPTED)
+    sys.exit(code)
+
+
+def _usage_line(error: Any) -> InputError:
+    """What click says about wrong usage, in the form of all other errors."""
+    text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
+    command = error.ctx.command_path if error.ctx is not None else "micah-plan"
+    return InputError(text[:1].lower() + text[1:], remedy=f"see {command} --help")
+
+
+def _fail(error: MicahError | str, code: int) -> NoReturn:
+    _say(error)
+    sys.exit(code)
+
+
+def _say(error: MicahError | str) -> None:
+    text = " ".join(str(error).split())
+    if "--json" in sys.argv:
+        print(json.dumps({"error": text}))
+    err.print(f"error: {text}", markup=False, style="red")
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    if version:
+        out.print(__version__)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,35 @@
+"""Where commands speak: results on stdout, progress and warnings on stderr, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+HONEST_NEGATIVE = 1
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+out = Console(soft_wrap=True, highlight=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+    """What long work reports to: called with a message and the fraction done; shown on a terminal unless quiet."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True, disable=quiet or not err.is_terminal) as bars:
+        task = bars.add_task("starting", total=1.0)
+        yield lambda message, fraction: bars.update(task, description=message, completed=fraction)
+
+
+def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -> None:
+    """Print a summary as one JSON object, or what `human` prints."""
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        human()

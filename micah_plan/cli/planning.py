@@ -1,0 +1,115 @@
+"""`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from micah_plan import summaries
+from micah_plan.cli import tables
+from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, progress_bar
+from micah_plan.cli.options import JsonFlag, OutputPath, Seed
+from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
+
+
+class PlantName(StrEnum):
+    """Where a plan is executed."""
+
+    NOMINAL = "nominal"
+    MUJOCO = "mujoco"
+
+
+PlannerName = StrEnum("PlannerName", {"POMDP_HD": "pomdp-hd", "DIRECT": "direct", "RRT": "rrt"})
+
+
+def solve(
+    problem: Annotated[Path, typer.Argument(help="Problem (YAML).")],
+    output: OutputPath,
+    model: Annotated[
+        Path | None, typer.Option(help="Model (YAML) to use instead of the one that the problem names.")
+    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
+    planner: Annotated[PlannerName | None, typer.Option(help="Planner, if not as in the problem.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Plan in belief space; exit code 1 if there is no plan."""
+    from micah_plan import workflow
+    from micah_plan.files import replace_file
+    from micah_plan.spec.plan_file import timings_path, write_plan, write_timings
+    from micah_plan.spec.problem_file import load_problem
+
+    outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
+    outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
+    check_outputs((problem, model), outputs)
+    overrides = {} if model is None else {"model": str(model.resolve())}
+    overrides |= {} if planner is None else {"planner.method": planner.value}
+    asked = load_problem(problem, overrides)
+    with progress_bar(as_json) as progress:
+        plan = workflow.solve(asked, seed=seed, progress=progress)
+    write_plan(plan, asked, output)
+    write_timings(plan, output)
+    if html is not None:
+        from micah_plan.view.page import plan_page
+
+        replace_file(html, plan_page(plan, asked, title=problem.stem).encode())
+    if figure is not None and plan.trajectory is not None:
+        from micah_plan.view.figures import belief_figure, save_figure
+
+        save_figure(belief_figure(asked, plan), figure)
+    written = (output, html, figure if plan.trajectory is not None else None)
+    print_summary(as_json, summaries.solved(plan), lambda: tables.print_solved(plan, asked, written))
+    if plan.outcome != "solved":
+        raise typer.Exit(HONEST_NEGATIVE)
+
+
+def explain(
+    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote, with any outcome.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
+    from micah_plan.planning.explain import explain as explained
+    from micah_plan.spec.plan_file import load_plan
+
+    stored = load_plan(plan)
+    explanation = explained(stored.problem, stored.plan)
+    print_summary(as_json, summaries.explained(explanation), lambda: tables.print_lines(explanation.lines))
+    if stored.plan.outcome != "solved":
+        raise typer.Exit(HONEST_NEGATIVE)
+
+
+def execute(
+    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote.")],
+    output: OutputPath,
+    plant: Annotated[PlantName, typer.Option(help="The model with noise, or independent physics.")] = PlantName.NOMINAL,
+    trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
+    replan_every: Annotated[int | None, typer.Option(min=0, help="Plan anew every so many steps; 0: never.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Execute a plan in closed loop and write the runs as a recording."""
+    from micah_plan import workflow
+    from micah_plan.recording.read import write_recording
+    from micah_plan.spec.plan_file import load_plan, require_executable
+
+    check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
+    stored = load_plan(plan)
+    require_executable(stored)
+    begin = time.perf_counter()
+    with progress_bar(as_json) as progress:
+        run = partial(workflow.execute, stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed)
+        statistics = run(replan_every=replan_every, progress=progress)
+    write_recording(statistics.recording, output)
+    if figure is not None:
+        from micah_plan.view.figures import belief_figure, save_figure
+
+        save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
+    summary = summaries.executed(statistics, time.perf_counter() - begin)
+    print_summary(as_json, summary, lambda: tables.print_executed(summary, (output, figure)))

@@ -1,0 +1,67 @@
+"""`micah-plan predict` and `calibrate`: a model against measured motion."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from micah_plan import summaries
+from micah_plan.cli import tables
+from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, progress_bar
+from micah_plan.cli.options import JsonFlag, OutputPath
+from micah_plan.errors import InputError
+from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
+
+
+def predict(
+    model: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """Compare measured motion with the model's one-step and roll-out predictions."""
+    from micah_plan import workflow
+    from micah_plan.spec.model_file import load_model
+
+    automaton = load_model(model)
+    measured = workflow.read(recording, minimum_rows=2)
+    try:
+        runs = workflow.predict(automaton, measured)
+    except InputError as error:
+        raise error.located(recording) from None
+    summary = summaries.predicted(runs)
+    print_summary(as_json, summary, lambda: tables.print_predicted(summary))
+
+
+def calibrate(
+    model: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
+    output: OutputPath,
+    report: Annotated[Path | None, typer.Option(help="Write what was compared and found as a page.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
+    from micah_plan import workflow
+    from micah_plan.spec.model_file import dump_model, load_model
+
+    check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
+    automaton = load_model(model)
+    measured = workflow.read(recording, minimum_rows=2)
+    begin = time.perf_counter()
+    with progress_bar(as_json) as progress:
+        try:
+            found = workflow.calibrate(automaton, measured, progress=progress)
+        except InputError as error:
+            raise error.located(recording) from None
+    dump_model(found.automaton, output)
+    if report is not None:
+        from micah_plan.files import replace_file
+        from micah_plan.view.page import calibration_page
+
+        replace_file(report, calibration_page(found, title=recording.stem).encode())
+    summary = summaries.calibrated(found, time.perf_counter() - begin)
+    print_summary(as_json, summary, lambda: tables.print_calibrated(summary, (output, report)))
+    if found.verdict == "unexplained":
+        raise typer.Exit(HONEST_NEGATIVE)
