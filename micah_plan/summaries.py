@@ -172,6 +172,7 @@ def solved(plan: Plan) -> dict[str, Any]:
         "success_interval": None if plan.success_interval is None else list(plan.success_interval),
         "verification_trials": plan.verification_trials,
         "obstacles": obstacles(plan),
+        "warnings": list(plan.warnings),
         "arm": None
         if plan.arm is None
         else {

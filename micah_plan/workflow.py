@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from micah_plan import __version__
+from micah_plan.automaton.effects.channel import left_out
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
@@ -136,7 +137,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
     found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
-    return _with_arm(problem, found, seed)
+    return replace(_with_arm(problem, found, seed), warnings=left_out(problem.automaton))
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int) -> Plan:

@@ -10,7 +10,9 @@ import sys
 import pytest
 
 from micah_plan import cli, workflow
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.recording.read import read_recording
+from micah_plan.spec.model_file import dump_model, load_model
 
 
 @pytest.fixture(scope="module")
@@ -162,6 +164,18 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
     for words in said:
         assert words in line
     assert not (tmp_path / "plan.json").exists()
+
+
+def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path):
+    drawer = load_model(repository / "models" / "drawer.yaml")
+    dump_model(drawer.with_effect(Effect("drift", "drawer", (("rate", 1e-4),))), tmp_path / "drifts.yaml")
+    solved = micah("solve", "problems/drawer_open.yaml", "--model", tmp_path / "drifts.yaml", "--json",
+                   "-o", tmp_path / "plan.json")  # fmt: skip
+    (told,) = only_json(solved)["warnings"]
+    assert "leave out the drift of drawer" in told
+    assert json.loads((tmp_path / "plan.json").read_text())["warnings"] == [told]
+    executed = micah("execute", tmp_path / "plan.json", "-o", tmp_path / "runs.csv", "--json")
+    assert solved.stderr == executed.stderr == f"warning: {told}\n"
 
 
 def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):

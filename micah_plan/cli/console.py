@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -33,3 +33,9 @@ def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], No
         print(json.dumps(summary, allow_nan=False))
     else:
         human()
+
+
+def print_warnings(warnings: Sequence[str]) -> None:
+    """One line each on stderr."""
+    for warning in warnings:
+        err.print(f"warning: {warning}", markup=False, style="yellow")

@@ -10,7 +10,7 @@ import typer
 
 from micah_plan import summaries
 from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, err, print_summary, progress_bar
+from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar
 from micah_plan.cli.options import JsonFlag, OutputPath, Seed
 from micah_plan.errors import InputError
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
@@ -53,8 +53,7 @@ def learn(
             learned = workflow.learn(measured, method=method.value, seed=seed, parts=shapes, progress=progress)
         except InputError as error:
             raise error.located(recording) from None
-    for warning in learned.warnings:
-        err.print(f"warning: {warning}", markup=False, style="yellow")
+    print_warnings(learned.warnings)
     if learned.automaton is not None:
         dump_model(learned.automaton, output)
     if figure is not None:

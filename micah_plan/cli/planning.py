@@ -12,7 +12,7 @@ import typer
 
 from micah_plan import summaries
 from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, progress_bar
+from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar
 from micah_plan.cli.options import JsonFlag, OutputPath, Seed
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 
@@ -53,6 +53,7 @@ def solve(
     asked = load_problem(problem, overrides)
     with progress_bar(as_json) as progress:
         plan = workflow.solve(asked, seed=seed, progress=progress)
+    print_warnings(plan.warnings)
     write_plan(plan, asked, output)
     write_timings(plan, output)
     if html is not None:
@@ -102,6 +103,7 @@ def execute(
     check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
     stored = load_plan(plan)
     require_executable(stored)
+    print_warnings(stored.plan.warnings)
     begin = time.perf_counter()
     with progress_bar(as_json) as progress:
         run = partial(workflow.execute, stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed)

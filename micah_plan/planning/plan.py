@@ -127,6 +127,7 @@ class Plan:
         obstacles: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
             part.
         arm: the robot along the trajectory; None if the problem has none.
+        warnings: one line for each thing in the model that the plan does not take into account.
     """
 
     outcome: Outcome
@@ -143,6 +144,7 @@ class Plan:
     success_interval: tuple[float, float] | None = None
     obstacles: tuple[Obstacle, ...] = ()
     arm: ArmTrajectory | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

@@ -76,6 +76,7 @@ class PlanDocument(Document):
     obstacles: list[ObstacleDocument] = Field(
         default_factory=list, description="What stands in the way; of a solved plan, what it keeps only in part."
     )
+    warnings: list[Line] = Field(default_factory=list, description="What of the model the plan leaves out.")
     trajectory: TrajectoryDocument | None = Field(description="Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = Field(default=None, description="The robot along the trajectory; null without a robot.")
     problem_file: Line = Field(description="Name of the problem file that was solved; empty if made in Python.")

@@ -150,6 +150,7 @@ def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
             for candidate in plan.candidates
         ],
         "obstacles": [{**asdict(obstacle), "modes": list(obstacle.modes)} for obstacle in plan.obstacles],
+        **({"warnings": list(plan.warnings)} if plan.warnings else {}),
         "trajectory": None
         if trajectory is None
         else {
@@ -242,6 +243,7 @@ def _stored(located: Located) -> StoredPlan:
         if document.success_interval is None
         else (document.success_interval[0], document.success_interval[1]),
         obstacles=tuple(Obstacle(**{**item.model_dump(), "modes": tuple(item.modes)}) for item in document.obstacles),
+        warnings=tuple(document.warnings),
         verification_trials=document.verification_trials,
         seed=document.seed,
         arm=None if trajectory is None else arm_of(document.arm, len(trajectory.modes), located),

@@ -74,6 +74,7 @@ def plan() -> Plan:
             Obstacle("optimisation", "too narrow", "widen it", ("revolute",), "revolute", 3, "x", 0.1, 0.2, 0.3, "m"),
             Obstacle("search", "nothing connects", "look again"),
         ),
+        warnings=("It leaves out the wind.",),
     )
 
 

@@ -55,6 +55,16 @@ class InputChannel:
         return passed
 
 
-def has_memory(automaton: HybridAutomaton) -> bool:
-    """Whether an automaton's steps depend on earlier inputs."""
-    return any(form(effect.name).layer == "memory" for effect in automaton.effects)
+def left_out(automaton: HybridAutomaton) -> tuple[str, ...]:
+    """One line per effect that prediction and calibration know, and planner, filter and nominal plant do not."""
+    reasons = {
+        "memory": "it depends on earlier inputs",
+        "sensor": "measurements are taken as they are",
+        "frame": "commands are given in the base frame",
+    }
+    layers = [(effect, form(effect.name).layer) for effect in automaton.effects]
+    return tuple(
+        f"planner, filter and nominal plant leave out the {effect.name} of {effect.coordinate}: {reasons[layer]}"
+        for effect, layer in layers
+        if layer in reasons
+    )
