@@ -6,6 +6,7 @@ The command line turns them into exit codes: 2 for bad input, 1 for an honest ne
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 _LONGEST_VALUE = 60
@@ -23,23 +24,63 @@ class InputError(MicahError):
         source: the file, if the input came from one.
         where: the place in it, e.g. ``"line 7, column 'x'"`` or ``"line 3, key 'goal.target'"``.
         remedy: what the user can do about it.
+        position: line and column of the place, both from 1, where both are known.
+        further: what else is wrong with the same input, found at the same time.
     """
 
     def __init__(
-        self, problem: str, *, source: str | Path | None = None, where: str | None = None, remedy: str | None = None
+        self,
+        problem: str,
+        *,
+        source: str | Path | None = None,
+        where: str | None = None,
+        remedy: str | None = None,
+        position: tuple[int, int] | None = None,
+        further: Sequence[InputError] = (),
     ) -> None:
         self.problem = problem
         self.source = None if source is None else str(source)
         self.where = where
         self.remedy = remedy
+        self.position = position
+        self.further = tuple(further)
         place = ", ".join(part for part in (self.source, where) if part)
         text = f"{place}: {problem}" if place else problem
+        if further:
+            text += f" (and {len(further)} more error{'s' if len(further) > 1 else ''})"
         line = f"{text}; {remedy}" if remedy else text
         super().__init__("".join(c if c.isprintable() else "?" for c in line))  # a path may hold a line break
 
     def located(self, source: str | Path, where: str | None = None) -> InputError:
         """The same error with the file (and place) filled in where they were still unknown."""
-        return InputError(self.problem, source=self.source or source, where=self.where or where, remedy=self.remedy)
+        return InputError(
+            self.problem,
+            source=self.source or source,
+            where=self.where or where,
+            remedy=self.remedy,
+            position=self.position,
+            further=[error.located(source) for error in self.further],
+        )
+
+    def each(self) -> tuple[InputError, ...]:
+        """This error by itself and the further ones."""
+        alone = InputError(
+            self.problem, source=self.source, where=self.where, remedy=self.remedy, position=self.position
+        )
+        return (alone, *self.further)
+
+
+def together(errors: Sequence[InputError]) -> InputError:
+    """One or more errors about the same input as one: the first, which carries the others and says how many."""
+    first = errors[0]
+    return InputError(
+        first.problem,
+        source=first.source,
+        where=first.where,
+        remedy=first.remedy,
+        position=first.position,
+        further=errors[1:],
+    )
 
 
 class MissingDependencyError(MicahError):

@@ -13,9 +13,11 @@ from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Misfit
 from micah_plan.automaton.graph import KinematicEdge, Segment
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.misfit import misfit_of
+from micah_plan.errors import InputError
 from micah_plan.planning.plan import Plan
 
 if TYPE_CHECKING:
+    from micah_plan.checking import FileCheck
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.planning.explain import Explanation
     from micah_plan.residual.calibrate import Calibration, FoundEffect
@@ -195,6 +197,34 @@ def obstacles(plan: Plan) -> list[dict[str, Any]]:
 def explained(explanation: Explanation) -> dict[str, Any]:
     """Keys of `explain`."""
     return asdict(explanation)
+
+
+def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
+    """Keys of `check`: the number of faults, and per file its kind, faults and warnings."""
+    files = [
+        {
+            "file": str(item.file),
+            "kind": item.kind,
+            "faults": [_fault(fault) for fault in item.faults],
+            "warnings": list(item.warnings),
+        }
+        for item in found
+    ]
+    return {"faults": sum(len(item.faults) for item in found), "files": files}
+
+
+def _fault(error: InputError) -> dict[str, Any]:
+    """An error in its pieces; line and column (from 1) are null where they are not known."""
+    line, column = error.position or (None, None)
+    return {
+        "source": error.source,
+        "where": error.where,
+        "line": line,
+        "column": column,
+        "problem": error.problem,
+        "remedy": error.remedy,
+        "message": str(error),
+    }
 
 
 def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:

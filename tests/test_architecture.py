@@ -34,6 +34,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("execution",),
     ("residual",),
     ("view",),
+    ("checking",),
     ("workflow",),
     ("summaries",),
     ("cli",),

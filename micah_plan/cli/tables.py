@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,17 @@ def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) ->
         out.print(f"  note: {note}", markup=False)
     out.print(f"  next: {summary['next_experiment']}", markup=False)
     print_files(files)
+
+
+def print_checked(found: Sequence[Any]) -> None:
+    """One line per fault and warning, or that there is none."""
+    for item in found:
+        for fault in item.faults:
+            out.print(f"error: {fault}", markup=False, style="red")
+        for warning in item.warnings:
+            out.print(f"warning: {item.file}: {warning}", markup=False, style="yellow")
+        if not item.faults:
+            out.print(f"{item.file}: a {item.kind} that can be used", markup=False)
 
 
 def print_lines(lines: tuple[str, ...]) -> None:

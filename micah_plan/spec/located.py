@@ -36,19 +36,25 @@ class Located:
         return next((self.places[full[:i]] for i in range(len(full), -1, -1) if full[:i] in self.places), None)
 
     def where(self, path: Iterable[str | int]) -> str:
-        """The line and key of a key path, as messages write them."""
+        """The line, column and key of a key path, as messages write them."""
         path = tuple(path)
         place, full = self.place(path), (*self.prefix, *path)
-        line = [] if place is None else [f"line {place[0]}"]
-        return ", ".join(line + ([f"key '{dotted(full)}'"] if full else []))
+        at = [] if place is None else [line_and_column(place)]
+        return ", ".join(at + ([f"key '{dotted(full)}'"] if full else []))
 
     def error(self, path: Iterable[str | int], problem: str, remedy: str | None = None) -> InputError:
         """An error about the value at a key path, to be raised."""
-        return InputError(problem, source=self.source, where=self.where(path), remedy=remedy)
+        path = tuple(path)
+        return InputError(problem, source=self.source, where=self.where(path), remedy=remedy, position=self.place(path))
 
     def unknown(self, path: Iterable[str | int], what: str, name: str, allowed: Iterable[str]) -> InputError:
         """An error about a name that does not exist, with the names that do and the nearest of them."""
         return self.error(path, f"unknown {what} {shown(name)}", remedy=choices(name, allowed))
+
+
+def line_and_column(place: tuple[int, int]) -> str:
+    """A place in a text as messages write it."""
+    return f"line {place[0]}, column {place[1]}"
 
 
 def dotted(path: Iterable[str | int]) -> str:

@@ -1,4 +1,4 @@
-"""Located data -> document, or one line that says what is wrong first and how much else is."""
+"""Located data -> document, or an error for everything that is wrong with it, the first in the file in front."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, shown, together
 from micah_plan.spec.fields import Document
 from micah_plan.spec.located import KeyPath, Located, choices, nearest
 
@@ -40,15 +40,15 @@ def validated(located: Located, document: type[D]) -> D:
     """The document that the data describes.
 
     Raises:
-        InputError: for the first violation in the file, naming line, key, what was expected and found, and the number
-            of further violations.
+        InputError: for the first violation in the file, naming line, column, key, what was expected and found, and the
+            number of further violations, which it carries.
     """
     check_format(located, document)
     try:
         return document.model_validate(located.data)
     except ValidationError as error:
         details = error.errors(include_url=False)
-    raise _first(located, document, details)
+    raise together(_violations(located, document, details))
 
 
 def check_format(located: Located, document: type[Document]) -> None:
@@ -75,17 +75,13 @@ def check_format(located: Located, document: type[Document]) -> None:
     raise located.error(("format",), problem, remedy)
 
 
-def _first(located: Located, document: type[Document], details: list[ErrorDetails]) -> InputError:
+def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
     def order(detail: ErrorDetails) -> tuple[bool, int, int]:
         # A key that is missing is often one that is there with a typo: the unknown key tells more.
         line, column = located.place(_path(detail)) or (0, 0)
         return detail["type"] == "missing", line, column
 
-    details = sorted(details, key=order)
-    problem, remedy = _explained(details[0], document)
-    count = len(details) - 1
-    more = f" (and {count} more error{'s' if count > 1 else ''})" if count else ""
-    return located.error(_path(details[0]), problem + more, remedy)
+    return [located.error(_path(detail), *_explained(detail, document)) for detail in sorted(details, key=order)]
 
 
 def _path(detail: ErrorDetails) -> KeyPath:

@@ -30,7 +30,7 @@ from ruamel.yaml.events import (
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from micah_plan.errors import InputError, shown
-from micah_plan.spec.located import KeyPath, Located
+from micah_plan.spec.located import KeyPath, Located, line_and_column
 
 LARGEST_TEXT_BYTES = 4 * 1024 * 1024
 MOST_VALUES = 100_000
@@ -74,8 +74,8 @@ def read_yaml(content: bytes, source: str) -> Located:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         said = " ".join(str(error.problem or error.context or "cannot be parsed").split())
-        where = None if mark is None else f"line {mark.line + 1}"
-        raise InputError(f"not valid YAML: {said}", source=source, where=where, remedy="correct the syntax") from None
+        problem, remedy = f"not valid YAML: {said}", "correct the syntax"
+        raise _error(source, None if mark is None else _place(mark), problem, remedy) from None
     except (YAMLError, ValueError) as error:
         said = " ".join(str(error).split())[:120]
         raise InputError(f"not valid YAML: {said}", source=source, remedy="correct the syntax") from None
@@ -108,28 +108,32 @@ def _decoded(content: bytes, source: str) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
+        line, column = content.count(b"\n", 0, error.start) + 1, error.start - content.rfind(b"\n", 0, error.start)
         problem = f"expected UTF-8 text, found the byte 0x{content[error.start]:02x}"
-        raise InputError(problem, source=source, where=f"line {line}", remedy="save it as UTF-8 text") from None
+        raise _error(source, (line, column), problem, "save it as UTF-8 text") from None
     for pattern, problem, remedy in _NOT_TEXT:
         found = pattern.search(text)
         if found is not None:
-            line = text.count("\n", 0, found.end()) + 1
-            raise InputError(problem, source=source, where=f"line {line}", remedy=remedy)
+            at = found.end() - 1
+            raise _error(source, (text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)), problem, remedy)
     return text
 
 
 def _events(text: str, source: str) -> Iterator[Event]:
     """The parser's events that are allowed, bounded in number."""
     for count, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
-        where = f"line {event.start_mark.line + 1}"
         problem = _forbidden(event)
         if problem is not None:
-            raise InputError(problem, source=source, where=where, remedy="write the value out")
+            raise _error(source, _place(event.start_mark), problem, "write the value out")
         if count > MOST_VALUES:
             problem = f"expected at most {MOST_VALUES} values"
-            raise InputError(problem, source=source, where=where, remedy="split the file")
+            raise _error(source, _place(event.start_mark), problem, "split the file")
         yield event
+
+
+def _error(source: str, place: tuple[int, int] | None, problem: str, remedy: str | None) -> InputError:
+    where = None if place is None else line_and_column(place)
+    return InputError(problem, source=source, where=where, remedy=remedy, position=place)
 
 
 def _forbidden(event: Event) -> str | None:
@@ -161,7 +165,7 @@ class _Reader:
             found = "a list" if isinstance(first, SequenceStartEvent) else "a single value"
             remedy = "start it with 'format: ...'"
             raise self._error(first, f"expected a mapping of keys to values, found {found}", remedy)
-        self._places[()] = _place(first)
+        self._places[()] = _place(first.start_mark)
         data = self._value(first, ())
         if not isinstance(self._next(), DocumentEndEvent):
             raise self._error(first, "expected one document")
@@ -175,8 +179,7 @@ class _Reader:
         return next(self._events) if isinstance(event, StreamStartEvent) else event
 
     def _error(self, event: Event, problem: str, remedy: str | None = None) -> InputError:
-        where = f"line {event.start_mark.line + 1}"
-        return InputError(problem, source=self._source, where=where, remedy=remedy)
+        return _error(self._source, _place(event.start_mark), problem, remedy)
 
     def _value(self, event: Event, path: KeyPath) -> Any:
         if len(path) > DEEPEST:
@@ -187,7 +190,7 @@ class _Reader:
             items: list[Any] = []
             while not isinstance(event := self._next(), SequenceEndEvent):
                 here = (*path, len(items))
-                self._places[here] = _place(event)
+                self._places[here] = _place(event.start_mark)
                 items.append(self._value(event, here))
             return items
         entries: dict[str, Any] = {}
@@ -198,13 +201,14 @@ class _Reader:
             if key.value in entries:
                 first = self._places[here][0]
                 raise self._error(key, f"duplicate key {shown(key.value)}, first on line {first}", "keep one of them")
-            self._places[here] = _place(key)
+            self._places[here] = _place(key.start_mark)
             entries[key.value] = self._value(self._next(), here)
         return entries
 
 
-def _place(event: Event) -> tuple[int, int]:
-    return event.start_mark.line + 1, event.start_mark.column + 1
+def _place(mark: Any) -> tuple[int, int]:
+    """Line and column, both from 1, of a mark that the parser made."""
+    return mark.line + 1, mark.column + 1
 
 
 def _scalar(event: ScalarEvent) -> Any:

@@ -84,9 +84,17 @@ def test_a_person_can_edit_it(door: HybridAutomaton) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("kind: revolute", "kind: revolut", "line 37, key 'modes.revolute.joints.door.kind': expected 'rigid', "),
+        (
+            "kind: revolute",
+            "kind: revolut",
+            "line 37, column 9, key 'modes.revolute.joints.door.kind': expected 'rigid', ",
+        ),
         ("kind: revolute", "kind: revolut", "did you mean 'revolute'?"),
-        ("axis:", "axsi:", "line 39, key 'modes.revolute.joints.door.axsi': unknown key 'axsi'; did you mean 'axis'? "),
+        (
+            "axis:",
+            "axsi:",
+            "line 39, column 9, key 'modes.revolute.joints.door.axsi': unknown key 'axsi'; did you mean 'axis'? ",
+        ),
         ("axis: [0.0, 0.0, 1.0]", "axis: [0.0, 0.0, 2.0]", "expected unit length, found length 2; normalise it"),
         ("held: 1.2", "pitch: 1.2", "a rigid joint has no pitch; remove it"),
         ("std: 0.005", "std: -1", "key 'modes.rigid.pins.door.std': expected a number >= 0, found -1"),
@@ -103,7 +111,7 @@ def test_a_person_can_edit_it(door: HybridAutomaton) -> None:
         ("step: {}", "step: {door: door}", "a step is linear in the inputs"),
         ("step: {}", "step:", "expected a mapping of names to values, found nothing"),
         ("door: 1.2", "door: door +", "expected a variable or a number, found the end"),
-        ("model/1", "problem/1", "line 4, key 'format': expected a model file, found a problem file"),
+        ("model/1", "problem/1", "line 4, column 1, key 'format': expected a model file, found a problem file"),
         ("model/1", "model/2", "expected micah-plan/model/1, found 'micah-plan/model/2'; use the version"),
         ("format: ", "from: ", "missing key 'format'; a model file says 'format: micah-plan/model/1'"),
         ("- [0.0001, 2e-06]", "- [0.0001, 1.0]", "expected a symmetric positive semi-definite matrix"),

@@ -30,9 +30,13 @@ def test_parts_are_what_the_file_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("size: [0.02, 0.3]", "size: [0.02]", "line 5, key 'parts.base.shapes.0.size': expected 2 sizes of a cylinder"),
+        (
+            "size: [0.02, 0.3]",
+            "size: [0.02]",
+            "line 5, column 26, key 'parts.base.shapes.0.size': expected 2 sizes of a cylinder",
+        ),
         ("color", "quaternion: [0, 0, 0, 2], color", "expected unit length, found length 2; normalise it"),
-        ("handle", "handel", "line 7, key 'parts.door.handel': unknown key 'handel'; did you mean 'handle'?"),
+        ("handle", "handel", "line 7, column 5, key 'parts.door.handel': unknown key 'handel'; did you mean 'handle'?"),
         ("parts/1", "model/1", "expected a parts file, found a model file; give a parts file"),
     ],
 )

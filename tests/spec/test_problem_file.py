@@ -95,44 +95,65 @@ def test_settings_and_plant_parameters_are_all_there() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("goal:", "gaol:", "p.yaml, line 7, key 'gaol': unknown key 'gaol' (and 1 more error); did you mean 'goal'?"),
+        (
+            "goal:",
+            "gaol:",
+            "p.yaml, line 7, column 1, key 'gaol': unknown key 'gaol' (and 1 more error); did you mean 'goal'?",
+        ),
         ("door.yaml", "dor.yaml", "models/dor.yaml: the file does not exist; check the path"),
         ("models/door.yaml", "models", "expected a file, found a directory"),
         ("models/door.yaml", "p.yaml", "key 'format': expected a model file, found a problem file"),
-        ("models/door.yaml", "3", "line 2, key 'model': expected text, found 3"),
-        ("problem/1", "model/1", "line 1, key 'format': expected a problem file, found a model file"),
+        ("models/door.yaml", "3", "line 2, column 1, key 'model': expected text, found 3"),
+        ("problem/1", "model/1", "line 1, column 1, key 'format': expected a problem file, found a model file"),
         ("problem/1", "problem/7", "expected micah-plan/problem/1, found 'micah-plan/problem/7'"),
         (
             "value: 1.2",
             "value: 2.5",
-            "p.yaml, line 9, key 'goal.target.door.value': expected a value that mode rigid can reach, 1.2 rad, "
-            "found 2.5; the nearest possible value is 1.2 rad",
+            "p.yaml, line 9, column 12, key 'goal.target.door.value': expected a value that mode rigid can reach, "
+            "1.2 rad, found 2.5; the nearest possible value is 1.2 rad",
         ),
         (
             "door: {value",
             "dor: {value",
-            "line 9, key 'goal.target.dor': unknown coordinate 'dor'; did you mean 'door'?",
+            "line 9, column 5, key 'goal.target.dor': unknown coordinate 'dor'; did you mean 'door'?",
         ),
-        ("[rigid]", "[rigd]", "line 10, key 'goal.modes.0': unknown mode 'rigd'; did you mean 'rigid'?"),
+        ("[rigid]", "[rigd]", "line 10, column 11, key 'goal.modes.0': unknown mode 'rigd'; did you mean 'rigid'?"),
         ("tolerance: 0.03", "tolerance: 0", "key 'goal.target.door.tolerance': expected a number > 0, found 0"),
-        ("std: {door: 0.03}", "std: {door: 0.0}", "line 5, key 'start.std.door': expected a number > 0, found 0.0"),
+        (
+            "std: {door: 0.03}",
+            "std: {door: 0.0}",
+            "line 5, column 9, key 'start.std.door': expected a number > 0, found 0.0",
+        ),
         ("std: {door: 0.03}", "std: {door: yes}", "key 'start.std.door': expected a number, found 'yes'"),
         ("std: {door: 0.03}", "std: {door: true}", "key 'start.std.door': expected a number, found True"),
-        ("mean: {door: 0.0}", "mean: {}", "line 4, key 'start.mean': missing value of coordinate 'door'"),
+        ("mean: {door: 0.0}", "mean: {}", "line 4, column 3, key 'start.mean': missing value of coordinate 'door'"),
         ("mean: {door: 0.0}", "mean: {door: 0, lid: 1}", "unknown coordinate 'lid'; choose one of door"),
         ("mean: {door: 0.0}", "mean: {door: 1e-3x}", "expected a number, found '1e-3x'"),
-        ("mode: revolute", "mode: revolt", "line 6, key 'start.mode': unknown mode 'revolt'; did you mean 'revolute'?"),
+        (
+            "mode: revolute",
+            "mode: revolt",
+            "line 6, column 3, key 'start.mode': unknown mode 'revolt'; did you mean 'revolute'?",
+        ),
         (
             "mode: revolute",
             "mode: rigid",
-            "line 6, key 'start.mode': mode 'rigid' does not allow the start door = 0 rad; start there in revolute",
+            "line 6, column 3, key 'start.mode': mode 'rigid' does not allow the start door = 0 rad; "
+            "start there in revolute",
         ),
-        ("confidence: 0.9", "confidence: 0.5", "line 13, key 'confidence': expected a number > 0.5, found 0.5"),
-        ("confidence: 0.9", "confidence: 1", "line 13, key 'confidence': expected a number < 1, found 1"),
-        ("max_step: {door", "max_step: {dor", "line 15, key 'planner.max_step.dor': unknown input 'dor'"),
-        ("candidates: 2", "candidates: 2.5", "line 16, key 'planner.candidates': expected an integer, found 2.5"),
+        (
+            "confidence: 0.9",
+            "confidence: 0.5",
+            "line 13, column 1, key 'confidence': expected a number > 0.5, found 0.5",
+        ),
+        ("confidence: 0.9", "confidence: 1", "line 13, column 1, key 'confidence': expected a number < 1, found 1"),
+        ("max_step: {door", "max_step: {dor", "line 15, column 14, key 'planner.max_step.dor': unknown input 'dor'"),
+        (
+            "candidates: 2",
+            "candidates: 2.5",
+            "line 16, column 3, key 'planner.candidates': expected an integer, found 2.5",
+        ),
         ("candidates: 2", "candidates: 0", "key 'planner.candidates': expected a number >= 1, found 0"),
-        ("mass: 2.0", "mas: 2.0", "line 17, key 'plant.mas': unknown key 'mas'; did you mean 'mass'?"),
+        ("mass: 2.0", "mas: 2.0", "line 17, column 9, key 'plant.mas': unknown key 'mas'; did you mean 'mass'?"),
         ("friction: 1", "friction: -1", "key 'plant.friction': expected a number >= 0, found -1"),
         (
             "process_std: {door: 0.005}",
@@ -150,7 +171,7 @@ def test_a_start_in_no_mode_lists_what_is_allowed(folder: Path) -> None:
         folder, "mean: {door: 0.0}\n  std: {door: 0.03}\n  mode: revolute", "mean: {door: -0.5}\n  std: {door: 0.1}"
     )
     assert line == (
-        "p.yaml, line 4, key 'start.mean': the start door = -0.5 rad lies in no mode's invariant; "
+        "p.yaml, line 4, column 3, key 'start.mean': the start door = -0.5 rad lies in no mode's invariant; "
         "allowed: revolute (door >= 0, door < 1.2); rigid (door >= 1.2)"
     )
 

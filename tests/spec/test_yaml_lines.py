@@ -48,8 +48,8 @@ def test_places_are_of_keys_and_items() -> None:
     assert located.places[("a", "b")] == (2, 3)
     assert located.places[("a", "b", 1)] == (3, 5)
     assert located.places[("c", "d")] == (4, 5)
-    assert located.where(("a", "b", 7)) == "line 2, key 'a.b.7'"
-    assert located.where(("nowhere",)) == "line 1, key 'nowhere'"
+    assert located.where(("a", "b", 7)) == "line 2, column 3, key 'a.b.7'"
+    assert located.where(("nowhere",)) == "line 1, column 1, key 'nowhere'"
 
 
 @settings(max_examples=100, deadline=None)
@@ -70,22 +70,22 @@ def test_remarks_stand_at_the_end_of_their_line() -> None:
         (b"", "f.yaml: expected keys and values, found nothing"),
         (b"# only a remark\n", "found nothing"),
         (b"---\n", "expected a mapping of keys to values, found a single value"),
-        (b"hello", "f.yaml, line 1: expected a mapping of keys to values, found a single value"),
+        (b"hello", "f.yaml, line 1, column 1: expected a mapping of keys to values, found a single value"),
         (b"- 1", "expected a mapping of keys to values, found a list"),
-        (b"a: 1\nb: 2\na: 3", "f.yaml, line 3: duplicate key 'a', first on line 1; keep one of them"),
-        (b"a: &x 1", "line 1: anchors are not allowed, found '&x'"),
-        (b"a: 1\nb: *x", "line 2: aliases are not allowed, found '*x'"),
+        (b"a: 1\nb: 2\na: 3", "f.yaml, line 3, column 1: duplicate key 'a', first on line 1; keep one of them"),
+        (b"a: &x 1", "line 1, column 4: anchors are not allowed, found '&x'"),
+        (b"a: 1\nb: *x", "line 2, column 4: aliases are not allowed, found '*x'"),
         (b"a: !!python/object:os.system 1", "tags are not allowed"),
         (b"a: !mine {b: 1}", "tags are not allowed, found '!mine'"),
         (b"%YAML 1.1\n---\na: 1", "directives"),
-        (b"a: 1\n---\nb: 2", "line 2: expected one document, found a second"),
-        (b"a:\n\tb: 1", "line 2: tab in the indentation; indent with spaces"),
-        (b"a: 1\nb: \xff", "line 2: expected UTF-8 text, found the byte 0xff"),
+        (b"a: 1\n---\nb: 2", "line 2, column 1: expected one document, found a second"),
+        (b"a:\n\tb: 1", "line 2, column 1: tab in the indentation; indent with spaces"),
+        (b"a: 1\nb: \xff", "line 2, column 4: expected UTF-8 text, found the byte 0xff"),
         ("a: 1".encode("utf-16"), "expected UTF-8 text, found the byte 0xff"),
         (b"\x7fELF\x02\x01\x00", "found a control character; is it a binary file?"),
         (b"a: [1\n", "not valid YAML"),
         (b"a: 'x\n", "not valid YAML"),
-        (b"a: b: c", "line 1: not valid YAML: mapping values are not allowed here"),
+        (b"a: b: c", "line 1, column 5: not valid YAML: mapping values are not allowed here"),
         (b"? [1]\n: 2", "expected a name as key, found a list or mapping"),
         (b"a: " + b"[" * 100_000, "expected at most 24 levels"),
         (b"a: " + b"{a: " * 1000, "expected at most 24 levels"),
@@ -98,7 +98,7 @@ def test_what_is_not_allowed_is_one_line(content: bytes, expected: str) -> None:
 
 def test_the_number_of_values_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(yaml_lines, "MOST_VALUES", 50)
-    assert "line 48: expected at most 50 values" in message(b"a:\n" + b"- 1\n" * 1000)
+    assert "line 48, column 3: expected at most 50 values" in message(b"a:\n" + b"- 1\n" * 1000)
     assert len(read_yaml(b"a:\n" + b"- 1\n" * 40, "f").data["a"]) == 40
 
 
@@ -106,7 +106,7 @@ def test_an_alias_bomb_is_refused_at_its_first_anchor() -> None:
     bomb = b"a: &a [x,x,x,x,x,x,x,x,x]\n"
     for last, name in zip("abcdefgh", "bcdefghi", strict=True):
         bomb += f"{name}: &{name} [{','.join(['*' + last] * 9)}]\n".encode()
-    assert "line 1: anchors are not allowed" in message(bomb)
+    assert "line 1, column 4: anchors are not allowed" in message(bomb)
 
 
 @settings(max_examples=300, deadline=None)

@@ -1,0 +1,123 @@
+"""`micah-plan check`: every file that ships is good, every fault is one line with its place, nothing is solved."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from micah_plan.checking import check_file
+from micah_plan.errors import InputError, together
+from micah_plan.summaries import checked
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = {"models": "model", "models/parts": "parts", "problems": "problem", "examples/demonstrations": "recording"}
+SHIPPED = [(kind, file) for place, kind in FOLDERS.items() for file in sorted((ROOT / place).glob("*.*"))]
+
+
+@pytest.mark.parametrize(("kind", "file"), SHIPPED, ids=[file.stem for _, file in SHIPPED])
+def test_files_that_ship_can_be_used(kind: str, file: Path) -> None:
+    found = check_file(file)
+    assert (found.kind, found.faults, found.warnings) == (kind, (), ())
+
+
+def test_all_faults_of_a_file_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
+    text = (ROOT / "problems" / "drawer_open.yaml").read_text()
+    problem = tmp_path / "problem.yaml"
+    problem.write_text(text.replace("tolerance", "tolerence").replace("0.002", "-2") + "x: 1\n")
+    found = check_file(problem)
+    assert [fault.problem for fault in found.faults] == [
+        "unknown key 'tolerence'",
+        "expected a number >= 0, found -2",
+        "unknown key 'x'",
+        "missing key 'tolerance'",
+    ]
+    for fault in found.faults[:3]:
+        line, column = fault.position or (0, 0)
+        key = str(fault.where).rpartition("'")[0].rpartition(".")[2].rpartition("'")[2]
+        assert problem.read_text().splitlines()[line - 1][column - 1 :].startswith(key)
+        assert f"line {line}, column {column}" in str(fault)
+    assert "did you mean 'tolerance'? choose one of value, tolerance" in str(found.faults[0])
+
+
+def test_a_problem_is_checked_with_its_model_and_its_robot(tmp_path: Path) -> None:
+    for folder in ("models", "problems"):
+        (tmp_path / folder).mkdir()
+    text = (ROOT / "problems" / "microwave_close_by_arm.yaml").read_text()
+    (tmp_path / "problems" / "p.yaml").write_text(text)
+    (tmp_path / "models" / "robots").mkdir()
+    (tmp_path / "models" / "robots" / "arm7.urdf").write_text((ROOT / "models/robots/arm7.urdf").read_text())
+    model = (ROOT / "models" / "microwave.yaml").read_text()
+    (tmp_path / "models" / "microwave.yaml").write_text(model)
+    assert check_file(tmp_path / "problems" / "p.yaml").faults == ()
+    (tmp_path / "models" / "robots" / "arm7.urdf").write_text("<robot name='none'/>")
+    (fault,) = check_file(tmp_path / "problems" / "p.yaml").faults
+    assert str(fault.source).endswith("arm7.urdf")
+    (tmp_path / "models" / "microwave.yaml").write_text(model.replace("kind: revolute", "kind: round"))
+    (fault, *_) = check_file(tmp_path / "problems" / "p.yaml").faults
+    assert str(fault.source).endswith("microwave.yaml")
+    assert fault.position is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind", "said"),
+    [
+        ("none.yaml", None, None, "does not exist"),
+        ("none.csv", None, "recording", "does not exist"),
+        ("f.yaml", "a: 1\n", None, "missing key 'format'; say what the file is: one of micah-plan/model/1"),
+        ("f.yaml", "format: micah-plan/problm/1\n", None, "did you mean 'micah-plan/problem/1'?"),
+        ("f.yaml", "format: [1]\n", None, "unknown format"),
+        ("f.yaml", "format: micah-plan/model/2\n", "model", "expected micah-plan/model/1"),
+        ("f.json", "{}", "plan", "missing key 'format'"),
+        ("f.txt", "t,x,y,z\n0,1,2,a\n", "recording", "line 2, column 'z'"),
+        ("README.md", "# text\n", "recording", "the extension '.md'"),
+    ],
+)
+def test_what_cannot_be_used_has_one_fault(
+    tmp_path: Path, name: str, content: str | None, kind: str, said: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    found = check_file(tmp_path / name)
+    (fault,) = found.faults
+    assert found.kind == kind
+    assert said in str(fault)
+    assert str(fault).startswith(str(tmp_path / name))
+
+
+def test_a_recording_in_millimetres_is_warned_of(tmp_path: Path) -> None:
+    rows = "".join(f"{i * 0.1},{i * 100},0,2000\n" for i in range(60))
+    (tmp_path / "mm.csv").write_text("t,x,y,z\n" + rows)
+    found = check_file(tmp_path / "mm.csv")
+    assert not found.faults
+    assert "millimetres" in found.warnings[0]
+
+
+def test_the_command_tells_people_and_programs_the_same(tmp_path: Path) -> None:
+    bad, good = tmp_path / "bad.yaml", ROOT / "models" / "drawer.yaml"
+    bad.write_text("format: micah-plan/problem/1\nmodl: x.yaml\nstart: 3\n")
+
+    def run(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "micah_plan", "check", str(bad), str(good), *options]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    told, data = run(), run("--json")
+    assert (told.returncode, told.stderr, data.returncode, data.stderr) == (2, "", 2, "")
+    found = json.loads(data.stdout)
+    assert found == checked([check_file(bad), check_file(good)])
+    messages = [f"error: {fault['message']}" for fault in found["files"][0]["faults"]]
+    assert told.stdout.splitlines() == [*messages, f"{good}: a model that can be used"]
+    assert found["faults"] == len(messages) == 4
+    assert found["files"][0]["faults"][0]["line"] == 2
+
+
+def test_errors_that_come_together_are_told_apart_again() -> None:
+    first, second = InputError("a", where="line 1", position=(1, 2), remedy="r"), InputError("b")
+    both = together([first, second])
+    assert str(both) == "line 1: a (and 1 more error); r"
+    assert [str(error) for error in both.located("f").each()] == ["f, line 1: a; r", "f: b"]
+    assert both.each()[0].position == (1, 2)
+    assert str(together([second])) == "b"
