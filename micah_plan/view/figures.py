@@ -24,7 +24,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK
 from micah_plan.view.placement import thresholds
-from micah_plan.view.plan_page import step_times
+from micah_plan.view.plan_clock import step_times, stretches
 from micah_plan.view.plane_panel import is_plane, plot_plane
 from micah_plan.view.text import percent
 
@@ -129,9 +129,7 @@ def _figure(size: tuple[float, float]) -> Figure:
 
 def _stretches(trajectory: Trajectory, steps: NDArray[np.int64]) -> list[tuple[str, float, float]]:
     """(mode, first step, last step) of every stretch of one mode."""
-    starts = [0] + [j for j in range(1, len(steps)) if trajectory.modes[j] != trajectory.modes[j - 1]]
-    ends = [*starts[1:], len(steps) - 1]
-    return [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in zip(starts, ends, strict=True)]
+    return [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in stretches(trajectory.modes)]
 
 
 def _shade_modes(axes: Axes, problem: Problem, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:

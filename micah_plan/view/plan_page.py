@@ -28,15 +28,14 @@ from micah_plan.view.model_page import (
 from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids, handle_path
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START
 from micah_plan.view.placement import chain_coordinates
+from micah_plan.view.plan_charts import plan_charts
+from micah_plan.view.plan_clock import keyframes, knot_times, step_times, stretches
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import straightened, tube
 from micah_plan.view.text import length, percent, quantity, short_quantity
 
 Floats = NDArray[np.float64]
 
-_DURATION_S = 10.0
-_FRAMES_PER_STEP = 3
-_TRANSITION_S = 0.02
 _PATH, _HELD_PATH = 0.006, 0.014
 _BADGES: dict[str, tuple[str, Status]] = {
     "solved": ("SOLVED", "good"),
@@ -65,7 +64,7 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     scene = Scene()
     size = object_size(automaton)
     sigmas = _Sigmas(float(norm.ppf(problem.settings.confidence)), 0.025 * size)
-    keys, bands = keyframes(plan.trajectory, automaton) if plan.trajectory else (_still(problem), ())
+    keys = keyframes(plan.trajectory) if plan.trajectory else _still(problem)
     moved = None if problem.hold is None else settled_over_time(problem, keys)
     draw_object(scene, automaton, keys, moved)
     draw_mode_joints(scene, automaton, keys, size, moved)
@@ -77,7 +76,7 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     if problem.hold is not None:
         _draw_changes(scene, problem, keys)
     if plan.trajectory and plan.arm:
-        draw_arm(scene, problem, plan.arm, _knot_times(plan.trajectory), keys.times)
+        draw_arm(scene, problem, plan.arm, knot_times(plan.trajectory), keys.times)
     draw_bodies(scene, problem.scene)
     spacing = draw_surroundings(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
@@ -93,17 +92,11 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
         facts=_facts(plan, problem),
         legend=_legend(plan, problem, sigmas, spacing),
         details=_details(plan, problem),
-        timeline=Timeline(keys.duration, bands, _readouts(plan.trajectory, automaton))
-        if plan.trajectory
-        else Timeline(),
+        timeline=_timeline(plan.trajectory, automaton) if plan.trajectory else Timeline(),
         hidden=["spread"],
+        charts=plan_charts(plan, problem),
     )
     return render(document, scene)
-
-
-def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
-    """(K,) number of time steps before each knot; a transition takes none."""
-    return np.concatenate([[0], np.cumsum(~trajectory.is_transition)]).astype(np.int64)
 
 
 def _start_mode(problem: Problem) -> str:
@@ -111,42 +104,12 @@ def _start_mode(problem: Problem) -> str:
     return start_mode(problem.automaton, problem.start)[0] or problem.automaton.modes[0].name
 
 
-def keyframes(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
-    """The belief trajectory on the page's clock: steps of equal length, a transition in passing."""
-    knot_times = _knot_times(trajectory)
-    times: list[float] = []
-    modes: list[str] = []
-    states: list[Floats] = []
-    factors: list[Floats] = []
-    last = len(knot_times) - 1
-    for k in range(last):
-        count = 1 if trajectory.is_transition[k] else _FRAMES_PER_STEP
-        for share in np.arange(count) / count:
-            times.append(float((1 - share) * knot_times[k] + share * knot_times[k + 1]))
-            modes.append(trajectory.modes[k])
-            states.append((1 - share) * trajectory.means[k] + share * trajectory.means[k + 1])
-            factors.append((1 - share) * trajectory.factors[k] + share * trajectory.factors[k + 1])
-    keys = Keyframes(
-        np.array([*times, knot_times[last]]),
-        (*modes, trajectory.modes[last]),
-        np.stack([*states, trajectory.means[last]]),
-        np.stack([*factors, trajectory.factors[last]]),
+def _bands(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Band, ...]:
+    times, colors = knot_times(trajectory), mode_colors(automaton)
+    return tuple(
+        Band(float(times[first]), float(times[end]), colors[trajectory.modes[first]], trajectory.modes[first])
+        for first, end in stretches(trajectory.modes)
     )
-    colors = mode_colors(automaton)
-    starts = [0] + [k for k in range(1, last + 1) if trajectory.modes[k] != trajectory.modes[k - 1]]
-    ends = [float(knot_times[k]) for k in starts[1:]] + [keys.duration]
-    bands = [
-        Band(float(knot_times[k]), end, colors[trajectory.modes[k]], trajectory.modes[k])
-        for k, end in zip(starts, ends, strict=True)
-    ]
-    return keys, tuple(bands)
-
-
-def _knot_times(trajectory: Trajectory) -> Floats:
-    """(K,) [s] on the page's clock, strictly increasing."""
-    steps = step_times(trajectory)
-    passed = np.concatenate([[0], np.cumsum(trajectory.is_transition)])
-    return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed * _TRANSITION_S)
 
 
 def _still(problem: Problem) -> Keyframes:
@@ -194,26 +157,15 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigma
         scene.reserve(centers)
         if problem.hold is not None and link.child != problem.hold.grip.held.name:
             continue  # the mean of what swings is no path that anything takes
-        for order, (first, last) in enumerate(_stretches(keys)):
-            ends = centers[first : min(last + 2, len(centers))]
-            name = f"path/{slug(link.child, number)}/{order}"
-            scene.mesh(
-                name,
-                tube(straightened(ends), thickness),
-                colors[keys.modes[first]],
-            )
-
-
-def _stretches(keys: Keyframes) -> list[tuple[int, int]]:
-    """First and last keyframe of every stretch of one mode."""
-    starts = [k for k in range(len(keys.modes)) if k == 0 or keys.modes[k] != keys.modes[k - 1]]
-    return list(zip(starts, [*(k - 1 for k in starts[1:]), len(keys.modes) - 1], strict=True))
+        for order, (first, last) in enumerate(stretches(keys.modes)):
+            ends = straightened(centers[first : last + 1])
+            scene.mesh(f"path/{slug(link.child, number)}/{order}", tube(ends, thickness), colors[keys.modes[first]])
 
 
 def _draw_changes(scene: Scene, problem: Problem, keys: Keyframes) -> None:
     """Pale copies of a held object where it enters a mode, in the mode's colour."""
     colors = mode_colors(problem.automaton)
-    for number, (first, _) in enumerate(_stretches(keys)[1:]):
+    for number, (first, _) in enumerate(stretches(keys.modes)[1:]):
         mode = keys.modes[first]
         _draw_state(scene, f"changes/{number}", problem, keys.states[first], mode, colors[mode])
 
@@ -286,14 +238,14 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
     return [*details, ("Start belief", [*start, f"mode {_start_mode(problem)}"])]
 
 
-def _readouts(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[tuple[float, tuple[str, ...]], ...]:
+def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
     steps = step_times(trajectory)
     stds = np.sqrt((trajectory.factors**2).sum(axis=2))
     found = []
-    for k, time in enumerate(_knot_times(trajectory)):
+    for k, time in enumerate(knot_times(trajectory)):
         lines = [f"step {steps[k]} of {steps[-1]}, mode {trajectory.modes[k]}"]
         for i, c in enumerate(automaton.coordinates):
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
             lines.append(f"{c.name} = {mean:.3f} {c.unit}, σ {std:.4f}")
         found.append((float(time), tuple(lines)))
-    return tuple(found)
+    return Timeline(float(knot_times(trajectory)[-1]), _bands(trajectory, automaton), tuple(found))

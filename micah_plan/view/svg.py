@@ -50,6 +50,23 @@ class Panel:
         x = self.x(value)
         return f'<line class="{kind}" x1="{x:.1f}" x2="{x:.1f}" y1="{self.top:.1f}" y2="{self.bottom:.1f}"/>'
 
+    def level(self, value: float, kind: str) -> str:
+        y = self.y(value)
+        return (
+            f'<line class="{kind}" x1="{self.left:.1f}" x2="{self.left + self.width:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        )
+
+    def level_band(self, low: float, high: float, kind: str, color: str = "") -> str:
+        """A stretch of y over the whole width."""
+        top, bottom = self.y(min(high, self.y1)), self.y(max(low, self.y0))
+        return rectangle(self.left, top, self.width, max(bottom - top, 0.0), kind, color)
+
+    def area(self, x: Floats, low: Floats, high: Floats, kind: str, color: str = "") -> str:
+        """What lies between two curves (k,) over x (k,)."""
+        edges = zip(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]]), strict=True)
+        path = "L".join(f"{self.x(float(a)):.1f} {self.y(float(b)):.1f}" for a, b in edges)
+        return f'<path class="{kind}" d="M{path}Z"{_tint(color)}/>'
+
     def curve(
         self, x: NDArray[np.float64 | np.int64], y: Floats, kind: str, color: str = "", *, dots: bool = False
     ) -> str:
