@@ -1,14 +1,23 @@
-"""Recovery of planted effects: how often named first, parameter error, held-out error over the noise floor.
+"""Recovery of planted effects and false alarms: how often named right, parameter error, coverage, held-out error.
 
-    python benchmarks/effects.py [seeds] [runs]
+    python benchmarks/effects.py [--seeds 2] [--sizes 3] [--runs 10] [--effects gain ...] [--controls 20] [--jobs 1]
 
-The plants are those of the tests (a hinged door simulated by hand); they share no code with the library.
+The plants are those of the tests (a hinged door simulated by hand); they share no code with the library. The size of an
+effect is the root mean square of what it changes in a step, over the steps that it changes, over the std of a
+measurement: the effect stays as it is and the noise follows. A third of that noise moves the part. The floor is the
+one-step error of the plant itself: two measurements and what moves the part.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,66 +32,240 @@ from micah_plan.automaton.joint import Joint, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.residual.calibrate import calibrate
 
-TRUE: dict[str, tuple[str, float | None]] = {
-    "honest": ("none", None),
-    "short_steps": ("gain", 0.8),
-    "creeping": ("bias", 0.004),
-    "late": ("delay", 2.0),
-    "slow": ("lag", 1.0 / np.log(2.0)),
-    "weak": ("saturation", 0.025),
-    "sticky": ("dead_zone", 0.02),
-    "loose": ("backlash", 0.06),
-    "sprung": ("spring", 0.03),
-    "magnetic": ("latch", None),
-    "blocked": ("limit", 0.7),
-    "shifted": ("guard_shift", -0.05),
-    "stretched": ("sensor_scale", 1.1),
-    "drifting": ("drift", 0.01),
-    "worn_half_way": ("gain", 0.7),
-    "rippled": ("(not in the library)", None),
-    "one_sided": ("(not in the library)", None),
-    "swaying": ("(not in the library)", None),
+_ANGLE = 0.6
+_TURN = np.array([[np.cos(_ANGLE), np.sin(_ANGLE), 0.0], [-np.sin(_ANGLE), np.cos(_ANGLE), 0.0], [0.0, 0.0, 1.0]])
+DISTURBANCE = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Planted:
+    """An effect in a plant.
+
+    Attributes:
+        plant: of one step; truth: names of all effects that it has, none if the library has no such effect.
+        parameter, value: of the first one, where the plant has the library's form.
+        shape, turn: what differs in the poses and in the actions, see `planted_effects.door_recording`.
+        halves: whether the model has a mode for each half of the range.
+        beyond: how far beyond the ends the hand aims, so that what is there is seen; None: seldom.
+    """
+
+    plant: Callable[..., float]
+    truth: tuple[str, ...]
+    parameter: str = ""
+    value: float = np.nan
+    shape: Callable[..., Any] | None = None
+    turn: Any = None
+    halves: bool = False
+    beyond: float | None = None
+
+
+PLANTED: dict[str, Planted] = {
+    "gain": Planted(plants.short_steps, ("gain",), "gain", 0.8),
+    "bias": Planted(plants.creeping, ("bias",), "bias", 0.004),
+    "frame_rotation": Planted(plants.honest, ("frame_rotation",), "rotation_3", _ANGLE, turn=_TURN),
+    "delay": Planted(plants.late, ("delay",), "steps", 2.0),
+    "lag": Planted(plants.slow, ("lag",), "steps", float(1.0 / np.log(2.0))),
+    "saturation": Planted(plants.weak, ("saturation",), "largest", 0.025),
+    "dead_zone": Planted(plants.sticky, ("dead_zone",), "width", 0.02),
+    "backlash": Planted(plants.loose, ("backlash",), "width", 0.06),
+    "spring": Planted(plants.sprung, ("spring",), "stiffness", 0.03),
+    "gravity": Planted(plants.heavy, ("gravity",), "cosine", -0.008),
+    "latch": Planted(plants.magnetic, ("latch",)),
+    "limit": Planted(plants.blocked, ("limit",), "at", 0.7, beyond=0.3),
+    "guard_shift": Planted(plants.shifted, ("guard_shift",), "shift", -0.05, beyond=0.3),
+    "guard_hysteresis": Planted(plants.clinging, ("guard_hysteresis",), "width", 0.03, beyond=0.3),
+    "screw_pitch": Planted(plants.honest, ("screw_pitch",), "pitch", 0.02, shape=plants.climbing),
+    "axis_offset": Planted(plants.honest, ("axis_offset",), shape=plants.off_axis),
+    "sensor_scale": Planted(plants.stretched, ("sensor_scale",), "scale", 1.1, beyond=0.3),
+    "drift": Planted(plants.drifting, ("drift",), "rate", 0.01, beyond=0.3),
+    "gain in one mode": Planted(plants.short_far_out, ("gain",), "gain", 0.75, halves=True),
+    "gain since half-way": Planted(plants.worn_half_way, ("gain",), "gain", 0.7),
+    "gain and backlash": Planted(plants.short_and_loose, ("gain", "backlash")),
+    "delay and dead_zone": Planted(plants.late_and_sticky, ("delay", "dead_zone")),
+    "ripple (unknown)": Planted(plants.rippled, ()),
+    "one-sided (unknown)": Planted(plants.one_sided, ()),
+    "swaying (unknown)": Planted(plants.swaying, ()),
 }
 
 
-def door() -> HybridAutomaton:
-    """Swings from 0 to 1.2 rad and is rigid there."""
+@dataclass(frozen=True)
+class Trial:
+    """What one calibration said."""
+
+    verdict: str
+    is_right: bool
+    is_tied: bool
+    said: str
+    error: float
+    is_covered: bool
+    over_floor: float
+    excess_left: float
+    rollout: float
+
+
+def door(*, halves: bool = False) -> HybridAutomaton:
+    """Swings from 0 to 1.2 rad and is rigid there; `halves` gives each half of the range a mode of its own."""
     swing = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
     shut = forward(swing, plants.LENGTH)[0]
     held = rigid(shut.translation, shut.rotation.as_quat(), plants.LENGTH)
 
-    def segment(joint: Joint, start: float, first: int) -> Segment:
-        end = plants.LENGTH
+    def segment(joint: Joint, start: float, end: float, first: int) -> Segment:
         return Segment(joint, 0, first, first + 9, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
 
-    edge = KinematicEdge(BASE, "door", (segment(swing, 0.0, 0), segment(held, plants.LENGTH, 10)))
-    return build_automaton(KinematicGraph((edge,)))
+    edges = [0.0, 0.5 * plants.LENGTH, plants.LENGTH] if halves else [0.0, plants.LENGTH]
+    swings = [segment(swing, a, b, 10 * k) for k, (a, b) in enumerate(pairwise(edges))]
+    end = segment(held, plants.LENGTH, plants.LENGTH, 10 * len(swings))
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (*swings, end)),)))
 
 
-def main(seeds: int = 5, runs: int = 10) -> None:
-    model = door()
-    print(
-        "| plant | true effect | named first | verdicts | parameter error | error / floor | roll-out after / before |"
+def change(planted: Planted) -> float:
+    """Root mean square of what the effect changes in a step where it changes something [rad at the hinge]."""
+    changes: list[float] = []
+    quiet = plants.runs_of(planted.plant, 20, 50, 0, noise=0.0, disturbance=0.0, beyond=planted.beyond, changes=changes)
+    if planted.shape is not None or planted.turn is not None:
+        plain = plants.door_recording(quiet)
+        other = plants.door_recording(quiet, shape=planted.shape, turn=planted.turn)
+        moved = other.position - plain.position
+        if planted.turn is not None:
+            # Along the motion: a step is carried out by less than the turned action says of it.
+            moved = (1.0 - np.cos(_ANGLE)) * np.nan_to_num(plain.action)
+        changes = (np.linalg.norm(moved, axis=1) / plants.RADIUS).tolist()
+    felt = np.array([abs(c) for c in changes if abs(c) > 1e-9])
+    return float(np.sqrt(np.mean(felt**2)))
+
+
+def trial(name: str, size: float, runs: int, seed: int) -> Trial:
+    """Plant, record, calibrate and compare."""
+    planted = PLANTED[name]
+    noise = change(planted) / size
+    hand = {"noise": noise, "disturbance": DISTURBANCE * noise, "beyond": planted.beyond}
+    moved = plants.runs_of(planted.plant, runs, 50, seed, **hand)
+    across = plants.RADIUS * noise
+    recording = plants.door_recording(moved, across=across, seed=seed, shape=planted.shape, turn=planted.turn)
+    found = calibrate(door(halves=planted.halves), recording)
+    floor = noise * np.sqrt(2.0 + DISTURBANCE**2)
+    if any(effect.effect.name in ("screw_pitch", "axis_offset") for effect in found.effects):
+        floor = plants.RADIUS * np.hypot(floor, noise * np.sqrt(2.0))
+    first = found.effects[0] if found.effects else None
+    said = [first.effect.name, *first.tied] if first is not None else []
+    others = {one.effect.name for one in found.effects[1:]}
+    hits = [truth for truth in planted.truth if truth in said]
+    is_right = bool(hits) and all(truth in others or truth in hits for truth in planted.truth)
+    if not planted.truth:
+        is_right = found.verdict in ("partly", "unexplained")
+    error, is_covered = np.nan, False
+    if is_right and first is not None and planted.parameter in dict(first.effect.parameters):
+        number = [parameter for parameter, _ in first.effect.parameters].index(planted.parameter)
+        low, high = first.interval[number]
+        error = abs(first.effect.values[number] / planted.value - 1.0)
+        is_covered = low <= planted.value <= high
+    excess = [np.sqrt(max(one.one_step**2 - floor**2, 0.0)) for one in (found.before, found.after)]
+    return Trial(
+        verdict=found.verdict,
+        is_right=is_right,
+        is_tied=is_right and bool(said) and said[0] not in planted.truth,
+        said=" + ".join(_described(one) for one in found.effects) or "nothing",
+        error=error,
+        is_covered=is_covered,
+        over_floor=found.after.one_step / floor,
+        excess_left=excess[1] / excess[0] if excess[0] > 0 else 0.0,
+        rollout=found.after.rollout / found.before.rollout,
     )
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for plant, (name, value) in TRUE.items():
-        first, verdicts, errors, floors, ratios = 0, [], [], [], []
-        for seed in range(100, 100 + seeds):
-            recording = plants.door_recording(plants.runs_of(getattr(plants, plant), runs, 50, seed))
-            found = calibrate(model, recording)
-            named = found.effects[0].effect if found.effects else None
-            is_first = (named.name if named else "none") == name
-            first += is_first
-            verdicts.append(found.verdict)
-            if is_first and named is not None and value is not None:
-                errors.append(abs(named.values[0] / value - 1.0))
-            floors.append(found.after.one_step / found.noise_floor)
-            ratios.append(found.after.rollout / found.before.rollout)
-        counts = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
-        error = f"{100 * np.mean(errors):.1f} %" if errors else ""
-        cells = (plant, name, f"{first}/{seeds}", counts, error, f"{np.mean(floors):.2f}", f"{np.mean(ratios):.2f}")
-        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def _described(found: Any) -> str:
+    where = f" in {','.join(found.effect.modes)}" if found.effect.modes else ""
+    since = "" if found.since is None else f" since run {found.since[0]}"
+    return found.effect.name + where + since + (f" (or {', '.join(found.tied)})" if found.tied else "")
+
+
+def control(seed: int) -> tuple[str, str]:
+    """Verdict and description of a recording without any effect: objects, runs, rows and noise drawn by seed."""
+    rng = np.random.default_rng(seed)
+    runs, rows = int(rng.choice([1, 2, 3, 5, 8, 12, 20])), int(rng.choice([15, 30, 50, 80]))
+    noise = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
+    share = float(rng.uniform(0.0, 1.5))
+    halves = bool(rng.random() < 0.3)
+    beyond = 0.3 if rng.random() < 0.5 else None
+    moved = plants.runs_of(plants.honest, runs, rows, seed, noise=noise, disturbance=share * noise, beyond=beyond)
+    found = calibrate(door(halves=halves), plants.door_recording(moved, across=plants.RADIUS * noise, seed=seed))
+    said = ", ".join(_described(one) for one in found.effects)
+    text = f"{seed=}: {runs} x {rows} rows, noise {noise:.4f}, moved {share:.2f}, {halves=}, {beyond=}: {said}"
+    return found.verdict, text
+
+
+def _called(work: tuple[str, float, int, int]) -> Trial:
+    return trial(*work)
+
+
+def row(name: str, size: float, runs: int, trials: Sequence[Trial]) -> str:
+    """One line of the table."""
+    right = sum(one.is_right for one in trials)
+    tied = sum(one.is_tied for one in trials)
+    verdicts = [one.verdict for one in trials]
+    counts = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
+    errors = [one.error for one in trials if np.isfinite(one.error)]
+    covered = sum(one.is_covered for one in trials)
+    error = f"{100 * np.median(errors):.1f} %" if errors else ""
+    cells = (
+        f"`{name}`",
+        f"{size:g}",
+        str(runs),
+        f"{right}/{len(trials)}" + (f" ({tied} tied)" if tied else ""),
+        counts,
+        error,
+        f"{covered}/{len(errors)}" if errors else "",
+        f"{np.mean([one.over_floor for one in trials]):.2f}",
+        f"{np.mean([one.excess_left for one in trials]):.2f}",
+        f"{np.mean([one.rollout for one in trials]):.2f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--sizes", type=float, nargs="+", default=[3.0])
+    parser.add_argument("--runs", type=int, nargs="+", default=[10])
+    parser.add_argument("--effects", nargs="*", default=list(PLANTED), help=", ".join(PLANTED))
+    parser.add_argument("--controls", type=int, default=20)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--failures", action="store_true", help="print what was said where it was not right")
+    asked = parser.parse_args()
+    seeds = range(asked.first_seed, asked.first_seed + asked.seeds)
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        for line in lines(asked, seeds, pool):
+            print(line, flush=True)
+
+
+def lines(asked: argparse.Namespace, seeds: Sequence[int], pool: ProcessPoolExecutor) -> Iterator[str]:
+    """The table, then the false alarms."""
+    groups = [(n, size, runs) for n in asked.effects for size in asked.sizes for runs in asked.runs]
+    if groups:
+        yield (
+            "| planted | size | runs | right first | verdicts | parameter error | covered | error / floor "
+            "| excess left | roll-out |"
+        )
+        yield "| --- " * 10 + "|"
+    results = pool.map(_called, [(*group, seed) for group in groups for seed in seeds])
+    for group in groups:
+        trials = [next(results) for _ in seeds]
+        yield row(*group, trials)
+        if asked.failures:
+            yield from (
+                f"    {seed}: {one.verdict}: {one.said}"
+                for seed, one in zip(seeds, trials, strict=True)
+                if not one.is_right
+            )
+    alarms = 0
+    for verdict, text in pool.map(control, range(1000, 1000 + asked.controls)):
+        if verdict != "none":
+            alarms += 1
+            yield f"false alarm: {verdict}, {text}"
+    if asked.controls:
+        yield f"{alarms} false alarms in {asked.controls} controls"
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]))
+    main()

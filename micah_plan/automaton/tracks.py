@@ -17,6 +17,9 @@ from micah_plan.recording.value import DEFAULT_PART, Recording
 
 Floats = NDArray[np.float64]
 
+# Lever arm about which nothing can turn [m].
+_NO_LEVER = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -191,9 +194,31 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     for number, link in measuring_links(automaton):
         joint, c = moving_joint(automaton, number), x[: len(action), link.coordinate]
         meant = _in_base_frame(automaton, link.coordinate, action[:, number])
-        along = inverse_jacobian(joint, c, meant)
-        u[:, link.coordinate] = _on_arc(joint, c, meant, along) if joint.kind in ("revolute", "screw") else along
+        u[:, link.coordinate] = commanded(joint, c, meant)
     return u
+
+
+def commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """Displacements (k,), along a joint at c (k,), that actions (k, 3) [m] of its part's origin stand for.
+
+    Of a turning part an action may be a chord f(c + u) - f(c) as well as a tangent J u: whichever fits each one better.
+    Over a large step the two differ: the tangent of an angle's chord is its sine.
+    """
+    if joint.kind == "revolute":
+        return _around(jacobian(joint, c)[:, 3:], np.array(joint.axis), action)
+    along = inverse_jacobian(joint, c, action)
+    return _on_arc(joint, c, action, along) if joint.kind == "screw" else along
+
+
+def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
+    """Angles (k,) of actions that start where J is `tangent` (k, 3)."""
+    lever = np.linalg.norm(tangent, axis=1)
+    safe = np.maximum(lever, _NO_LEVER)
+    along = (action * tangent).sum(axis=1) / safe
+    outward = (action * np.cross(tangent, axis)).sum(axis=1) / safe
+    is_chord = np.abs(np.hypot(lever + outward, along) - lever) < np.abs(outward)
+    angle = np.where(is_chord, np.arctan2(along, lever + outward), along / safe)
+    return np.asarray(np.where(lever > _NO_LEVER, angle, 0.0))
 
 
 def _in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
@@ -206,10 +231,7 @@ def _in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) 
 
 
 def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:
-    """u (k,) of actions that may be chords f(c + u) - f(c) as well as tangents J u: whichever fits each one better.
-
-    Over a large step the two differ: the tangent of an angle's chord is its sine.
-    """
+    """u (k,) of actions on a screw; `along` is what they are as tangents."""
     start = forward(joint, c)
     arc = inverse(joint, start.translation + action, near=c) - c
     chord = forward(joint, c + arc).translation - start.translation

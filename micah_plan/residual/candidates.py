@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.registry import form, forms
+from micah_plan.automaton.kinematics import jacobian
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.simulation import GATES, Term
 
@@ -130,13 +131,15 @@ def _drift(lane: Lane) -> _Made:
 
 def _frame_rotation(lane: Lane) -> _Made:
     """Only where actions have a share across the joint; else a turned frame is a gain."""
-    if lane.action is None or lane.direction is None:
+    if lane.action is None:
         return None
-    along = (lane.action * lane.direction).sum(axis=2) ** 2 / np.maximum((lane.direction**2).sum(axis=2), 1e-12)
-    total = (lane.action**2).sum()
+    action = lane.action.reshape(-1, 3)
+    tangent = jacobian(lane.joint, lane.z.ravel())[:, 3:]
+    along = (action * tangent).sum(axis=1) ** 2 / np.maximum((tangent**2).sum(axis=1), 1e-12)
+    total = (action**2).sum()
     if total <= 0 or np.sqrt(max(total - along.sum(), 0.0) / total) < _ACROSS:
         return None
-    turns = np.vstack([np.zeros(3), 0.5 * np.eye(3), -0.5 * np.eye(3)])
+    turns = np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)])
     return turns, (0, 1, 2), [0.3] * 3
 
 

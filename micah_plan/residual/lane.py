@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.structure import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import jacobian
+from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,6 @@ MOST_ROWS = 20_000
 # With fewer runs than this, stretches of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
-_NO_MOTION = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +40,8 @@ class Lane:
         order: (S, T) place in the recording, from 0 to 1.
         mode: (S, T) index of the automaton's mode in which the row is.
         run: (S,) number of the run.
-        action, direction: (S, T, 3) recorded displacement [m], and J / |J|² that projects it on the joint; None if
-            the commands are not those of one part.
+        action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
+        joint: that is measured.
         lower, upper: ends of the range, infinite where there is none.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
@@ -63,7 +62,7 @@ class Lane:
     mode: Ints
     run: Ints
     action: Floats | None
-    direction: Floats | None
+    joint: Joint
     lower: float
     upper: float
     release: tuple[float, float]
@@ -141,7 +140,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
     z, u, time, order = (np.zeros(shape) for _ in range(4))
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
-    action, direction = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    action = np.zeros((*shape, 3))
     moving = next(mode for mode in automaton.modes if any(mode.input_matrix[i]))
     for s, (track, first, start, end, share) in enumerate(kept):
         rows, count = slice(first, end), end - first
@@ -154,8 +153,6 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         counted[s, start - first + 1 : count] = True
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
-            j = jacobian(moving_joint(automaton, link), track.x[rows, i])[:, 3:]
-            direction[s, :count] = j / np.maximum((j**2).sum(axis=1, keepdims=True), _NO_MOTION)
     lower, upper = range_of(automaton, i)
     holds, release = _ends(automaton, i, lower, upper)
     periods = np.concatenate([np.diff(track.time) for track in tracks])
@@ -171,7 +168,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         mode=mode,
         run=np.array([track.run for track, *_ in kept]),
         action=np.nan_to_num(action) if vectors else None,
-        direction=direction if vectors else None,
+        joint=moving_joint(automaton, link),
         lower=lower,
         upper=upper,
         release=release,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.automaton.tracks import commanded
 from micah_plan.residual.lane import Lane
 
 Floats = NDArray[np.float64]
@@ -86,7 +87,7 @@ class _Run:
         self.lane, self.model = lane, model
         self.p = _split(model, parameters)
         self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
-        self.profile = lane.process_profile
+        self.process = np.moveaxis(self.q[:, :, None] * lane.process_profile, 2, 0)
         self.memory = [term.form.at_rest(p) for term, p in zip(model, self.p, strict=True)]
         self.low, self.high, self.release = self._ends(parameters)
         self.commands = self._commands()
@@ -94,6 +95,9 @@ class _Run:
         for number, term in enumerate(model):
             self.layers.setdefault(term.form.layer, []).append(number)
         self.always = [self._is_ungated(number) for number in range(len(model))]
+        self.is_bounded = bool(np.isfinite([lane.lower, lane.upper]).any()) or "guard" in self.layers
+        # A command of no size leaves every end, so nothing sticks there.
+        self.is_held = any(bool(np.any(release > 0)) for release in self.release)
         ones = np.ones((len(parameters), lane.z.shape[0]))
         offset, slope = self._sensor(0, ones)
         self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, self.low), self.high) * ones
@@ -112,17 +116,23 @@ class _Run:
             added = self.model[n].form.force(np, self.c, v, self.p[n])
             free = free + self._gated(n, t, added, 0.0)
         low, high = self._ends_at(t)
-        stuck = ((self.c >= high) & (v < 0) & (-v <= self.release[1])) | (
-            (self.c <= low) & (v > 0) & (v <= self.release[0])
-        )
-        free = np.where(stuck, self.c, free)
-        ended = (free < low) | (free > high) | stuck
-        self.variance = (self.variance + self.q * self.profile[:, t]) * np.where(ended, _HELD_VARIANCE, 1.0)
-        self.c = np.minimum(np.maximum(free, low), high)
+        self.variance = self.variance + self.process[t]
+        if not self.is_bounded:
+            self.c = free
+            return
+        ended = (free < low) | (free > high)
+        free = np.minimum(np.maximum(free, low), high)
+        if self.is_held:
+            stuck = ((self.c >= high) & (v < 0) & (-v <= self.release[1])) | (
+                (self.c <= low) & (v > 0) & (v <= self.release[0])
+            )
+            free, ended = np.where(stuck, self.c, free), ended | stuck
+        self.variance = np.where(ended, _HELD_VARIANCE * self.variance, self.variance)
+        self.c = free
 
     def measure(self, t: int, kind: Kind) -> tuple[Floats, Floats]:
         """Compare with row t and take the measurement in."""
-        offset, slope = self._sensor(t, self.c)
+        offset, slope = self._sensor(t, self.c) if "sensor" in self.layers else (0.0, 1.0)
         error = self.lane.z[:, t] - (offset + slope * self.c)
         spread = slope**2 * self.variance + self.r
         if kind == "rollout":
@@ -131,8 +141,10 @@ class _Run:
             self.c = self.c + error / slope
             return error, spread
         gain = self.variance * slope / spread
-        low, high = self._ends_at(t - 1)
-        self.c = np.minimum(np.maximum(self.c + gain * error, low), high)
+        self.c = self.c + gain * error
+        if self.is_bounded:
+            low, high = self._ends_at(t - 1)
+            self.c = np.minimum(np.maximum(self.c, low), high)
         self.variance = self.variance * (1.0 - gain * slope)
         return error, spread
 
@@ -174,15 +186,15 @@ class _Run:
     def _commands(self) -> Floats | None:
         """(B, S, T) commands read from the actions in another frame; None if no term asks for that."""
         lane = self.lane
-        if lane.action is None or lane.direction is None:
+        if lane.action is None:
             return None
         for term, p in zip(self.model, self.p, strict=True):
             if term.form.layer == "frame":
-                a, d = np.moveaxis(lane.action, -1, 0), np.moveaxis(lane.direction, -1, 0)
-                wide = [value[:, :, None] for value in p]
-                plain = (a * d).sum(axis=0)
-                # What the projection leaves to second order is kept from the command itself.
-                return np.asarray(term.form.frame_command(np, list(a), list(d), wide) + (lane.u - plain))
+                a, wide = list(np.moveaxis(lane.action, -1, 0)), [value[:, :, None] for value in p]
+                meant = np.stack([term.form.frame_command(np, a, list(unit), wide) for unit in np.eye(3)], axis=-1)
+                places = np.broadcast_to(lane.z, meant.shape[:-1])
+                u = commanded(lane.joint, places.ravel(), meant.reshape(-1, 3))
+                return np.asarray(np.nan_to_num(u).reshape(meant.shape[:-1]))
         return None
 
     def _is_ungated(self, n: int) -> bool:

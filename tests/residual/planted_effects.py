@@ -10,8 +10,12 @@ RADIUS, LENGTH, PERIOD = 0.3, 1.2, 0.1
 STEP = LENGTH / 25
 
 
-def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001):
-    """(z, u) of runs in which a hand goes to and fro between drawn places; plant(c, u, k, memory) -> c."""
+def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001, beyond=None, changes=None):
+    """(z, u) of runs in which a hand goes to and fro between drawn places; plant(c, u, k, memory) -> c.
+
+    With `beyond`, goals are drawn that share of the range beyond both ends, so that the hand often gets there.
+    `changes`, a list, takes for each step by how much it differs from that of a part that does as it is told.
+    """
     rng = np.random.default_rng(seed)
     found = []
     for run in range(count):
@@ -22,23 +26,37 @@ def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001):
             z[k] = memory.get("read", lambda value, _: value)(c, k) + noise * rng.standard_normal()
             if abs(goal - believed) < STEP:
                 goal = rng.uniform(-0.05, 1.05) * LENGTH
+                if beyond is not None:
+                    goal = np.clip(rng.uniform(-beyond, 1.0 + beyond), -0.039, 1.039) * LENGTH
             u[k] = np.clip(goal - believed, -STEP, STEP) * rng.uniform(0.3, 1.0)
             believed = np.clip(believed + u[k], 0.0, LENGTH)
+            told, before = min(max(c + u[k], 0.0), LENGTH) - c, memory.get("read", lambda value, _: value)(c, k)
             c = plant(c, u[k], k, memory) + disturbance * rng.standard_normal()
             c = min(max(c, 0.0), memory.get("end", LENGTH))
+            if changes is not None:
+                changes.append(memory.get("read", lambda value, _: value)(c, k + 1) - before - told)
         found.append((z, u))
     return found
 
 
-def door_recording(runs):
-    """Poses of a handle 0.3 m from a vertical hinge, and chords of the commanded turns as actions."""
+def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None):
+    """Poses of a handle 0.3 m from a vertical hinge, and chords of the commanded turns as actions.
+
+    Args:
+        across: std of a measured position across the motion [m], in both directions.
+        shape: (K,) angles to (K, 3) true places of the handle; a circle if None.
+        turn: rotation matrix by which actions are turned before they are written.
+    """
+    rng = np.random.default_rng(seed)
     columns = {name: [] for name in ("time", "position", "quaternion", "action", "run")}
     for number, (z, u) in enumerate(runs, start=1):
-        there, aimed = _point(z), _point(z + u)
-        action = aimed - there
+        action = _point(z + u) - _point(z)
+        action = action if turn is None else action @ turn.T
         action[-1] = np.nan
+        beside = across * rng.standard_normal((len(z), 2))
+        away = np.stack([beside[:, 0] * np.cos(z), beside[:, 0] * np.sin(z), beside[:, 1]], axis=1)
         columns["time"].append(PERIOD * np.arange(len(z)))
-        columns["position"].append(there)
+        columns["position"].append((_point if shape is None else shape)(z) + away)
         columns["quaternion"].append(np.stack([0 * z, 0 * z, np.sin(z / 2), np.cos(z / 2)], axis=1))
         columns["action"].append(action)
         columns["run"].append(np.full(len(z), number))
@@ -47,6 +65,17 @@ def door_recording(runs):
 
 def _point(angle):
     return np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), np.full_like(angle, 0.1)], axis=1)
+
+
+def climbing(angle):
+    """The handle rises by 2 cm per rad."""
+    return _point(angle) + np.outer(angle, [0.0, 0.0, 0.02])
+
+
+def off_axis(angle):
+    """The hinge is 1.5 cm from where the model has it: a larger circle through the same place at angle 0."""
+    radius = RADIUS + 0.015
+    return np.stack([radius * np.cos(angle) - 0.015, radius * np.sin(angle), np.full_like(angle, 0.1)], axis=1)
 
 
 def honest(c, u, k, memory):
@@ -129,3 +158,26 @@ def one_sided(c, u, k, memory):
 
 def swaying(c, u, k, memory):
     return c + u + 0.01 * np.sin(0.35 * k)
+
+
+def heavy(c, u, k, memory):
+    return c + u - 0.008 * np.cos(c)
+
+
+def clinging(c, u, k, memory):
+    """At its upper end the part stays until it is pulled back by more than 30 mrad."""
+    memory["held"] = memory.get("held", False) or c >= LENGTH
+    memory["held"] = memory["held"] and u >= -0.03
+    return LENGTH if memory["held"] else c + u
+
+
+def short_and_loose(c, u, k, memory):
+    return loose(c, 0.8 * u, k, memory)
+
+
+def late_and_sticky(c, u, k, memory):
+    return late(c, u if abs(u) > 0.02 else 0.0, k, memory)
+
+
+def short_far_out(c, u, k, memory):
+    return c + (0.75 * u if c >= 0.5 * LENGTH else u)
