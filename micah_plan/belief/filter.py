@@ -21,6 +21,7 @@ from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.belief import gaussian
 from micah_plan.belief.crossing import Piece, cross, whole_step
 from micah_plan.belief.hybrid_belief import HybridBelief, belief_of, joint_of
+from micah_plan.belief.sliding import slid
 from micah_plan.belief.truncation import mixed, truncate
 from micah_plan.errors import InputError
 
@@ -121,6 +122,7 @@ def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travell
     """The share of a piece that stays in its mode to the end of the step; what leaves is put on `travelling`."""
     if piece.events >= MOST_EVENTS:
         return [piece]
+    piece = slid(automaton, piece, u) if piece.events else piece
     for edge in sorted(automaton.edges_from(piece.mode), key=lambda edge: edge.is_self_transition):
         crossed, left = cross(automaton, piece, edge, u)
         if crossed is not None and crossed.probability >= NEGLIGIBLE:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
 
@@ -42,7 +43,7 @@ def belief_lqr(problem: Problem, limits: Limits, modes: tuple[str, ...], is_tran
         if is_transition[k]:
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
-            A = edge.reset.matrices(n, m)[0]
+            A = matrix_after(automaton, edge)
             value = tracking + A.T @ value @ A
             continue
         B = automaton.mode(modes[k]).B

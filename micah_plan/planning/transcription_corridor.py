@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.facing import faces, is_beyond
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription_guess import PhaseGuess
 
@@ -53,7 +55,9 @@ class CorridorRow:
 def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> list[CorridorRow]:
     """The rows of a phase for knots 1..N, knot by knot. A boundary that the mode cannot move across has none."""
     mode = automaton.mode(guess.mode)
-    exits = () if guess.edge is None else automaton.edges[guess.edge].guard.half_spaces
+    leaving = None if guess.edge is None else automaton.edges[guess.edge]
+    exits = () if leaving is None else leaving.guard.half_spaces
+    turn = None if leaving is None else turn_of(automaton, leaving)
     fixed = _fixed_boundaries(automaton, mode, exits)
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
@@ -66,6 +70,9 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
         if guess.edge is None or step < guess.steps:
             near = [h for wall in walls for h in wall[step - 1 : step + 1]]
             chosen += [(h, -1.0, True) for h in dict.fromkeys(near)]
+        if turn is not None and step < guess.steps:
+            chosen.append((turn.half_space, -1.0, True))
+            chosen += [(h, 1.0, True) for h in turn.sides if step == guess.steps - 1]
         for half_space, sign, uncertain in chosen:
             a = np.array(half_space.a)
             if np.any(a @ mode.B):
@@ -82,7 +89,7 @@ def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[Hal
     stds: dict[HalfSpace, float] = {}
     for edge in automaton.edges_from(mode.name):
         for guard in edge.guard.half_spaces if edge.threshold_std else ():
-            ends = [h for h in boundaries if _faces(h, guard) and _is_beyond(h, guard) and _is_beyond(guard, h)]
+            ends = [h for h in boundaries if faces(h, guard) and is_beyond(h, guard) and is_beyond(guard, h)]
             for half_space in (guard, *ends):
                 stds[half_space] = max(stds.get(half_space, 0.0), edge.threshold_std)
     return stds
@@ -94,9 +101,9 @@ def _fixed_boundaries(
     """(boundary, sign, uncertain) of the invariant and clamps, without the boundary through which the phase leaves."""
     clamps = [edge.guard.half_spaces for edge in automaton.edges_from(mode.name) if edge.is_self_transition]
     ends = [rows[0] for rows in clamps if len(rows) == 1 and not any(rows[0].b)]
-    rows = [h for h in mode.invariant.half_spaces if not any(h.b) and not any(_faces(h, g) for g in exits)]
-    inside = [(h, 1.0, not any(_faces(h, end) for end in ends)) for h in rows]
-    free_ends = [end for end in ends if not any(_faces(h, end) for h in mode.invariant.half_spaces)]
+    rows = [h for h in mode.invariant.half_spaces if not any(h.b) and not any(faces(h, g) for g in exits)]
+    inside = [(h, 1.0, not any(faces(h, end) for end in ends)) for h in rows]
+    free_ends = [end for end in ends if not any(faces(h, end) for h in mode.invariant.half_spaces)]
     return inside + [(end, -1.0, False) for end in free_ends]
 
 
@@ -109,7 +116,7 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
             continue
         if not any(any(g.a) for g in rows):
             continue
-        outside = any(_faces(h, g) and _is_beyond(h, g) for h in mode.invariant.half_spaces for g in rows)
+        outside = any(faces(h, g) and is_beyond(h, g) for h in mode.invariant.half_spaces for g in rows)
         if not outside and not any(any(g.b) for g in rows):
             obstacles.append(rows)
     return obstacles
@@ -125,16 +132,3 @@ def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess, step: int) -> Hal
         return float(np.min(away / (stds + _SMALLEST_STD * float(np.linalg.norm(a)))))
 
     return max((h for h in guard if any(h.a)), key=outside)
-
-
-def _faces(h: HalfSpace, g: HalfSpace) -> bool:
-    """Whether two half-spaces on x open in exactly opposite directions."""
-    a, b = np.array(h.a), np.array(g.a)
-    if any(h.b) or any(g.b) or not a.any() or not b.any():
-        return False
-    return bool(np.allclose(a / np.linalg.norm(a), -b / np.linalg.norm(b), rtol=0.0, atol=1e-9))
-
-
-def _is_beyond(h: HalfSpace, g: HalfSpace) -> bool:
-    """Whether g, which faces h, lies outside of h."""
-    return -g.c / float(np.linalg.norm(g.a)) <= h.c / float(np.linalg.norm(h.a)) + 1e-9

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_search import ModeSequence
@@ -192,7 +193,7 @@ def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, gains: Floats)
 def _spread_after(problem: Problem, edge: int, spread: Floats) -> Floats:
     """The estimate's covariance after a transition: through the reset, and none where the new mode pins."""
     automaton = problem.automaton
-    A = automaton.edges[edge].reset.matrices(automaton.n, automaton.m)[0]
+    A = matrix_after(automaton, automaton.edges[edge])
     free = np.ones(automaton.n)
     free[[pin.coordinate for pin in automaton.mode(automaton.edges[edge].target).pins]] = 0.0
     return np.asarray(A @ spread @ A.T * np.outer(free, free))

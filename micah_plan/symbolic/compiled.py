@@ -23,6 +23,7 @@ from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.sensing import Sensing
+from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
 
@@ -78,8 +79,10 @@ class CompiledEdge:
         guard: (x, u) -> margins (k, 1), positive where the transition is taken; rows named by `names`.
         guard_belief: (mean, factor, u) -> (margin, std), each (k, 1).
         reset: (x, u) -> x.
-        belief_reset: (mean, factor, u) -> (mean, factor): the affine reset through the covariance, then the pins of the
-            target mode (a contact is information): held there if the guard locates them, else conditioned on.
+        belief_reset: (mean, factor, u) -> (mean, factor): of a mean that a whole step led behind the guard, what the
+            target mode turns back within that step (`automaton.turning`); the affine reset through the covariance; then
+            the pins of the target mode (a contact is information): held there if the guard locates them, else
+            conditioned on.
     """
 
     edge: Edge
@@ -235,11 +238,12 @@ def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:
 def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> CompiledEdge:
     a, b, c = edge.reset.matrices(automaton.n, automaton.m)
     moved = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), s.u) + ca.DM(c)
+    mean, factor = _turned(turn, s) if (turn := turn_of(automaton, edge)) else (moved, s.factor)
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
-    factor = s.factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), s.factor))
+    factor = factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), factor))
     located = automaton.pins_located_by(edge)
-    moved_mean, factor = hold(moved, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in located])
-    held = _condition(moved_mean, factor, automaton.pins_met_by(edge))
+    mean, factor = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in located])
+    held = _condition(mean, factor, automaton.pins_met_by(edge))
     return CompiledEdge(
         edge=edge,
         guard=_margins("guard", edge.guard, s),
@@ -249,6 +253,13 @@ def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> Compil
             "belief_reset", [s.x, s.factor, s.u], list(held), ["mean", "factor", "u"], ["mean_next", "factor_next"]
         ),
     )
+
+
+def _turned(turn: Turn, s: _Symbols) -> tuple[ca.SX, ca.SX]:
+    """Mean and factor after a turn, whose edge has an identity reset."""
+    A, spread = ca.sparsify(ca.DM(turn.A)), ca.sparsify(ca.DM(turn.spread))
+    factor = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(A, s.factor), spread)))
+    return ca.mtimes(A, s.x) + ca.DM(turn.c), factor
 
 
 def _margins(name: str, region: Region, s: _Symbols) -> ca.Function:

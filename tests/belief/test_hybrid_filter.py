@@ -47,6 +47,18 @@ def slider() -> HybridAutomaton:
     return HybridAutomaton(name, name, (), (), modes, edges, Noise((0.004,), (0.01,)))
 
 
+def mirror(returns: bool = True) -> HybridAutomaton:
+    """A slider that an input moves forth before the middle and back behind it."""
+    to, back, _ = slider().edges
+    first, second = slider().modes
+    edges = (to, back) if returns else (to,)
+    return replace(slider(), modes=(first, replace(second, input_matrix=((-1.0,),))), edges=edges)
+
+
+def one_way_mirror() -> HybridAutomaton:
+    return mirror(returns=False)
+
+
 class Particles:
     """A bootstrap particle filter; mode 0 is the automaton's first, and subclasses move each particle by one step."""
 
@@ -222,7 +234,7 @@ def cabinet() -> HybridAutomaton:
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("make", [door, slider, cabinet])
+@pytest.mark.parametrize("make", [door, slider, cabinet, mirror, one_way_mirror])
 def test_a_sharp_belief_moves_as_the_automaton_does(make: Callable[[], HybridAutomaton], seed: int) -> None:
     """Without noise the belief follows the located events: chains in one step, resets, clamps, leaving a latch."""
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from interacting_models import InteractingModels
 from particles import ParticleFilter
-from test_hybrid_filter import cabinet, door, slider
+from test_hybrid_filter import cabinet, door, mirror, slider
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
 from micah_plan.belief.filter import initial_belief, predict, update
@@ -55,6 +55,7 @@ SYSTEMS = {
     "door": (exact_pins(door()), [0.3], [0.05], PUSH_PULL),
     "slider": (slider(), [0.15], [0.02], THERE_BACK_THERE),
     "slider with jumps": (thrown(), [0.15], [0.02], THERE_BACK_THERE),
+    "mirror": (mirror(), [0.15], [0.02], THERE_BACK_THERE),
     "cabinet": (noisy_cabinet(), [0.2, 0.1], [0.03, 0.01], TO_THE_DRAWER),
     "uncertain door": (blurred(door()), [0.3], [0.03], PUSH_PULL),
     "uncertain slider": (blurred(slider(), 0.02), [0.15], [0.02], THERE_BACK_THERE),

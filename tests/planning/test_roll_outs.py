@@ -70,6 +70,16 @@ def crossing_back_and_forth() -> Problem:
     return Problem(automaton, Start((0.05,), (0.05,)), Goal(((0, 0.15, 0.05),)), PlannerSettings(samples_per_mode=40))
 
 
+def turned_back(returns: bool) -> Problem:
+    """Behind the threshold the same input leads back to it; with a wide belief, which often misses the step across."""
+    automaton = noisy(one_dimensional(0.0, 0.3, 0.6), 0.01, 0.02)
+    first, second = automaton.modes
+    edges = automaton.edges if returns else (automaton.edges[0], *automaton.edges[2:])
+    automaton = replace(automaton, modes=(first, replace(second, input_matrix=((-1.0,),))), edges=edges)
+    settings = PlannerSettings(samples_per_mode=40, max_step=(0.06,))
+    return Problem(automaton, Start((0.1,), (0.03,)), Goal(((0, 0.45, 0.05),)), settings)
+
+
 def thrown_back() -> Problem:
     """Latching moves the door's coordinate elsewhere."""
     automaton = noisy(door_automaton(), 0.01, 0.02)
@@ -94,6 +104,8 @@ PROBLEMS = {
     "a gate of two half-spaces": planar_problem(),
     "a wide belief at a threshold": crossing_back_and_forth(),
     "a reset": thrown_back(),
+    "a boundary that turns": turned_back(returns=True),
+    "a boundary that mirrors": turned_back(returns=False),
     "sensing by mode and place": lit_door(),
     "thresholds that are not certain": door_problem(
         0.9, DOOR_SHUT, automaton=blurred(door_automaton(pin_std=0.04), 0.04), goal_modes=("shut",), tolerance=0.2

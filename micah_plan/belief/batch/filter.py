@@ -15,6 +15,7 @@ from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
+from micah_plan.belief.batch.sliding import slid
 from micah_plan.belief.batch.truncation import log_inside, truncate
 from micah_plan.belief.filter import MOST_EVENTS, NEGLIGIBLE, guard_limits
 from micah_plan.belief.hybrid_belief import HybridBelief, joint_of
@@ -110,6 +111,7 @@ def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, trave
     tired = pieces.events >= MOST_EVENTS
     ended = [pieces.where(tired)] if tired.any() else []
     pieces = pieces.where(~tired)
+    pieces = slid(automaton, pieces, u[pieces.owner])
     name = automaton.modes[pieces.mode].name
     for edge in sorted(automaton.edges_from(name), key=lambda edge: edge.is_self_transition):
         if not len(pieces):
