@@ -18,6 +18,7 @@ from micah_plan.planning.plan import Plan
 
 if TYPE_CHECKING:
     from micah_plan.checking import FileCheck
+    from micah_plan.environment import Environment
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.planning.explain import Explanation
     from micah_plan.residual.calibrate import Calibration, FoundEffect
@@ -224,6 +225,24 @@ def _fault(error: InputError) -> dict[str, Any]:
         "problem": error.problem,
         "remedy": error.remedy,
         "message": str(error),
+    }
+
+
+def examined(found: Environment) -> dict[str, Any]:
+    """Keys of `doctor`: versions, libraries with their state, solvers, browser and advice."""
+    libraries = [
+        {**asdict(item.library), "state": item.state, "version": item.version, "message": item.message}
+        for item in found.libraries
+    ]
+    return {
+        "micah_plan": found.micah_plan,
+        "python": found.python,
+        "system": found.system,
+        "complete": found.complete,
+        "libraries": libraries,
+        "linear_solvers": list(found.linear_solvers),
+        "browser": found.browser,
+        "advice": list(found.advice),
     }
 
 

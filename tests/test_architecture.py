@@ -34,7 +34,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("execution",),
     ("residual",),
     ("view",),
-    ("checking",),
+    ("checking", "environment"),
     ("workflow",),
     ("summaries",),
     ("cli",),

@@ -11,13 +11,14 @@ import typer
 from micah_plan import __version__
 from micah_plan.cli.checking import check
 from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, err, out
+from micah_plan.cli.environment import doctor
 from micah_plan.cli.learning import learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.residuals import calibrate, predict
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (learn, solve, explain, execute, predict, calibrate, show, check)
+COMMANDS = (learn, solve, explain, execute, predict, calibrate, show, check, doctor)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

@@ -107,6 +107,20 @@ def print_checked(found: Sequence[Any]) -> None:
             out.print(f"{item.file}: a {item.kind} that can be used", markup=False)
 
 
+def print_environment(found: Any) -> None:
+    """Table of the libraries, what else there is, and advice."""
+    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}", markup=False)
+    table = Table("library", "version", "state", "for", "extra", box=SIMPLE)
+    for item in found.libraries:
+        library = item.library
+        table.add_row(library.name, item.version or "-", item.state, library.purpose, library.extra)
+    out.print(table)
+    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}", markup=False)
+    out.print(f"browser: {found.browser or 'none'}", markup=False)
+    for line in found.advice:
+        out.print(line, markup=False, style="yellow")
+
+
 def print_lines(lines: tuple[str, ...]) -> None:
     """Lines as they are."""
     for line in lines:
