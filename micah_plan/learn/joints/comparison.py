@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
-from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vector, times
+from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vector, times_matrix
 
 Floats = NDArray[np.float64]
 
@@ -58,40 +58,40 @@ def compare_arrays(
         position, quaternion: (n, 3) [m] and (n, 4) rows; quaternion None if not measured.
         rotation_length: what weighs rotation against position in "closest" [m/rad].
     """
-    n = len(position)
     turning, moving = joints.turning, joints.moving
     arm = joints.position - joints.center
     arm = (arm - np.sum(arm * joints.axis, axis=1, keepdims=True) * joints.axis) * turning[:, None]
     # Of every joint: its axis, and the arm from it to the origin with the direction in which that turns.
     basis = np.stack([joints.axis, arm, cross(joints.axis, arm)], axis=1)
-    from_start, from_center = position - joints.position[:, None], position - joints.center[:, None]
-    along = (from_start @ joints.axis[:, :, None])[..., 0]
-    real, imaginary = np.moveaxis(from_center @ basis[:, 1:].swapaxes(1, 2), 2, 0)
+    from_start = position - joints.position[:, None]
+    along, real, imaginary = np.moveaxis(from_start @ basis.swapaxes(1, 2), 2, 0)
+    real = real + np.sum(arm**2, axis=1, keepdims=True)
     relative = None
     if quaternion is not None:
-        relative = times(quaternion[None], conjugate(joints.quaternion)[:, None])
-        twist = (relative[..., :3] @ joints.axis[:, :, None])[..., 0]
-        real = real + rotation_length**2 * (relative[..., 3] ** 2 - twist**2)
-        imaginary = imaginary + rotation_length**2 * 2 * relative[..., 3] * twist
-    weight = np.hypot(real, imaginary)
+        # Of every row: its rotation from the start, and the same followed by half a turn back about the axis.
+        start = times_matrix(conjugate(joints.quaternion))
+        back = times_matrix(np.concatenate([-joints.axis, np.zeros((len(joints), 1))], axis=1))
+        relative, turned = np.split(quaternion @ np.concatenate([start, start @ back], axis=2), 2, axis=2)
+        twist, scalar = turned[..., 3], relative[..., 3]
+        real += rotation_length**2 * (scalar**2 - twist**2)
+        imaginary = imaginary + rotation_length**2 * 2 * scalar * twist
+    weight = np.sqrt(real**2 + imaginary**2)
     angle = np.where(turning[:, None] & (weight > _TINY), np.arctan2(imaginary, real), 0.0)
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
     if len(pitched):
         angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], joints.pitch[pitched, None])
-    if n:
+    if len(position):
         angle = _unwrapped(angle)
-    sine, cosine = np.sin(angle), np.cos(angle)
+    half_sine, half_cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
+    sine, versine = 2 * half_sine * half_cosine, 2 * half_sine**2
     sliding = moving & ~turning
     configuration = np.where(sliding[:, None], along, angle)
     rate = np.where(turning, joints.pitch, sliding)[:, None]
-    # Model position: the rotated arm, what lies along the axis, and the rest of the start.
-    reach = np.stack([rate * configuration, cosine, sine], axis=2) @ basis
-    error = from_start + arm[:, None] - reach
-    moved = np.stack([np.broadcast_to(rate, angle.shape), -sine, cosine], axis=2) @ basis
+    error = from_start - np.stack([rate * configuration, -versine, sine], axis=2) @ basis
+    moved = np.stack([np.broadcast_to(rate, angle.shape), -sine, 1 - versine], axis=2) @ basis
     if relative is None:
         return Compared(configuration, error, moved)
-    half = np.concatenate([np.sin(angle / 2)[..., None] * joints.axis[:, None], np.cos(angle / 2)[..., None]], axis=2)
-    rotation = rotation_vector(times(relative, conjugate(half)))
+    rotation = rotation_vector(half_cosine[..., None] * relative + half_sine[..., None] * turned)
     turns = np.broadcast_to((turning[:, None] * joints.axis)[:, None], rotation.shape)
     return Compared(configuration, np.concatenate([rotation, error], axis=2), np.concatenate([turns, moved], axis=2))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,17 +37,17 @@ class JointArrays:
     def __len__(self) -> int:
         return len(self.kinds)
 
-    @property
+    @cached_property
     def moving(self) -> Bools:
         """(h,) which are not rigid."""
         return np.array([kind != "rigid" for kind in self.kinds], dtype=bool)
 
-    @property
+    @cached_property
     def turning(self) -> Bools:
         """(h,) which rotate."""
         return np.array([kind in ("revolute", "screw") for kind in self.kinds], dtype=bool)
 
-    @property
+    @cached_property
     def twisting(self) -> Bools:
         """(h,) which have a pitch."""
         return np.array([kind == "screw" for kind in self.kinds], dtype=bool)

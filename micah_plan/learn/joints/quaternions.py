@@ -8,32 +8,43 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _TINY = 1e-12
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+# Of the matrix of a product: which number of the right quaternion, and its sign.
+_NUMBER = np.array([[3, 2, 1, 0], [2, 3, 0, 1], [1, 0, 3, 2], [0, 1, 2, 3]])
+_SIGN = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [-1.0, 1.0, 1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])
+# The same of the matrix of a cross product: row i is the i-th unit vector times the vector.
+_OTHER = np.array([[0, 2, 1], [2, 1, 0], [1, 0, 2]])
+_SIDE = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def times(a: Floats, b: Floats) -> Floats:
     """(..., 4) products a b: the rotation b followed by a."""
-    vector = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + cross(a[..., :3], b[..., :3])
-    scalar = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
+    return np.asarray(np.einsum("...i,...ij->...j", a, times_matrix(b)))
 
 
 def times_matrix(right: Floats) -> Floats:
-    """(4, 4) matrix M with q M = q right for rows q, by the quaternion (4,) on the right."""
-    x, y, z, w = right.tolist()
-    return np.array([[w, -z, y, -x], [z, w, -x, -y], [-y, x, w, -z], [x, y, z, w]])
+    """(..., 4, 4) matrices M with q M = q right for rows q, by quaternions (..., 4) on the right."""
+    return np.asarray(right[..., _NUMBER] * _SIGN)
+
+
+def cross_matrix(vectors: Floats) -> Floats:
+    """(..., 3, 3) matrices M with M u = v x u, of vectors v (..., 3)."""
+    return np.asarray(vectors[..., _OTHER] * _SIDE)
 
 
 def conjugate(q: Floats) -> Floats:
     """(..., 4) inverses of unit quaternions."""
-    return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
+    return np.asarray(q * _CONJUGATE)
 
 
 def rotation_vector(q: Floats) -> Floats:
     """(..., 3) rotation vectors [rad] of the shorter way, whatever the sign of q."""
-    q = np.where(q[..., 3:] < 0, -q, q)
-    length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(length, q[..., 3:])
-    return np.asarray(q[..., :3] * np.where(length > _TINY, angle / np.maximum(length, _TINY), 2.0))
+    vector, scalar = q[..., :3], q[..., 3]
+    length = np.sqrt(np.einsum("...i,...i->...", vector, vector))
+    angle = 2 * np.arctan2(length, np.abs(scalar))
+    scale = np.where(length > _TINY, angle / np.maximum(length, _TINY), 2.0)
+    return np.asarray(vector * np.copysign(scale, scalar)[..., None])
 
 
 def rotated(quaternion: Floats, vector: Floats) -> Floats:
@@ -50,11 +61,4 @@ def rotation_quaternion(vector: Floats) -> Floats:
 
 def cross(a: Floats, b: Floats) -> Floats:
     """Cross products (..., 3): like np.cross without its overhead."""
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
+    return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT])

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
-from micah_plan.learn.segmenting.occam import held_cost, parameter_cost, parameter_count
+from micah_plan.learn.segmenting.occam import parameter_costs, parameter_count
 from micah_plan.learn.segmenting.pool import Hypotheses, Pool, pool_of
 from micah_plan.learn.track import PartTrack
 
@@ -103,16 +104,15 @@ def tabulated(
     table[0] -= np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving
     # A tracker may slip: then the row is as unforeseen as the first of a segment.
     slipped = np.log(_SLIP) + table[0]
-    table[1:] = np.logaddexp(np.log1p(-_SLIP) + table[1:], slipped)
+    table[1:] = log_add(np.log1p(-_SLIP) + table[1:], slipped)
     # The first row of a segment may go on where the row before was, or not.
-    table[:-1, 1:] = np.logaddexp(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
+    table[:-1, 1:] = log_add(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
     table *= trust
     if not begun:
         table[0, 0, ~pool.moving] -= _HELD_FIRST
     rows = np.maximum(hypotheses.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
-    cost = parameter_cost(pool, track, noise, trust)
-    held = held_cost(cost, pool, noise, trust)
+    cost, held = parameter_costs(pool, track, noise, trust)
     counts = [parameter_count(kind, track.quaternion is not None) for kind in hypotheses.joints.kinds]
     parameters = np.array(counts, dtype=float) + motion.parameters
     return EvidenceTable(trust, pool, motion, table, parameters, cost + of_motion, held + of_motion, rows)
@@ -121,28 +121,26 @@ def tabulated(
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     """(p + 1, n, h) ln densities across the joints, and (h, n) how much wider than usual a row's noise is."""
     error, direction = (np.ascontiguousarray(np.moveaxis(x, 2, 0)) for x in (pool.seen.error, pool.seen.direction))
-    d, h, n = error.shape
+    d = len(error)
     size = d - pool.moving[:, None]
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
     log_correlation = float(np.log(np.diag(np.linalg.cholesky(noise.correlation))).sum())
-    table = np.zeros((len(noise.left), n, h))
-    squares = np.zeros((h, n))
-    for order, (left, innovation) in enumerate(zip(noise.left, noise.predicted_back(error), strict=True)):
-        scaling = noise.decorrelation / np.sqrt(left)
-        squares = _squares(scaling, innovation)
-        # The direction of motion is not counted here.
-        information = np.where(pool.moving[:, None], _squares(scaling, direction), 1.0)
-        hidden = np.log(np.maximum(information, 1e-12))
-        tails = (noise.dof + size) * np.log1p(squares / (noise.dof + size))
-        table[order] = (peak - 0.5 * (np.log(left).sum() + tails + hidden) - log_correlation).T
+    scaling = noise.decorrelation / np.sqrt(noise.left)[:, None]
+    squares = _squares(scaling, noise.predicted_back(error))
+    # The direction of motion is not counted here.
+    information = np.where(pool.moving[:, None], _squares(scaling, direction), 1.0)
+    hidden = np.log(np.maximum(information, 1e-12))
+    tails = (noise.dof + size) * np.log1p(squares / (noise.dof + size))
+    log_volume = np.log(noise.left).sum(axis=1)[:, None, None]
+    table = (peak - 0.5 * (log_volume + tails + hidden) - log_correlation).transpose(0, 2, 1)
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
-    return table, 1 + (squares - size) / (noise.dof + size)
+    return np.ascontiguousarray(table), 1 + (squares[-1] - size) / (noise.dof + size)
 
 
 def _squares(scaling: Floats, channels: Floats) -> Floats:
-    """(h, n) squared lengths of channels (d, h, n) that a matrix (d, d) scales."""
-    scaled = scaling @ channels.reshape(len(channels), -1)
-    return np.asarray(np.einsum("dk,dk->k", scaled, scaled).reshape(channels.shape[1:]))
+    """(p + 1, h, n) squared lengths of channels (d, h, n) or (p + 1, d, h, n) that matrices (p + 1, d, d) scale."""
+    scaled = scaling @ channels.reshape(*channels.shape[:-2], -1)
+    return np.asarray(np.einsum("pdk,pdk->pk", scaled, scaled).reshape(len(scaled), *channels.shape[-2:]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,11 +37,16 @@ def best_segmentation(
     models = _Models(table, members, paid)
     n = table.log_density.shape[1]
     columns = np.ascontiguousarray((models.best + _length_terms(prior, n)).T) - np.log(kinds)
-    best_before, last = np.zeros(n + 1), np.zeros(n + 1, dtype=np.int64)
-    for row in range(n):
-        score = best_before[: row + 1] + columns[row, : row + 1]
-        start = score.argmax()
-        best_before[row + 1], last[row + 1] = score[start], start
+    # Of the rows before each, in one segment, in up to two, three, ...: as many passes as segments, each at once.
+    best_before = np.full(n + 1, -np.inf)
+    best_before[0] = 0.0
+    while True:
+        scores = columns + best_before[:-1]
+        after = scores.max(axis=1)
+        if np.array_equal(after, best_before[1:]):
+            break
+        best_before[1:] = after
+    last = np.append(0, scores.argmax(axis=1))
     pieces: list[Piece] = []
     end = n
     while end > 0:
@@ -59,6 +64,7 @@ def _length_terms(prior: LengthPrior, n: int) -> Floats:
     lengths = np.maximum(np.arange(n)[None] - np.arange(n)[:, None], 0)
     terms = log_length[lengths]
     terms[:, -1] = log_survival[lengths[:, -1]]
+    terms[np.tril_indices(n, -1)] = -np.inf
     return np.asarray(terms)
 
 

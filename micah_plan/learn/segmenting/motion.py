@@ -12,11 +12,13 @@ All hypotheses are filtered together over all rows; the parameters are fitted to
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.learn.joints.least_norm import least_norm
+from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.pool import Pool
 
 Floats = NDArray[np.float64]
@@ -27,6 +29,7 @@ _EXPLAINED = 0.5  # ρ with actions
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _EXPECTATION_STEPS = 6
 _FEWEST_ROWS = 12  # to tell an action channel
+_LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothing
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
 _OTHER_SPEED = 0.1
@@ -82,27 +85,18 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
     weight = (used[:, 1:] & used[:, :-1]).T[:, :, None].astype(float)
     enough = np.maximum(weight.sum(axis=(0, 2)), 1.0)
     white = pool.white[members]
-    mean_square = np.maximum(
-        (weight[..., 0].T * np.diff(c, axis=1) ** 2).sum(axis=1) / enough, np.maximum(white * 1e-3, _TINY)
-    )
+    squares = (weight[..., 0].T * (c[:, 1:] - c[:, :-1]) ** 2).sum(axis=1) / enough
+    mean_square = np.maximum(squares, np.maximum(white * 1e-3, _TINY))
     grid = mean_square[:, None] * _STEP_SHARES
     # The last column is the filter of a part that has not moved yet.
-    variances = np.pad(grid, ((0, 0), (0, 1)))
+    variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
     innovations, quiet = _innovations(_signals(c, action), white, pool.renewed[members], variances, scale[members])
-    waiting = _quiet_density(innovations[:, :, -1, 0], quiet[:, :, -1])
-    innovations, quiet = innovations[:, :, :-1], quiet[:, :, :-1]
-    free = innovations[..., 0], innovations[..., 1], quiet, mean_square
+    waiting = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
+    innovations, quiet = innovations[..., :-1], quiet[:, :, :-1]
+    free = innovations[0], innovations[1], quiet, mean_square
     models = [_freely(*free, weight, rest, _directions(c), *_speeds(c, weight, white), waiting)]
     if action is not None:
-        lever = pool.lever[members]
-        along = _led(innovations, quiet, grid, weight, lever[:, :, None], waiting)
-        turned = _led(innovations, quiet, grid, weight, np.broadcast_to(np.eye(3), (len(members), 3, 3)), waiting)
-        # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
-        # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
-        lengths = (np.linalg.norm(one, axis=1) for one in (lever, along.gain))
-        plausible = np.linalg.norm(turned.gain, axis=1) <= _MOST_AMPLIFIED * np.maximum(*lengths)
-        models += [replace(along, allowed=enough >= _FEWEST_ROWS)]
-        models += [replace(turned, allowed=plausible & (enough >= _FEWEST_ROWS))]
+        models += _led(innovations[0], innovations[2:], quiet, grid, weight, pool.lever[members], waiting, enough)
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
     density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
@@ -130,11 +124,11 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
     moving = quiet + variance
     log_rest = np.log(rest) - 0.5 * (np.log(2 * np.pi * quiet) + innovation**2 / quiet)
     log_go = np.log1p(-rest) - 0.5 * (np.log(2 * np.pi * moving) + (innovation - mean) ** 2 / moving)
-    return np.asarray(np.logaddexp(log_rest, log_go))
+    return log_add(log_rest, log_go)
 
 
 def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Innovations (n-1, h, g, k) of signals (h, n, k) and their variances without a step (n-1, h, g)."""
+    """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g)."""
     n, g = signals.shape[1], grid.shape[1]
     noise = (white[:, None] * scale).T[1:, :, None]
     added = grid + renewed[:, None]
@@ -151,7 +145,7 @@ def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, 
     for t in range(1, n):
         np.subtract(rows[t], state, out=innovations[t - 1])
         state += trust[t - 1] * innovations[t - 1]
-    return innovations.transpose(0, 2, 3, 1), ahead - grid + noise
+    return innovations.transpose(1, 0, 2, 3), ahead - grid + noise
 
 
 def _freely(
@@ -177,34 +171,34 @@ def _freely(
     going = resting + 1
     folded = innovation * direction.T[:, :, None]
     mean = (folded * weight).sum(axis=0) / np.maximum((going * weight).sum(axis=0), 1.0)
-    variance = grid.copy()
+    variance, missed = grid, folded - mean * going
+    known, log_quiet = 1 / quiet, np.log(quiet)
     for _ in range(_EXPECTATION_STEPS):
         moving = quiet + variance
-        odds = np.log1p(-rest) - np.log(rest) - 0.5 * (np.log(moving) + (folded - mean * going) ** 2 / moving)
-        odds += 0.5 * (np.log(quiet) + (folded - mean * resting) ** 2 / quiet)
+        odds = log_quiet - np.log(moving) + (missed + mean) ** 2 * known - missed**2 / moving
+        odds = np.log1p(-rest) - np.log(rest) + 0.5 * odds
         share = weight / (1 + np.exp(-np.clip(odds, -500, 500)))
-        weight_go, weight_rest = share / moving, (weight - share) / quiet
-        pull = (weight_go * going * folded + weight_rest * resting * folded).sum(axis=0)
-        mean = pull / np.maximum((weight_go * going**2 + weight_rest * resting**2).sum(axis=0), 1e-300)
-        missed = share * ((folded - mean * going) ** 2 - quiet)
-        variance = np.maximum(missed.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
-    forth = log_step_density(innovation - mean * resting, quiet, mean, variance, rest)
-    back = log_step_density(innovation + mean * resting, quiet, -mean, variance, rest)
+        of_going, of_resting = share / moving * going, (weight - share) * known * resting
+        pull = ((of_going + of_resting) * folded).sum(axis=0)
+        mean = pull / np.maximum((of_going * going + of_resting * resting).sum(axis=0), 1e-300)
+        missed = folded - mean * going
+        square_missed = (share * (missed**2 - quiet)).sum(axis=0)
+        variance = np.maximum(square_missed / np.maximum(share.sum(axis=0), 1e-9), 0.01 * grid)
+    ways = np.array([1.0, -1.0])[:, None, None, None]  # forth and back
+    both = log_step_density(innovation - ways * (mean * resting), quiet, ways * mean, variance, rest)
     # How fast a part is moved belongs to the demonstration and changes: as likely it goes on as it went before.
     speed = np.maximum(mean + trust[:, None] * (np.abs(before)[:, :, None] - mean), _SLOWEST * mean)
-    missed = weight * ((folded - speed * going) ** 2 - quiet)
-    spread = np.maximum(missed.sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0), 0.01 * grid)
-    as_before = log_step_density(innovation - speed * resting, quiet, speed, spread, rest)
-    back_as_before = log_step_density(innovation + speed * resting, quiet, -speed, spread, rest)
+    square_missed = (weight * ((folded - speed * going) ** 2 - quiet)).sum(axis=0)
+    spread = np.maximum(square_missed / np.maximum(weight.sum(axis=0), 1.0), 0.01 * grid)
+    as_before = log_step_density(innovation - ways * (speed * resting), quiet, ways * speed, spread, rest)
     # Or it changes at once.
     other = _quiet_density(innovation, quiet + square[:, None]) + np.log(_OTHER_SPEED)
-    share = np.log(0.5 * (1 - _OTHER_SPEED))
-    forth = np.logaddexp(np.logaddexp(forth, as_before) + share, other)
-    back = np.logaddexp(np.logaddexp(back, back_as_before) + share, other)
-    best = np.argmax((np.maximum(forth, back) * weight).sum(axis=0), axis=1)
+    both = log_add(log_add(both, as_before) + np.log(0.5 * (1 - _OTHER_SPEED)), other)
+    best = np.argmax((both.max(axis=0) * weight).sum(axis=0), axis=1)
     at = np.arange(len(best))
     sure = np.ones(len(best), dtype=bool)
-    return _StepModel(forth[:, at, best], back[:, at, best], waiting, np.zeros((len(best), 3)), 2.0, sure)
+    forth, back = both[:, :, at, best]
+    return _StepModel(forth, back, waiting, np.zeros((len(best), 3)), 2.0, sure)
 
 
 def _either(densities: list[Floats], begun: bool) -> Floats:
@@ -219,15 +213,14 @@ def _either(densities: list[Floats], begun: bool) -> Floats:
     turned = np.array([[1 - _TURNING, _TURNING], [_TURNING, 1 - _TURNING]])
     change = np.zeros((3, 3))
     change[:2, :2], change[:2, 2], change[2, 2] = turned, 0.5 * _STARTING, 1 - _STARTING
-    chance = np.broadcast_to(
-        np.array([[0.5], [0.5], [0.0]] if begun else [[0.25], [0.25], [0.5]]), likelihood.shape[1:]
-    )
-    totals = np.empty((len(states), likelihood.shape[2]))
-    for t, likely in enumerate(likelihood):
-        weight = np.maximum(chance, 1e-300) * likely
-        total = weight.sum(axis=0, out=totals[t])
-        chance = change @ (weight / total)
-    return np.asarray(highest + np.log(totals).reshape(highest.shape))
+    chance = np.array([[0.5], [0.5], [0.0]] if begun else [[0.25], [0.25], [0.5]])
+    # The last row of a step's product is the total, by which the chances of the next one are divided.
+    change_and_total = np.concatenate([change, np.ones((1, 3))])
+    after = np.empty((len(states), 4, likelihood.shape[2]))
+    for likely, result in zip(likelihood, after, strict=True):
+        np.matmul(change_and_total, np.maximum(chance, 1e-300) * likely, out=result)
+        chance = result[:3] / result[3]
+    return np.asarray(highest + np.log(after[:, 3]).reshape(highest.shape))
 
 
 def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:
@@ -254,19 +247,40 @@ def _directions(c: Floats) -> Floats:
 
 
 def _led(
-    innovations: Floats, quiet: Floats, grid: Floats, weight: Floats, basis: Floats, waiting: Floats
-) -> _StepModel:
-    """h in the span of bases (h, 3, k) for every E[w²] of the grid, the best of them."""
-    inverse = weight / (quiet + grid)
-    commanded = innovations[..., 2:] @ basis
-    turned = commanded.transpose(1, 2, 3, 0)
-    normal = (turned * inverse.transpose(1, 2, 0)[:, :, None]) @ turned.swapaxes(2, 3)
-    pull = np.einsum("thgi,thg->hgi", commanded, innovations[..., 0] * inverse)
-    gain = (np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ pull[..., None])[..., 0]
-    left = innovations[..., 0] - np.einsum("thgk,hgk->thg", commanded, gain)
+    own: Floats,
+    commanded: Floats,
+    quiet: Floats,
+    grid: Floats,
+    weight: Floats,
+    lever: Floats,
+    waiting: Floats,
+    enough: Floats,
+) -> list[_StepModel]:
+    """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
+
+    Args:
+        own, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
+        enough: (h,) how many steps there are to tell from.
+    """
+    pushes = commanded.transpose(2, 3, 0, 1)
+    weighted = pushes * (weight / (quiet + grid)).transpose(1, 2, 0)[:, :, None]
+    normal = weighted @ pushes.swapaxes(2, 3)
+    pull = (weighted @ own.transpose(1, 2, 0)[..., None])[..., 0]
+    information = np.einsum("hi,hgij,hj->hg", lever, normal, lever)
+    strength = np.einsum("hi,hgi->hg", lever, pull) / np.where(information > 0, information, 1.0)
+    gains = np.stack([strength[..., None] * lever[:, None], least_norm(normal, pull, _LEAST_INFORMATION)])
+    left = own - (gains[..., None, :] @ pushes)[..., 0, :].transpose(0, 3, 1, 2)
     led = log_step_density(left, quiet, np.zeros(1), grid / (1 - _EXPLAINED), _EXPLAINED)
-    best = np.argmax((led * weight).sum(axis=0), axis=1)
-    at = np.arange(len(best))
-    density = led[:, at, best]
-    full = np.einsum("hak,hk->ha", basis, gain[at, best])
-    return _StepModel(density, density, waiting, full, 2.0 + basis.shape[2], np.ones(len(best), dtype=bool))
+    best = np.argmax((led * weight).sum(axis=1), axis=2)
+    at = np.arange(len(lever))
+    along, turned = (gains[i, at, one] for i, one in enumerate(best))
+    # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
+    # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
+    lengths = np.sqrt(np.sum(np.stack([lever, along, turned]) ** 2, axis=2))
+    plausible = lengths[2] <= _MOST_AMPLIFIED * np.maximum(lengths[0], lengths[1])
+    told = enough >= _FEWEST_ROWS
+    densities = [led[i][:, at, one] for i, one in enumerate(best)]
+    return [
+        _StepModel(densities[0], densities[0], waiting, along, 3.0, told),
+        _StepModel(densities[1], densities[1], waiting, turned, 5.0, told & plausible),
+    ]

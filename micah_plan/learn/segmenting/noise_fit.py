@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ _WHITE_SHARES = np.array([0.1, 0.3, 0.6, 1.0, 1.5])  # candidate stds, in those 
 # A smooth error that is large against the roughness of the rows is no tracker's: it is motion that a joint misses.
 _FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 _FAST_DURATIONS = np.array([1 / 100, 1 / 30])  # candidate correlation times of the fast wander, in runs
+_CANDIDATES = np.array(list(product(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS))).T
 _DOFS = (8.0, 30.0)
 _ITERATIONS = 3
 
@@ -50,23 +52,22 @@ def refitted_noise(errors: Floats, along: Floats, free: Floats, settings: LearnS
     n, d = errors.shape
     order = min(MEMORY, n - 1)
     rough = _rough(errors[1:-1] - 0.5 * (errors[:-2] + errors[2:]))
-    white_shares, fast_shares, durations = (
-        grid.ravel() for grid in np.meshgrid(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS, indexing="ij")
-    )
+    white_shares, fast_shares, durations = _CANDIDATES
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)
-    white, fast, kept = np.zeros(d), np.zeros(d), np.zeros(d)
-    past = np.stack([np.concatenate([np.zeros((lag, d)), errors[: n - lag]]) for lag in range(order + 1)])
-    for i in range(d):
-        whites = np.maximum(white_shares * rough[i], _finest(d)[i]) ** 2
-        fasts = (fast_shares * rough[i]) ** 2
-        coefficients, left = predictors(whites, fasts, np.full(len(whites), slow[i]), fast_kept, slow_kept, order)
-        innovation = past[0, :, i] - coefficients[-1].T @ past[1:, :, i]
-        variance = left[-1][:, None]
-        density = -0.5 * np.log(variance) - 4.5 * np.log1p(innovation**2 / variance / 9.0)
-        best = int(np.argmax(density.sum(axis=1)))
-        white[i], fast[i], kept[i] = whites[best], fasts[best], fast_kept[best]
-    model = _model(white, fast, kept, np.eye(d), 8.0, n, settings)
+    # Candidates (d, m) of all channels at once.
+    whites = np.maximum(white_shares * rough[:, None], _finest(d)[:, None]) ** 2
+    fasts, kept = (fast_shares * rough[:, None]) ** 2, np.tile(fast_kept, d)
+    slows = np.repeat(slow, len(fast_kept))
+    coefficients, left = predictors(whites.ravel(), fasts.ravel(), slows, kept, slow_kept, order)
+    past = np.zeros((d, order, n))
+    for lag in range(1, order + 1):
+        past[:, lag - 1, lag:] = errors[: n - lag].T
+    innovation = errors.T[:, None] - coefficients[-1].reshape(order, d, -1).transpose(1, 2, 0) @ past
+    variance = left[-1].reshape(d, -1, 1)
+    density = -0.5 * np.log(variance) - 4.5 * np.log1p(innovation**2 / variance / 9.0)
+    best, every = density.sum(axis=2).argmax(axis=1), np.arange(d)
+    model = _model(whites[every, best], fasts[every, best], fast_kept[best], np.eye(d), 8.0, n, settings)
     correlation, dof = _correlated(model.whitened(across, order), free / np.sqrt(model.left[-1]))
     return replace(model, correlation=correlation, dof=dof)
 
@@ -91,23 +92,23 @@ def _correlated(innovation: Floats, free: Floats) -> tuple[Floats, float]:
     """
     n, d = innovation.shape
     moving = free.any(axis=1)
-    size = d - moving
+    size, peaks = d - moving, np.array([moving.sum(), n - moving.sum()])
     matrix = np.eye(d)
     found = []
     for dof in _DOFS:
         for _ in range(_ITERATIONS):
             inverse = np.linalg.inv(matrix)
-            squares = np.einsum("ti,ij,tj->t", innovation, inverse, innovation)
+            squares = np.einsum("ti,ti->t", innovation @ inverse, innovation)
             weight = (dof + size) / (dof + size + squares)
-            hidden = np.einsum("ti,ij,tj->t", free, inverse, free)
+            hidden = np.einsum("ti,ti->t", free @ inverse, free)
             level = np.sqrt(np.mean(squares / size) / np.maximum(hidden, 1e-300))
             filled = free * (level * moving)[:, None]
             covariance = (innovation * weight[:, None]).T @ innovation + filled.T @ filled + (d + 2) * np.eye(d)
             std = np.sqrt(np.diag(covariance))
             matrix = covariance / std[:, None] / std
-        squares = np.einsum("ti,ij,tj->t", innovation, np.linalg.inv(matrix), innovation)
+        squares = np.einsum("ti,ti->t", innovation @ np.linalg.inv(matrix), innovation)
         score = -0.5 * n * np.linalg.slogdet(matrix)[1] - 0.5 * ((dof + size) * np.log1p(squares / (dof + size))).sum()
-        found.append((float(score + sum(log_peak(int(k), dof) for k in size)), matrix, dof))
+        found.append((float(score + peaks @ [log_peak(d - 1, dof), log_peak(d, dof)]), matrix, dof))
     _, matrix, dof = max(found, key=lambda one: one[0])
     return matrix, dof
 

@@ -31,12 +31,22 @@ _DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of thes
 _WIDTHS = np.array([1.0] * 12 + [0.1])
 
 
-def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> Floats:
-    """(h,) cost of the hypotheses' parameters on the rows that they were fitted to [nats].
+def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> tuple[Floats, Floats]:
+    """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats].
 
     Args:
         trust: power of the likelihood.
+
+    Returns:
+        the cost, and that of a joint which may hold the part on the way of another one of the pool.
     """
+    denied = _denied(pool, noise)
+    free = _parameter_cost(pool, track, noise, trust) + denied
+    return free, _held_cost(free, denied, pool, noise, trust)
+
+
+def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> Floats:
+    """(h,) how much narrower the rows make the parameters than their prior, and what is believed of joints before."""
     joints, used = pool.hypotheses.joints, pool.hypotheses.used
     count = np.maximum(used.sum(axis=1), 1)
     # Evenly spaced ones among the used rows.
@@ -48,17 +58,17 @@ def parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float
         pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index]
     )
     design = parameter_design(joints, seen, track.position[index])
-    scaled = design * np.sqrt(noise.information_share)[:, None] * _WIDTHS
-    flat = (noise.decorrelation / np.sqrt(noise.left[-1])) @ scaled
-    flat = flat.reshape(len(joints), -1, flat.shape[3])
+    scaled = design * (np.sqrt(noise.information_share)[:, None, None] * _WIDTHS)
+    size = scaled.shape[1]
+    flat = (noise.decorrelation / np.sqrt(noise.left[-1])) @ scaled.reshape(len(joints), size, -1)
+    flat = flat.reshape(len(joints), -1, scaled.shape[3])
     information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    rare = RARE_SCREW * joints.twisting + _denied(pool, noise)
-    return np.asarray(far + rare + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
+    return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
 
 
-def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
+def _held_cost(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
     """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
 
     Given the joint, the pose has only its configuration free, and the slow wander across it.
@@ -66,7 +76,7 @@ def held_cost(cost: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floa
     used = pool.hypotheses.used
     n = used.shape[1]
     joints = np.flatnonzero(pool.moving & (used.sum(axis=1) >= n / _HELD_SHARE))
-    result, denied = cost.copy(), _denied(pool, noise)
+    result = cost.copy()
     if not len(joints) or pool.moving.all():
         return result
     reach = np.ptp(pool.seen.configuration[joints], axis=1)
@@ -112,7 +122,8 @@ def _span(used: Bools, values: Floats) -> Floats:
     inside = used[:, None] & (block[:, None] == np.arange(_BLOCKS)[:, None])
     count = inside.sum(axis=2)[..., None]
     means = inside @ values / np.maximum(count, 1)
-    return np.asarray(np.ptp(np.where(count > 0, means, means[:, :1]), axis=1))
+    means = np.where(count > 0, means, means[:, :1])
+    return np.asarray(means.max(axis=1) - means.min(axis=1))
 
 
 def parameter_count(kind: JointKind, has_orientation: bool) -> int:

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from micah_plan.learn.joints.comparison import Compared, compare_arrays
 from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.joints.least_norm import least_norm
+from micah_plan.learn.joints.quaternions import cross_matrix
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
 
@@ -32,26 +34,25 @@ def fit_likelihood(
     if not len(joints):
         return joints
     order = _known_before(used, min(_ORDER, len(noise.left) - 1))
-    scale = np.where(used[:, :, None], 1 / np.sqrt(noise.left[order]), 0.0)
-    coefficients = noise.coefficients[order, : order.max()]
+    # Channels before rows: then one product of matrices per joint makes them independent.
+    scale = np.where(used[:, None], 1 / np.sqrt(noise.left[order]).transpose(0, 2, 1), 0.0)
+    coefficients = noise.coefficients[order, : order.max()].transpose(2, 0, 3, 1)
     seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
     damping = np.full(len(joints), 1e-6)
     for _ in range(iterations):
         design = parameter_design(joints, seen, track.position)
-        size = design.shape[2]
+        size = design.shape[1]
         columns = _whitened(design, coefficients[..., None], scale[..., None])
-        # Channels first: then one product of matrices per joint makes them independent.
-        columns = noise.decorrelation @ columns.transpose(0, 2, 1, 3).reshape(len(joints), size, -1)
-        weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=2))
-        rows = columns.reshape(len(joints), -1, design.shape[3])
-        weighted = (rows * np.tile(weight, (1, size))[..., None]).transpose(0, 2, 1)
-        information = weighted @ rows
-        pull = weighted @ innovation.transpose(0, 2, 1).reshape(len(joints), -1, 1)
-        diagonal = np.einsum("hii->hi", information)
-        damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(design.shape[3])
-        step = (np.linalg.pinv(damped, rcond=_GAUGE, hermitian=True) @ pull)[..., 0]
-        step = np.clip(np.nan_to_num(step), -1.0, 1.0)
+        columns = noise.decorrelation @ columns.reshape(len(joints), size, -1)
+        weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=1))
+        rows = columns.reshape(design.shape)
+        weighted = (rows * weight[:, None, :, None]).reshape(len(joints), -1, design.shape[3]).transpose(0, 2, 1)
+        damped = weighted @ rows.reshape(len(joints), -1, design.shape[3])
+        pull = (weighted @ innovation.reshape(len(joints), -1, 1))[..., 0]
+        diagonal = np.einsum("hii->hi", damped)
+        diagonal += damping[:, None] * diagonal
+        step = np.clip(np.nan_to_num(least_norm(damped, pull, _GAUGE)), -1.0, 1.0)
         trial = joints.moved(step)
         after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
         trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
@@ -67,7 +68,7 @@ def fit_likelihood(
 
 
 def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
-    """(h, n, d, 13) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
+    """(h, d, n, 13) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
 
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
@@ -78,49 +79,55 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     axis, turning = joints.axis, joints.turning
     angle = np.where(turning[:, None], c, 0.0)
     slide = np.where(turning[:, None], joints.pitch[:, None] * c, c)
-    cross = _skew(axis)
+    cross = cross_matrix(axis)
     sine, versine = np.sin(angle)[..., None, None], (1 - np.cos(angle))[..., None, None]
     turn = np.eye(3) + sine * cross[:, None] + versine * (cross @ cross)[:, None]
-    design = np.zeros((h, n, 6, 13))
-    design[:, :, :3, :3] = design[:, :, 3:, 3:6] = np.eye(3)
-    design[:, :, 3:, :3] = -_skew(points)
-    design[:, :, 3:, 9:12] = turn
+    # Rows first while it is filled.
+    design = np.zeros((h, 6, n, 13))
+    by_rows = design.swapaxes(1, 2)
+    by_rows[:, :, :3, :3] = by_rows[:, :, 3:, 3:6] = np.eye(3)
+    by_rows[:, :, 3:, :3] = cross_matrix(-points)
+    by_rows[:, :, 3:, 9:12] = turn
     if d == 6:
         # A part-side turn moves the point by (motion's rotation of ω) × (point - motion's translation).
         center = joints.center[:, None]
         shift = center - np.einsum("htij,hj->hti", turn, joints.center) + slide[..., None] * axis[:, None]
-        design[:, :, :3, 6:9] = turn
-        design[:, :, 3:, 6:9] = -_skew(points - shift) @ turn
+        by_rows[:, :, :3, 6:9] = turn
+        by_rows[:, :, 3:, 6:9] = cross_matrix(shift - points) @ turn
     # For a rigid part both sides say the same.
     design[~joints.moving, :, :, 6:] = 0.0
-    design[:, :, 3:, 12] = np.where(joints.twisting[:, None], c, 0.0)[..., None] * axis[:, None]
-    design = design[:, :, 6 - d :]
-    along = seen.direction / np.maximum(np.linalg.norm(seen.direction, axis=2, keepdims=True), 1e-12)
-    return np.asarray(design - along[..., None] * np.einsum("htk,htki->hti", along, design)[:, :, None])
+    by_rows[:, :, 3:, 12] = np.where(joints.twisting[:, None], c, 0.0)[..., None] * axis[:, None]
+    design = design[:, 6 - d :]
+    length = np.sqrt(np.einsum("htk,htk->ht", seen.direction, seen.direction))
+    along = (seen.direction / np.maximum(length, 1e-12)[..., None]).transpose(0, 2, 1)[..., None]
+    design -= along * (along * design).sum(axis=1, keepdims=True)
+    return design
 
 
 def _known_before(used: Bools, most: int) -> Ints:
     """(h, n) how many rows directly before a row are used, up to `most`."""
     order = np.zeros(used.shape, dtype=np.int64)
-    for t in range(1, used.shape[1]):
-        order[:, t] = np.where(used[:, t - 1], np.minimum(order[:, t - 1] + 1, most), 0)
+    unbroken = np.ones(used.shape, dtype=bool)
+    for back in range(1, most + 1):
+        unbroken[:, :back] = False
+        unbroken[:, back:] &= used[:, :-back]
+        order += unbroken
     return order
 
 
 def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
-    """Values (h, n, d, ...) less their prediction from the rows before, in stds."""
-    left = values.copy()
-    for lag in range(1, coefficients.shape[2] + 1):
-        left[:, lag:] -= coefficients[:, lag:, lag - 1] * values[:, :-lag]
-    left *= scale
+    """Values (h, d, n, ...) less their prediction from the rows before, in stds."""
+    left = values * scale
+    for lag, coefficient in enumerate(coefficients, start=1):
+        left[:, :, lag:] -= (coefficient * scale)[:, :, lag:] * values[:, :, :-lag]
     return left
 
 
 def _innovations(error: Floats, coefficients: Floats, scale: Floats, noise: NoiseModel) -> tuple[Floats, Floats]:
-    """(h, n, d) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
-    innovation = _whitened(error, coefficients, scale) @ noise.decorrelation.T
-    size = innovation.shape[2]
-    cost = 0.5 * (noise.dof + size) * np.log1p((innovation**2).sum(axis=2) / (noise.dof + size)).sum(axis=1)
+    """(h, d, n) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
+    innovation = noise.decorrelation @ _whitened(error.transpose(0, 2, 1), coefficients, scale)
+    size = innovation.shape[1]
+    cost = 0.5 * (noise.dof + size) * np.log1p((innovation**2).sum(axis=1) / (noise.dof + size)).sum(axis=1)
     return innovation, cost
 
 
@@ -131,11 +138,3 @@ def _chosen(condition: Bools, first: Compared, second: Compared) -> Compared:
         np.where(wide[..., None], first.error, second.error),
         np.where(wide[..., None], first.direction, second.direction),
     )
-
-
-def _skew(vectors: Floats) -> Floats:
-    """(..., 3, 3) matrices of the cross products with vectors (..., 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)]
-    return np.stack(rows, axis=-2)

@@ -1,0 +1,20 @@
+"""Small symmetric systems, many at once, without the overhead of the general pseudo-inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def least_norm(normal: Floats, pull: Floats, least: float) -> Floats:
+    """(..., k) x of least norm with normal x = pull, for symmetric positive normal (..., k, k) and pull (..., k).
+
+    Args:
+        least: information, relative to that of the best known direction, below which x is 0.
+    """
+    values, vectors = np.linalg.eigh(normal)
+    known = values > least * values[..., -1:]
+    along = (vectors.swapaxes(-1, -2) @ pull[..., None])[..., 0] * known / np.where(known, values, 1.0)
+    return np.asarray((vectors @ along[..., None])[..., 0])
