@@ -16,9 +16,6 @@ OBJECTS = ("microwave", "drawer", "cabinet", "stapler", "box")
 PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))
 # Domains of the literature, whose walls and lights are no mechanism.
 WITHOUT_PHYSICS = ("light_dark.yaml", "walled_domain.yaml")
-# Held objects hit the scene more often in closed loop on the nominal plant than roll-outs predict (a known shortcoming,
-# see docs/concepts/contacts.md); of 20.
-HELD = {"stapler_on_books.yaml": 16, "foot_under_shelf.yaml": 14}
 WITHOUT_A_PLAN = "slot_unsure.yaml"  # on purpose: it shows what `explain` says
 
 
@@ -90,5 +87,4 @@ def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_phys
     nominal = workflow.execute(problem, plan, trials=20)
     # As often as the confidence lets expect, within two and a half standard errors.
     p = problem.settings.confidence
-    expected = HELD.get(name, 20 * (p - 2.5 * np.sqrt(p * (1 - p) / 20)))
-    assert nominal.successes >= expected, nominal.failures
+    assert nominal.successes >= 20 * (p - 2.5 * np.sqrt(p * (1 - p) / 20)), nominal.failures

@@ -13,10 +13,9 @@ from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.follower import Advice, PlanFollower
 from micah_plan.execution.log import RunLog
-from micah_plan.execution.plant import Measurement, Plant
+from micah_plan.execution.plant import Command, Measurement, Plant
 from micah_plan.execution.pose import command, configuration
 from micah_plan.execution.scoring import goal_error, goal_probability, true_state
-from micah_plan.planning.limits import limits_of
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.verification import is_in_goal
@@ -75,9 +74,9 @@ def execute(
 ) -> TrialResult:
     """Carry out a plan on a plant.
 
-    Every step measures the poses, updates the belief, and applies the plan's feedback. It stops when the plan is
-    carried out and the belief is in the goal set with the problem's confidence: stopping earlier ends at its edge. A
-    new plan is asked for where the belief leaves it, a transition does not happen, or it ends short of the goal.
+    Every step measures the poses, updates the belief, and applies the plan's feedback. It stops when the plan is done
+    and the belief is in the goal set with the problem's confidence: stopping earlier ends at its edge. A new plan is
+    asked for where a belief leaves it, misses a transition or ends short of the goal; where none leads on, it stops.
 
     Args:
         problem: automaton, start belief, goal, confidence and input limits.
@@ -91,18 +90,17 @@ def execute(
     """
     automaton = problem.automaton
     longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
-    pilot = _Pilot(problem, trajectory, replan, continue_plan)
-    log = RunLog(automaton)
-    prior = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
+    log, pilot = RunLog(automaton), _Pilot(problem, trajectory, replan, continue_plan)
     measurement = plant.reset(rng)
+    prior = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
     beliefs = [_updated(automaton, prior, measurement)]
     confidence = goal_probability(automaton, problem.goal, beliefs[-1])
-    while len(beliefs) <= longest:
-        belief, number = beliefs[-1], beliefs[-1].most_likely
+    while len(beliefs) <= longest and not pilot.is_lost:
+        belief = beliefs[-1]
         if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
             break
         u = pilot.input(belief)
-        order = command(automaton, automaton.modes[number].name, belief.means[number], u)
+        order = _order(automaton, belief, u)
         log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
         measurement = plant.apply(order)
         beliefs.append(_updated(automaton, predict(automaton, belief, u), measurement))
@@ -112,7 +110,7 @@ def execute(
     return TrialResult(
         recording=log.recording(run),
         success=is_in_goal(problem.goal, mode, x),
-        reason=_reason(problem, confidence, mode, x, len(beliefs) - 1),
+        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x),
         final_error=goal_error(problem.goal, x),
         final_mode=mode,
         final_x=x,
@@ -130,8 +128,7 @@ class _Pilot:
     def __init__(
         self, problem: Problem, trajectory: Trajectory, replan: Replan | None, continue_plan: ContinuePlan | None
     ) -> None:
-        self._automaton = problem.automaton
-        self._max_step = limits_of(problem).max_step
+        self._problem = problem
         self._replan = replan
         self._continue_plan = continue_plan
         self._every = problem.settings.replan_every
@@ -140,7 +137,9 @@ class _Pilot:
         self._asked = 0
         self.replans = 0
         self.continuations = 0
-        self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
+        self.is_lost = False
+        """Whether the belief has left the plan for good: none of the new plans asked for leads on."""
+        self._follower = PlanFollower(self._problem, trajectory)
 
     def is_finished(self, belief: HybridBelief) -> bool:
         """Whether the plan that is followed has no further steps for this belief."""
@@ -154,6 +153,9 @@ class _Pilot:
         self._waited = 0 if advice.fit == "on_plan" else self._waited + 1
         if not self._wants_replan(advice) or self._replan is None:
             return advice.u
+        if self._asked == _MOST_REPLANS:
+            self.is_lost = advice.fit in ("lagging", "off_plan")
+            return advice.u
         self._asked += 1
         self._waited = 0
         fresh = self._replan(belief)
@@ -164,7 +166,7 @@ class _Pilot:
         return self._follower.advise(belief).u
 
     def _follow(self, trajectory: Trajectory) -> None:
-        self._follower = PlanFollower(self._automaton, trajectory, self._max_step)
+        self._follower = PlanFollower(self._problem, trajectory)
         self._followed = 0
 
     def _look_ahead(self, belief: HybridBelief) -> None:
@@ -179,9 +181,12 @@ class _Pilot:
             self._follow(fresh)
 
     def _wants_replan(self, advice: Advice) -> bool:
-        if self._asked == _MOST_REPLANS or advice.fit == "on_plan":
-            return False
-        return advice.fit == "off_plan" or self._waited > _PATIENCE
+        return advice.fit in ("strayed", "off_plan") or self._waited > _PATIENCE
+
+
+def _order(automaton: HybridAutomaton, belief: HybridBelief, u: Floats) -> Command:
+    mode = automaton.modes[belief.most_likely].name
+    return command(automaton, mode, belief.means[belief.most_likely], u)
 
 
 def _updated(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measurement) -> HybridBelief:
@@ -192,13 +197,18 @@ def _updated(automaton: HybridAutomaton, belief: HybridBelief, measurement: Meas
     return update(automaton, belief, z)
 
 
-def _reason(problem: Problem, confidence: float, mode: str, x: Floats, steps: int) -> str:
-    stopped = confidence >= problem.settings.confidence
-    ending = (
-        f"stopped with probability {confidence:.3f} of the goal"
-        if stopped
-        else f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
-    )
+def _ending(problem: Problem, pilot: _Pilot, beliefs: list[HybridBelief], confidence: float) -> str:
+    """Why the execution ended."""
+    if confidence >= problem.settings.confidence:
+        return f"stopped with probability {confidence:.3f} of the goal"
+    steps = len(beliefs) - 1
+    if pilot.is_lost:
+        mode = problem.automaton.modes[beliefs[-1].most_likely].name
+        return f"stopped after {steps} steps, believed {mode}: the plan was left there and no new one leads on"
+    return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
+
+
+def _reason(problem: Problem, ending: str, mode: str, x: Floats) -> str:
     if is_in_goal(problem.goal, mode, x):
         return ending
     misses = [

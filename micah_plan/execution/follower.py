@@ -9,19 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.transition import step
+from micah_plan.automaton.transition import Step, step
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.pose import input_towards
-from micah_plan.planning.limits import limited_input
+from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input
+from micah_plan.planning.problem import Problem
+from micah_plan.planning.verification import is_in_goal
 
 Floats = NDArray[np.float64]
-Fit = Literal["on_plan", "lagging", "finished", "off_plan"]
+Fit = Literal["on_plan", "strayed", "lagging", "finished", "off_plan"]
 
 # A belief further from its knot than this happens once in 100,000 steps if the model is right (4.4 sigma in 1-D).
 _OFF_PLAN_PROBABILITY = 1e-5
+_NO_MOTION = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +31,9 @@ class Advice:
 
     Attributes:
         u: (m,) the input to apply, within the limits.
-        fit: ``"on_plan"``; ``"lagging"``: a planned transition has not happened yet, u works towards it;
-            ``"finished"``: the last knot was reached, u holds it; ``"off_plan"``: the belief has left the plan.
+        fit: ``"on_plan"``; ``"strayed"``: in the planned mode, but far from the knot; ``"lagging"``: a planned
+            transition was missed, u works towards it; ``"finished"``: the last knot was reached, u holds it;
+            ``"off_plan"``: the plan does not lead through this mode.
     """
 
     u: Floats
@@ -39,12 +41,17 @@ class Advice:
 
 
 class PlanFollower:
-    """Walks along one trajectory, a knot per call, waiting where a transition is late."""
+    """Walks along one trajectory, a knot per call, as the roll-outs of its verification do.
 
-    def __init__(self, automaton: HybridAutomaton, trajectory: Trajectory, max_step: Floats) -> None:
-        self._automaton = automaton
+    A belief in another mode than the knot's may still be on its way: transitions come a little earlier or later than
+    planned, and that a plan passes a guard by more than once is what makes them sure. So the plan goes on as long as
+    its rest takes the estimate to the goal; where it does not, the last transition is worked towards again.
+    """
+
+    def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
+        self._problem, self._automaton = problem, problem.automaton
         self._trajectory = trajectory
-        self._max_step = max_step
+        self._max_step = limits_of(problem).max_step
         self._knot = 0
 
     def advise(self, belief: HybridBelief) -> Advice:
@@ -52,18 +59,15 @@ class PlanFollower:
         plan = self._trajectory
         number = belief.most_likely
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
-        self._align(mode)
-        knot = self._knot
+        self._skip_transitions()
+        knot, agrees = self._knot, mode == plan.modes[self._knot]
         if knot == len(plan.inputs):
-            if mode == plan.modes[knot]:
+            if agrees:
                 return Advice(self._settle(belief, knot), "finished")
-        else:
-            u = self._limited(mode, estimate, feedback_input(plan, knot, estimate))
-            agrees = mode == plan.modes[knot]
-            if agrees or step(self._automaton, mode, estimate, u, np.zeros_like(estimate)).mode == plan.modes[knot]:
-                self._knot += 1
-                strayed = agrees and self._strayed(belief, knot)
-                return Advice(u, "off_plan" if strayed else "on_plan")
+        elif agrees or self._still_arrives(mode, estimate):
+            self._knot += 1
+            strayed = agrees and self._strayed(belief, knot)
+            return Advice(self._planned(mode, estimate, knot), "strayed" if strayed else "on_plan")
         earlier = [k for k in range(knot) if plan.modes[k] == mode]
         if earlier:
             return Advice(self._towards(mode, estimate, earlier[-1]), "lagging")
@@ -77,25 +81,28 @@ class PlanFollower:
     def is_finished(self, belief: HybridBelief) -> bool:
         """Whether the plan has no further steps for this belief."""
         mode = self._automaton.modes[belief.most_likely].name
-        self._align(mode)
+        self._skip_transitions()
         return self._knot == len(self._trajectory.inputs) and mode == self._trajectory.modes[-1]
 
-    def _align(self, mode: str) -> None:
-        """Move on to the knot that the next input belongs to."""
-        self._skip_transitions()
-        self._catch_up_with(mode)
-
     def _skip_transitions(self) -> None:
+        """Move on to the knot that the next input belongs to."""
         while self._knot < len(self._trajectory.inputs) and self._trajectory.is_transition[self._knot]:
             self._knot += 1
 
-    def _catch_up_with(self, mode: str) -> None:
-        """If the object is already in a mode that the plan enters later, go on from there."""
-        plan = self._trajectory
-        if mode != plan.modes[self._knot] and mode not in plan.modes[: self._knot]:
-            later = [k for k in range(self._knot, len(plan.modes)) if plan.modes[k] == mode]
-            self._knot = later[0] if later else self._knot
-            self._skip_transitions()
+    def _still_arrives(self, mode: str, estimate: Floats) -> bool:
+        """Whether the rest of the plan, with its feedback and without noise, takes a state to the goal."""
+        plan, x = self._trajectory, estimate
+        for knot in range(self._knot, len(plan.inputs)):
+            if not plan.is_transition[knot]:
+                after = self._undisturbed(mode, x, self._planned(mode, x, knot))
+                mode, x = after.mode, after.x
+        return is_in_goal(self._problem.goal, mode, x)
+
+    def _undisturbed(self, mode: str, x: Floats, u: Floats) -> Step:
+        return step(self._automaton, mode, x, u, np.zeros_like(x))
+
+    def _planned(self, mode: str, estimate: Floats, knot: int) -> Floats:
+        return self._limited(mode, estimate, feedback_input(self._trajectory, knot, estimate))
 
     def _strayed(self, belief: HybridBelief, knot: int) -> bool:
         """Whether the estimate is further from the knot than plan and belief together allow (Mahalanobis distance)."""
@@ -110,7 +117,8 @@ class PlanFollower:
     def _settle(self, belief: HybridBelief, knot: int) -> Floats:
         """The input at the end of the plan: repeat the last transition as long as it may not have happened, or hold.
 
-        A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is.
+        A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is. Where the
+        press would move what reached its goal, it is not repeated.
         """
         plan, number = self._trajectory, belief.most_likely
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
@@ -120,15 +128,17 @@ class PlanFollower:
             earlier = [k for k in range(knot) if plan.modes[k] == other]
             if earlier:
                 again = self._towards(other, belief.means[doubted], earlier[-1])
-                if step(self._automaton, mode, estimate, again, np.zeros_like(estimate)).mode == mode:
+                after = self._undisturbed(mode, estimate, again)
+                if after.mode == mode and np.allclose(after.x, estimate, rtol=0.0, atol=_NO_MOTION):
                     return again
         return self._towards(mode, estimate, knot)
 
     def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
-        """The input towards a knot; what the mode holds is not pulled at, which could release it."""
+        """The smallest input that brings what the mode moves closest to a knot; what it holds is not pulled at."""
+        effect = np.array(self._automaton.mode(mode).B)
         away = self._trajectory.means[knot] - estimate
-        away[[pin.coordinate for pin in self._automaton.mode(mode).pins]] = 0.0
-        return self._limited(mode, estimate, input_towards(self._automaton, mode, away))
+        u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
+        return self._limited(mode, estimate, np.asarray(u, dtype=float))
 
     def _limited(self, mode: str, estimate: Floats, u: Floats) -> Floats:
         return limited_input(self._automaton.mode(mode), estimate, u, self._max_step)

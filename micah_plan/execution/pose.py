@@ -92,11 +92,6 @@ def input_effect(automaton: HybridAutomaton, mode: str) -> Floats:
     return np.array(rows).reshape(automaton.n, automaton.m)
 
 
-def input_towards(automaton: HybridAutomaton, mode: str, away: Floats) -> Floats:
-    """(m,) the smallest input that brings x closest to x + away (n,) [rad or m]."""
-    return np.asarray(np.linalg.pinv(input_effect(automaton, mode)) @ away)
-
-
 def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Command:
     """The command that moves the model's parts from x (n,) by the input u (m,): a = f(x + B u) - f(x)."""
     joints = moving_joints(automaton, mode)

@@ -21,6 +21,7 @@ from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.replanning import believed_problem, rest_of
 from micah_plan.planning.start_state import start_mode
+from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription import transcribe
 from micah_plan.planning.transcription_guess import guess, guess_again
 from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
@@ -54,10 +55,13 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
-    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`); None if there is none."""
-    here = believed_problem(problem, belief)
+    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`), verified as a first one.
+
+    None if there is none, or none that roll-outs confirm.
+    """
     mode = problem.automaton.modes[belief.most_likely].name
-    return _plan_from(here, mode, seed, _silent).trajectory
+    found = verified_plan(believed_problem(problem, belief), lambda task: _plan_from(task, mode, seed, _silent), seed)
+    return found.trajectory if found.outcome == "solved" else None
 
 
 def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
