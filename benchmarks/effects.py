@@ -71,13 +71,13 @@ PLANTED: dict[str, Planted] = {
     "spring": Planted(plants.sprung, ("spring",), "stiffness", 0.03),
     "gravity": Planted(plants.heavy, ("gravity",), "cosine", -0.008),
     "latch": Planted(plants.magnetic, ("latch",)),
-    "limit": Planted(plants.blocked, ("limit",), "at", 0.7, beyond=0.3),
-    "guard_shift": Planted(plants.shifted, ("guard_shift",), "shift", -0.05, beyond=0.3),
-    "guard_hysteresis": Planted(plants.clinging, ("guard_hysteresis",), "width", 0.03, beyond=0.3),
+    "limit": Planted(plants.blocked, ("limit",), "at", 0.7, beyond=1.0),
+    "guard_shift": Planted(plants.shifted, ("guard_shift",), "shift", -0.05, beyond=1.0),
+    "guard_hysteresis": Planted(plants.clinging, ("guard_hysteresis",), "width", 0.03, beyond=1.0),
     "screw_pitch": Planted(plants.honest, ("screw_pitch",), "pitch", 0.02, shape=plants.climbing),
     "axis_offset": Planted(plants.honest, ("axis_offset",), shape=plants.off_axis),
-    "sensor_scale": Planted(plants.stretched, ("sensor_scale",), "scale", 1.1, beyond=0.3),
-    "drift": Planted(plants.drifting, ("drift",), "rate", 0.01, beyond=0.3),
+    "sensor_scale": Planted(plants.stretched, ("sensor_scale",), "scale", 1.1, beyond=1.0),
+    "drift": Planted(plants.drifting, ("drift",), "rate", 0.01, beyond=1.0),
     "gain in one mode": Planted(plants.short_far_out, ("gain",), "gain", 0.75, halves=True),
     "gain since half-way": Planted(plants.worn_half_way, ("gain",), "gain", 0.7),
     "gain and backlash": Planted(plants.short_and_loose, ("gain", "backlash")),
@@ -186,7 +186,7 @@ def control(seed: int) -> tuple[str, str]:
     noise = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
     share = float(rng.uniform(0.0, 1.5))
     halves = bool(rng.random() < 0.3)
-    beyond = 0.3 if rng.random() < 0.5 else None
+    beyond = 1.0 if rng.random() < 0.5 else None
     moved = plants.runs_of(plants.honest, runs, rows, seed, noise=noise, disturbance=share * noise, beyond=beyond)
     found = calibrate(door(halves=halves), plants.door_recording(moved, across=plants.RADIUS * noise, seed=seed))
     said = ", ".join(_described(one) for one in found.effects)

@@ -11,6 +11,7 @@ import numpy as np
 
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Misfit
 from micah_plan.automaton.graph import KinematicEdge, Segment
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.misfit import misfit_of
 from micah_plan.errors import InputError
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.planning.explain import Explanation
     from micah_plan.residual.calibrate import Calibration, FoundEffect
+    from micah_plan.residual.judgement import Floor
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.residual.trace import LaneTrace
     from micah_plan.workflow import Learned
@@ -261,16 +263,38 @@ def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
     }
 
 
-def predicted(runs: Sequence[RunPrediction]) -> dict[str, Any]:
-    """Keys of `predict`: root mean squares over all runs, and per run."""
+def predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
+    """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
+    from micah_plan.residual.judgement import judge
+
+    judged = judge(automaton, runs)
     return {
         "one_step": _rmse([run.one_step for run in runs]),
         "rollout": _rmse([run.rollout for run in runs]),
+        "noise_floor": {"one_step": _floor(judged.one_step), "rollout": _floor(judged.rollout)},
+        "whiteness": {
+            "is_noise": judged.is_noise,
+            "verdict": judged.sentence,
+            "follows": [{"coordinate": c, "what": what, "probability": p} for c, what, p in judged.follows],
+            "lag_1_correlation": judged.correlation,
+        },
+        "mode_changes": [
+            {"run": c.run, "mode": c.mode, "measured_s": c.measured, "predicted_s": c.predicted} for c in judged.changes
+        ],
         "per_run": [
             {"run": run.run, "one_step": _rmse([run.one_step]), "rollout": _rmse([run.rollout])} for run in runs
         ],
         "per_mode": _per_mode(runs),
-        "whiteness": _whiteness(runs),
+    }
+
+
+def _floor(floor: Floor | None) -> dict[str, float | None] | None:
+    if floor is None:
+        return None
+    return {
+        "position_rmse_m": floor.position,
+        "rotation_rmse_rad": floor.rotation,
+        "configuration_rmse": floor.configuration,
     }
 
 
@@ -281,14 +305,6 @@ def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
         for mode, errors in zip(run.one_step.modes, run.one_step.configuration, strict=True):
             found.setdefault(mode, []).extend(np.square(errors).tolist())
     return {m: {"configuration_rmse": float(np.sqrt(np.mean(v))), "steps": len(v)} for m, v in found.items()}
-
-
-def _whiteness(runs: Sequence[RunPrediction]) -> dict[str, float]:
-    """Mean over std of the one-step errors, and their correlation with the next; noise alone gives 0 and 0 to -0.5."""
-    from micah_plan.residual.prediction import whiteness
-
-    bias, correlation = whiteness(runs)
-    return {"mean_over_std": bias, "lag_1_correlation": correlation}
 
 
 def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ def predict(
     recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Compare measured motion with the model's one-step and roll-out predictions."""
+    """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data."""
     from micah_plan import workflow
     from micah_plan.spec.model_file import load_model
 
@@ -31,7 +31,7 @@ def predict(
         runs = workflow.predict(automaton, measured)
     except InputError as error:
         raise error.located(recording) from None
-    summary = summaries.predicted(runs)
+    summary = summaries.predicted(automaton, runs)
     print_summary(as_json, summary, lambda: tables.print_predicted(summary))
 
 

@@ -63,14 +63,26 @@ def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> N
 
 
 def print_predicted(summary: dict[str, Any]) -> None:
-    """Errors of both predictions."""
+    """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
     table = Table("", "position \\[m]", "rotation \\[rad]", "configuration", box=SIMPLE)
-    for name in ("one_step", "rollout"):
-        values = summary[name]
-        rotation = values["rotation_rmse_rad"]
-        shown = "not measured" if rotation is None else f"{rotation:.4g}"
-        table.add_row(name, f"{values['position_rmse_m']:.4g}", shown, f"{values['configuration_rmse']:.4g}")
+    for name, text in (("one_step", "one step"), ("rollout", "roll-out")):
+        table.add_row(text, *_three(summary[name]))
+        floor = summary["noise_floor"][name]
+        table.add_row("  noise alone", *(_three(floor) if floor else ("unknown",) * 3))
     out.print(table)
+    out.print(summary["whiteness"]["verdict"], markup=False)
+    changes = summary["mode_changes"]
+    both = [c["predicted_s"] - c["measured_s"] for c in changes if None not in (c["predicted_s"], c["measured_s"])]
+    if changes:
+        late = f", on average {sum(both) / len(both):+.3g} s late" if both else ""
+        missed = sum(c["predicted_s"] is None for c in changes)
+        extra = len(changes) - len(both) - missed
+        out.print(f"mode changes: {len(both)} predicted{late}, {missed} measured only, {extra} predicted only")
+
+
+def _three(values: dict[str, float | None]) -> tuple[str, ...]:
+    names = ("position_rmse_m", "rotation_rmse_rad", "configuration_rmse")
+    return tuple("not measured" if (value := values[name]) is None else f"{value:.4g}" for name in names)
 
 
 def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:

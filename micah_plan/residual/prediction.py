@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,23 +27,42 @@ class PredictionError:
     """Predicted minus measured over the steps of one run (K steps, l links, n states).
 
     Attributes:
-        position: (K, l) distance [m].
-        rotation: (K, l) angle [rad]; None where orientation was not measured.
+        offset: (K, l, 3) of the positions [m], in the frame of the predicted part, where a motion keeps its direction.
+        turn: (K, l, 3) rotation vectors from the measured to the predicted orientation [rad], likewise; None where
+            orientation was not measured.
         configuration: (K, n) difference [rad or m].
         modes: (K,) the mode that the prediction of each step ended in.
     """
 
-    position: Floats
-    rotation: Floats | None
+    offset: Floats
+    turn: Floats | None
     configuration: Floats
     modes: tuple[str, ...]
+
+    @property
+    def position(self) -> Floats:
+        """(K, l) distances [m]."""
+        return np.asarray(np.linalg.norm(self.offset, axis=2))
+
+    @property
+    def rotation(self) -> Floats | None:
+        """(K, l) angles [rad]."""
+        return None if self.turn is None else np.asarray(np.linalg.norm(self.turn, axis=2))
 
 
 @dataclass(frozen=True, eq=False)
 class RunPrediction:
-    """Both predictions of one run."""
+    """Both predictions of one run.
+
+    Attributes:
+        time: (K + 1,) of its rows since its first [s]; x: (K + 1, n) measured configuration.
+        v: (K, n) commanded displacement of each coordinate, in the modes that move it.
+    """
 
     run: int
+    time: Floats
+    x: Floats
+    v: Floats
     one_step: PredictionError
     rollout: PredictionError
 
@@ -68,7 +86,7 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     usable = [track for track in tracks(automaton, recording) if len(track.time) > 1]
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    return tuple(RunPrediction(track.run, _one_step(automaton, track), _rollout(automaton, track)) for track in usable)
+    return tuple(_predicted(automaton, track) for track in usable)
 
 
 def rmse(errors: list[Floats]) -> float:
@@ -77,21 +95,17 @@ def rmse(errors: list[Floats]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-def whiteness(runs: Sequence[RunPrediction]) -> tuple[float, float]:
-    """Whether anything is left to find: mean over std of the one-step errors, and their correlation with the next.
-
-    Noise alone gives a mean of about 0 and a correlation from 0 (only the motion is noisy) to -0.5 (the measurement
-    alone is, which enters two errors in a row with opposite signs); a positive one says that errors last.
-    """
-    errors = [run.one_step.configuration for run in runs]
-    every = np.concatenate(errors)
-    std = float(np.std(every))
-    if std == 0.0:
-        return 0.0, 0.0
-    centred = [own - every.mean(axis=0) for own in errors]
-    power = float(sum((own**2).sum() for own in centred))
-    product = float(sum((own[1:] * own[:-1]).sum() for own in centred))
-    return float(np.mean(every)) / std, product / power if power > 0 else 0.0
+def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
+    moving = [next((m for m in automaton.modes if any(m.input_matrix[i])), None) for i in range(automaton.n)]
+    rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
+    return RunPrediction(
+        run=track.run,
+        time=track.time - track.time[0],
+        x=track.x,
+        v=_inputs(track) @ np.stack(rows, axis=1),
+        one_step=_one_step(automaton, track),
+        rollout=_rollout(automaton, track),
+    )
 
 
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
@@ -147,13 +161,14 @@ def _inputs(track: Track) -> Floats:
 
 
 def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str, ...]) -> PredictionError:
-    position = np.zeros((len(x), len(automaton.links)))
-    rotation = None if track.quaternion is None else np.zeros_like(position)
+    offset = np.zeros((len(x), len(automaton.links), 3))
+    turn = None if track.quaternion is None else np.zeros_like(offset)
     for k, mode in enumerate(modes):
         for number, link in enumerate(automaton.links):
             pose = forward(automaton.mode(mode).joints[number], x[k : k + 1, link.coordinate])
-            position[k, number] = np.linalg.norm(pose.translation[0] - track.position[k + 1, number])
-            if rotation is not None and track.quaternion is not None:
+            frame = pose.rotation[0].inv()
+            offset[k, number] = frame.apply(pose.translation[0] - track.position[k + 1, number])
+            if turn is not None and track.quaternion is not None:
                 measured = Rotation.from_quat(track.quaternion[k + 1, number])
-                rotation[k, number] = (pose.rotation[0] * measured.inv()).magnitude()
-    return PredictionError(position, rotation, x - track.x[1:], modes)
+                turn[k, number] = frame.apply((pose.rotation[0] * measured.inv()).as_rotvec())
+    return PredictionError(offset, turn, x - track.x[1:], modes)

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from micah_plan.residual.candidates import Candidate, smooth
 from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
 from micah_plan.residual.lane import Lane
+from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.simulation import GATES, Kind
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,8 @@ _POLISH_ROUNDS = 5
 _START_SHARES = (-1.0, 2.0)
 _FREEDOMS = (60.0, 10.0, 4.0)
 _MOTION_NOISES = (0.0, 0.6, 0.97)
+# Innovations that are less probable than this if they were noise are looked at further.
+_SUSPECT = 0.02
 # Likelihood by which a less plain kind of noise must fit better [nats].
 _CLEARLY = 3.0
 # The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
@@ -180,6 +183,17 @@ class Search:
             return 0.0, 1.0
         statistic = sum(r * r * count for r, count in found)
         return max((r for r, _ in found), key=abs), float(chi2.sf(statistic, len(found)))
+
+    def leaves_nothing(self, scored: Scored) -> bool:
+        """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""
+        lane = self.lane
+        # A place that the innovation's own measurements have no part in: from the row before.
+        before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
+        starts = lane.counted_starts
+        under = Circumstances(before[starts], lagged(lane.u)[starts], lane.time[starts], lane.order[starts])
+        innovations = np.roll(self.innovations(scored), -1, axis=1)[starts]
+        found = leftover(innovations[:, None], under)
+        return found is not None and min(found.probability, self.whiteness(scored)[1]) > _SUSPECT
 
     def _cross_validated(self, problem: Problem, parts: Sequence[Candidate], fit: Fit) -> Scored:
         trained = self.fold[None, :] != np.arange(self.folds)[:, None]

@@ -121,7 +121,7 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     able = [one for one in singles if not one.is_idle]
     chosen, alternatives = _grown(search, library, able, told)
     told(f"{lane.coordinate}: what remains", 0.9)
-    remaining = _smoothed(search, chosen)
+    remaining = chosen if search.leaves_nothing(chosen) else _smoothed(search, chosen)
     correlation, chance = search.whiteness(chosen)
     size = float(np.sqrt(chosen.squared / lane.counted.sum()))
     is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
@@ -172,6 +172,11 @@ def _grown(
     """The best model that effects can make, and the models of one effect that it competed with."""
     lane = search.lane
     current = search.nominal
+    plain = _plainest(singles, current)
+    is_good = plain is not None and _is_worth(plain, current, lane) and _shortens(search, plain, current)
+    if plain is not None and is_good and search.leaves_nothing(plain):
+        # Then neither a second effect nor one that acts only in places or since some time can gain anything.
+        return plain, list(singles)
     promising = [one for one in _ranked(singles)[:_WIDE] if one.over(current)[0] > LEAST_EVIDENCE]
     options = [*singles, *(variant for one in promising for variant in _variants(search, one, current))]
     first = _plainest(options, current)
@@ -285,7 +290,8 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
             # What would do the same as a tied one was not tried, but is tied as well.
             alike = [name for _, one in able for name in indistinguishable(one.parts[-1], search.lane)]
             tied = tuple(name for name in (*(name for name, _ in able), *alike) if name != part.name)
-        same = () if np.isfinite(part.starts[0, -GATES:]).any() else indistinguishable(part, search.lane)
+        is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
+        same = indistinguishable(part, search.lane) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
         found.append(Finding(part, std, evidence, tied))
         at += part.term.size

@@ -1,0 +1,195 @@
+"""What prediction errors are worth: the noise floor beside each, what the rest follows, and when modes changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import jacobian
+from micah_plan.automaton.tracks import moving_joint
+from micah_plan.residual.leftover import UNLIKELY, Circumstances, Leftover, lagged, leftover
+from micah_plan.residual.prediction import RunPrediction
+
+Floats = NDArray[np.float64]
+
+# Standard errors by which successive errors must be alike to say that they last.
+_CLEARLY = 4.0
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Root mean square errors that noise alone would leave: position [m], rotation [rad], configuration [rad or m]."""
+
+    position: float
+    rotation: float | None
+    configuration: float
+
+
+@dataclass(frozen=True)
+class ModeChange:
+    """A change into a mode, when it was measured and when the roll-out has it [s since the run's start]."""
+
+    run: int
+    mode: str
+    measured: float | None
+    predicted: float | None
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known of the errors of predicted runs.
+
+    Attributes:
+        one_step, rollout: floors; None where there are too few rows to tell.
+        is_noise: whether one-step errors look like noise alone; None where there are too few rows.
+        sentence: the same in words.
+        follows: (coordinate, what, probability if it were noise) of what one-step errors follow.
+        correlation: of one-step errors with the next; 0 to -0.5 for noise.
+        changes: of modes.
+    """
+
+    one_step: Floor | None
+    rollout: Floor | None
+    is_noise: bool | None
+    sentence: str
+    follows: tuple[tuple[str, str, float], ...]
+    correlation: float
+    changes: tuple[ModeChange, ...]
+
+
+def judge(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Judgement:
+    """Compare the errors of predicted runs with the noise that the same runs show."""
+    errors = np.concatenate([run.one_step.configuration for run in runs])
+    found = [leftover(errors[:, i : i + 1], _circumstances(runs, i)) for i in range(automaton.n)]
+    correlations = [_correlation([run.one_step.configuration[:, i] for run in runs]) for i in range(automaton.n)]
+    changes = tuple(change for run in runs for change in _changes(run))
+    correlation = max(correlations, key=abs)
+    known = [one for one in found if one is not None]
+    if len(known) < len(found):
+        return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
+    one_step, rollout = _floors(automaton, runs, known)
+    names = [coordinate.name for coordinate in automaton.coordinates]
+    follows = [(name, *one) for name, own in zip(names, known, strict=True) for one in own.follows]
+    lasting = [n for n, r in zip(names, correlations, strict=True) if r * np.sqrt(len(errors)) > _CLEARLY]
+    surely = [name for name, own in zip(names, known, strict=True) if own.probability < UNLIKELY]
+    is_noise = not (surely or follows or lasting)
+    return Judgement(
+        one_step, rollout, is_noise, _sentence(surely, follows, lasting), tuple(follows), correlation, changes
+    )
+
+
+def _sentence(surely: list[str], follows: list[tuple[str, str, float]], lasting: list[str]) -> str:
+    told = []
+    for name in dict.fromkeys([*surely, *(one[0] for one in follows), *lasting]):
+        what = [group for coordinate, group, _ in follows if coordinate == name]
+        said = []
+        if what:
+            said.append("follow " + ", ".join(what))
+        elif name in surely:
+            said.append("follow several things together")
+        if name in lasting:
+            said.append("last from step to step")
+        told.append(f"those of {name} {' and '.join(said)}")
+    if not told:
+        return "one-step errors look like noise: this recording shows nothing that the model lacks"
+    return f"one-step errors are not noise: {'; '.join(told)}. calibrate names what is missing"
+
+
+def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:
+    # Places come from the row before, so that an error's own measurements have no part in them.
+    places = [np.concatenate([run.x[:1, i], run.x[:-2, i] + run.v[:-1, i]]) for run in runs]
+    steps = sum(len(run.v) for run in runs)
+    return Circumstances(
+        place=np.concatenate(places),
+        command=np.concatenate([lagged(run.v[:, i]) for run in runs]),
+        time=np.concatenate([run.time[:-1] for run in runs]),
+        order=np.arange(steps) / steps,
+    )
+
+
+def _correlation(errors: Sequence[Floats]) -> float:
+    """Correlation of errors with the next in the same run, about their common mean."""
+    every = np.concatenate(list(errors))
+    centred = [own - every.mean() for own in errors]
+    power = float(sum((own**2).sum() for own in centred))
+    product = float(sum((own[1:] * own[:-1]).sum() for own in centred))
+    return product / power if power > 1e-18 * len(every) else 0.0
+
+
+def _floors(
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], known: Sequence[Leftover]
+) -> tuple[Floor | None, Floor | None]:
+    """Floors of one step and of the roll-out.
+
+    Errors across a joint are those of its measured poses in both; along it a roll-out adds up what moves the part: with
+    measurement noise of variance r and q per step its k-th error has 2 r + k q, and a one-step error 2 r + q.
+    """
+    steps = np.concatenate([np.arange(1, len(run.v) + 1) for run in runs])
+    one2 = np.array([float(own.floor[0]) ** 2 for own in known])
+    roll2 = np.array([2.0 * r + q * steps.mean() for r, q in (_shares(own, runs) for own in known)])
+    position = _across(automaton, runs, one2, roll2, 3, [run.one_step.offset for run in runs])
+    turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]
+    rotation = _across(automaton, runs, one2, roll2, 0, turns) if len(turns) == len(runs) else None
+    if position is None:
+        return None, None
+    sizes = float(np.sqrt(one2.mean())), float(np.sqrt(roll2.mean()))
+    floors = [Floor(position[k], None if rotation is None else rotation[k], sizes[k]) for k in (0, 1)]
+    return floors[0], floors[1]
+
+
+def _shares(own: Leftover, runs: Sequence[RunPrediction]) -> tuple[float, float]:
+    """(r, q) of what a regression leaves: two errors in a row share one measurement, with opposite signs."""
+    ends = np.cumsum([len(run.v) for run in runs])[:-1]
+    correlation = _correlation(np.split(own.left[:, 0], ends))
+    variance = float(own.floor[0]) ** 2
+    r = float(np.clip(-correlation, 0.0, 0.5)) * variance
+    return r, variance - 2.0 * r
+
+
+def _across(
+    automaton: HybridAutomaton,
+    runs: Sequence[RunPrediction],
+    one2: Floats,
+    roll2: Floats,
+    first: int,
+    errors: Sequence[Floats],
+) -> tuple[float, float] | None:
+    """Floors of a vector error of every link, whose part along the joint is rows `first` on of the Jacobian."""
+    totals = []
+    every = np.concatenate(list(errors))
+    for number, link in enumerate(automaton.links):
+        i = link.coordinate
+        found = leftover(every[:, number], _circumstances(runs, i))
+        if found is None:
+            return None
+        x = np.concatenate([run.x[1:, i] for run in runs])
+        j = jacobian(moving_joint(automaton, number), x)[:, first : first + 3]
+        lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((found.floor**2).sum())
+        totals.append((size2, max(size2 - lever2 * one2[i], 0.0) + lever2 * roll2[i]))
+    one, roll = np.sqrt(np.mean(totals, axis=0))
+    return float(one), float(roll)
+
+
+def _changes(run: RunPrediction) -> list[ModeChange]:
+    """Changes of the filter's most likely mode, and of the roll-out's, paired in order as long as they agree."""
+    measured, predicted = (_entries(modes, run.time) for modes in (run.one_step.modes, run.rollout.modes))
+    found = []
+    while measured or predicted:
+        if measured and predicted and measured[0][0] == predicted[0][0]:
+            mode, at = measured.pop(0)
+            found.append(ModeChange(run.run, mode, at, predicted.pop(0)[1]))
+        elif measured and (not predicted or measured[0][1] <= predicted[0][1]):
+            mode, at = measured.pop(0)
+            found.append(ModeChange(run.run, mode, at, None))
+        else:
+            mode, at = predicted.pop(0)
+            found.append(ModeChange(run.run, mode, None, at))
+    return found
+
+
+def _entries(modes: Sequence[str], time: Floats) -> list[tuple[str, float]]:
+    return [(mode, float(time[k + 1])) for k, mode in enumerate(modes) if k and mode != modes[k - 1]]

@@ -1,0 +1,147 @@
+"""What noise alone leaves of a residual, and what the rest follows: a flexible regression that knows no effect.
+
+Whatever the model lacks shows in one-step errors as a function of the command, of earlier commands, of where the part
+is or of time. A linear regression on flexible functions of these takes it out; what is left is the noise floor that the
+data themselves show. It is an upper bound: what follows none of these functions counts as noise.
+
+Sources: Draper and Smith, Applied Regression Analysis, ch. 5 and 6 (extra sum of squares, F test); Jones, Mathematical
+and Computer Modelling 2004 (noise variance from data before any model is chosen).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+Floats = NDArray[np.float64]
+
+# Earlier commands that may still act, and places over the range.
+LAGS = 4
+_PLACES = 8
+# Rows per function that a regression takes.
+_ROWS_PER_FUNCTION = 4
+FEWEST_ROWS = 12
+# Probability below which a residual is not noise, and residuals of arithmetic.
+UNLIKELY = 1e-4
+_EXACT = 1e-9
+_RANK = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """What a regression leaves of d residuals.
+
+    Attributes:
+        floor: (d,) std of the noise, in the residuals' units.
+        left: (N, d) what the regression leaves.
+        probability: that noise alone gave as much that the regression explains.
+        follows: (what, probability if it were noise) of each group of functions that explains more than those before.
+    """
+
+    floor: Floats
+    left: Floats
+    probability: float
+    follows: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Circumstances:
+    """What N steps were made under.
+
+    Attributes:
+        place: (N,) configuration at the start of the step, not from the measurement that the residual contains.
+        command: (N, 1 + LAGS) of the step and of those before it, the latest first.
+        time: (N,) since the start of the run [s].
+        order: (N,) place in the recording, 0 to 1.
+    """
+
+    place: Floats
+    command: Floats
+    time: Floats
+    order: Floats
+
+
+def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
+    """Regress residuals (N, d); None where there are too few rows to say anything."""
+    rows = len(residual)
+    if rows < FEWEST_ROWS:
+        return None
+    groups = _groups(under, rows)
+    size = np.sqrt(np.mean(residual**2, axis=0))
+    scaled = _without_outliers(residual)
+    names = list(groups)
+    every = np.hstack([groups[name] for name in names])
+    left, freedom = _left(scaled, every)
+    if freedom < 1 or not (size > _EXACT).any():
+        return Leftover(size, residual, 1.0, ())
+    tests, before, used = [], *_left(scaled, np.zeros((rows, 0)))
+    for k, name in enumerate(names):
+        # Each group on top of those before it: the plainest that explains something is named.
+        after, rest = _left(scaled, np.hstack([groups[own] for own in names[: k + 1]]))
+        tests.append((name, _chance(before - after, left, used - rest, freedom)))
+        before, used = after, rest
+    nothing = (scaled**2).sum(axis=0)
+    chance = _chance(nothing - left, left, rows - freedom, freedom)
+    kept = residual - every @ np.linalg.lstsq(every, residual, rcond=_RANK)[0]
+    floor = np.sqrt((kept**2).sum(axis=0) / freedom)
+    sure = tuple(one for one in tests if one[1] < UNLIKELY)
+    return Leftover(np.asarray(floor), np.asarray(kept), chance, sure)
+
+
+def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
+    """(N, k) functions by what they depend on; fewer where rows are few."""
+    v, one = under.command[:, :1], np.ones((rows, 1))
+    speed = max(float(np.sqrt(np.mean(v**2))), _EXACT)
+    low, high = float(under.place.min()), float(under.place.max())
+    spacing = max((high - low) / (_PLACES - 1), _EXACT)
+    at = low + spacing * np.arange(_PLACES)
+    bumps = np.exp(-0.5 * ((under.place[:, None] - at) / spacing) ** 2)
+    middle = (under.place - 0.5 * (low + high))[:, None] / spacing
+    clocks = np.stack([under.time / max(float(np.max(under.time)), _EXACT), under.order], axis=1)
+    groups = {
+        "a constant": one,
+        "the command": v / speed,
+        "the size or direction of the command": np.hstack([np.abs(v), v * np.abs(v) / speed]) / speed,
+        "earlier commands": under.command[:, 1:] / speed,
+        "time": np.hstack([clocks, clocks * v / speed]),
+        "the configuration": np.hstack([bumps[:, 1:], bumps[:, 1:] * v / speed]),
+    }
+    if sum(group.shape[1] for group in groups.values()) * _ROWS_PER_FUNCTION > rows:
+        groups = {**groups, "the configuration": middle, "earlier commands": under.command[:, 1:2] / speed}
+    if sum(group.shape[1] for group in groups.values()) * _ROWS_PER_FUNCTION > rows:
+        groups = {name: groups[name] for name in ("a constant", "the command")}
+    return groups
+
+
+def lagged(commands: Floats) -> Floats:
+    """(..., T, 1 + LAGS) commands of each step (..., T) and of those before it; 0 before the first."""
+    padded = np.concatenate([np.zeros((*commands.shape[:-1], LAGS)), commands], axis=-1)
+    rows = commands.shape[-1]
+    return np.stack([padded[..., LAGS - k : LAGS - k + rows] for k in range(1 + LAGS)], axis=-1)
+
+
+def _left(residual: Floats, functions: Floats) -> tuple[Floats, int]:
+    """(d,) sums of squares that a regression leaves, and its degrees of freedom."""
+    if not functions.shape[1]:
+        return np.asarray((residual**2).sum(axis=0)), len(residual)
+    solution, _, rank, _ = np.linalg.lstsq(functions, residual, rcond=_RANK)
+    return np.asarray(((residual - functions @ solution) ** 2).sum(axis=0)), len(residual) - int(rank)
+
+
+def _without_outliers(residual: Floats) -> Floats:
+    """Residuals cut off where single bad rows would decide the test: at five robust standard deviations."""
+    spread = 1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0)
+    reach = np.where(spread > 0, 5.0 * spread, np.inf)
+    return np.asarray(np.clip(residual, -reach, reach))
+
+
+def _chance(explained: Floats, left: Floats, functions: int, freedom: int) -> float:
+    """Probability of what functions explain if it were noise: the smallest over residuals, times their number."""
+    if functions < 1 or freedom < 1:
+        return 1.0
+    ratio = np.maximum(explained, 0.0) / functions / np.maximum(left / freedom, _EXACT**2)
+    return float(min(1.0, len(ratio) * f_distribution.sf(ratio, functions, freedom).min()))

@@ -1,0 +1,92 @@
+"""The noise floor and the verdict of predictions, against what was planted."""
+
+from __future__ import annotations
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.residual.judgement import judge
+from micah_plan.residual.leftover import Circumstances, lagged, leftover
+from micah_plan.residual.prediction import predict_recording, rmse
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+NOISE, MOVED = 0.004, 0.001
+
+
+@pytest.fixture(scope="module")
+def door():
+    """Swings from 0 to 1.2 rad and is rigid there."""
+    end = plants.LENGTH
+    shut = forward(SWING, end)[0]
+    held = rigid(shut.translation, shut.rotation.as_quat(), end)
+    rows = [(SWING, 0.0, 0), (held, end, 10)]
+    segments = [Segment(j, 0, k, k + 9, at, end, (at, end), 0.001, 0.003, 0.0, 1.0) for j, at, k in rows]
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", tuple(segments)),)))
+
+
+def judged(door, plant, *, runs=10, rows=50, seed=0, beyond=None):
+    moved = plants.runs_of(plant, runs, rows, seed, noise=NOISE, disturbance=MOVED, beyond=beyond)
+    recording = plants.door_recording(moved, across=plants.RADIUS * NOISE, seed=seed)
+    predicted = predict_recording(door, recording)
+    return judge(door, predicted), predicted
+
+
+@pytest.mark.parametrize("plant", ["honest", "short_steps", "creeping", "sprung", "late", "rippled"])
+def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
+    found, predicted = judged(door, getattr(plants, plant))
+    floor = np.sqrt(2 * NOISE**2 + MOVED**2)
+    assert found.one_step.configuration == pytest.approx(floor, rel=0.12)
+    # Across the hinge each pose is measured once, along it an error holds two measurements.
+    across = plants.RADIUS * np.sqrt(floor**2 + 2 * NOISE**2)
+    assert found.one_step.position == pytest.approx(across, rel=0.12)
+    assert found.is_noise == (plant == "honest"), found.sentence
+    if plant == "honest":
+        assert rmse([run.one_step.position for run in predicted]) == pytest.approx(found.one_step.position, rel=0.05)
+        assert rmse([run.rollout.configuration for run in predicted]) < 1.5 * found.rollout.configuration
+
+
+@pytest.mark.parametrize(
+    ("plant", "what"),
+    [("short_steps", "the command"), ("late", "earlier commands"), ("creeping", "a constant")],
+)
+def test_words_say_what_errors_follow(door, plant, what) -> None:
+    found, _ = judged(door, getattr(plants, plant))
+    assert what in [group for _, group, _ in found.follows]
+    assert what in found.sentence
+
+
+def test_honest_motion_is_rarely_called_more_than_noise(door) -> None:
+    assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in range(6))
+
+
+def test_few_rows_give_no_floor(door) -> None:
+    found, _ = judged(door, plants.short_steps, runs=2, rows=5)
+    assert found.one_step is None
+    assert found.is_noise is None
+    assert "too few rows" in found.sentence
+
+
+def test_mode_changes_are_paired_and_timed(door) -> None:
+    found, _ = judged(door, plants.honest, beyond=1.0)
+    paired = [c for c in found.changes if c.measured is not None and c.predicted is not None]
+    assert {c.mode for c in paired} == {"revolute", "rigid"}
+    assert np.median([abs(c.measured - c.predicted) for c in paired]) <= 2 * plants.PERIOD
+
+
+def test_a_regression_takes_out_what_follows_the_circumstances_and_nothing_else() -> None:
+    rng = np.random.default_rng(1)
+    place, v = rng.uniform(0, 1, 600), rng.uniform(-0.05, 0.05, 600)
+    under = Circumstances(place, lagged(v), 0.1 * np.arange(600.0), np.linspace(0, 1, 600))
+    noise = 0.002 * rng.standard_normal(600)
+    pure = leftover(noise[:, None], under)
+    assert pure.probability > 1e-4
+    assert pure.floor[0] == pytest.approx(0.002, rel=0.1)
+    bent = leftover((noise + 0.01 * np.sin(3 * place))[:, None], under)
+    assert bent.floor[0] == pytest.approx(0.002, rel=0.1)
+    assert bent.follows[0][0] in ("the configuration", "a constant")
+    assert leftover(noise[:5, None], under) is None
