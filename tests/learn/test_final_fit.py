@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, rebased, shifted
 from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
+from micah_plan.learn.joints.helix import NUMBERS, chart_slopes, helix_of
 from micah_plan.learn.joints.likelihood import fit_likelihood, seen_with
 from micah_plan.learn.joints.parametrization import chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import white_noise
@@ -302,17 +303,58 @@ def test_a_circle_is_told_from_positions_with_an_orientationless_guess() -> None
 
 
 def test_a_short_helix_seen_by_positions_alone_is_fitted_wherever_it_starts() -> None:
-    """Its axis, centre and pitch run along a bent valley, on which straight steps do not arrive."""
+    """Its axis, centre and pitch run along a bent valley with several bottoms."""
     truth = screw(AXIS, (0.35, 0.1, 0.3), 0.12, (0.4, 0.1, 0.3))
     rng = np.random.default_rng(4)
     position = forward(truth, np.linspace(0, 1.2, 100)).translation + 0.001 * rng.standard_normal((100, 3))
-    noise = white_noise((1.0, 0.001))
     chart = chart_of(truth, False)
+    starts = [stepped(truth, chart, 0.01 * rng.standard_normal(chart.free.shape[1])) for _ in range(3)]
+    starts.append(replace(truth, pitch=-0.02))
     found = []
-    for _ in range(4):
-        start = stepped(truth, chart, 0.01 * rng.standard_normal(chart.free.shape[1]))
+    for start in starts:
         assert start is not None
-        found.append(fit_likelihood(start, position, None, noise, 1e-9).joint)
-    for one in found[1:]:
-        assert one.pitch == pytest.approx(found[0].pitch, abs=1e-4)
-        np.testing.assert_allclose(one.axis, found[0].axis, atol=1e-3)
+        found.append(fitted(start, position, None).joint)
+    for one in found:
+        assert found[0].covariance is not None
+        std = dict(zip(found[0].covariance.names, stds_of(found[0]), strict=True))
+        assert abs(one.pitch - found[0].pitch) < 0.1 * std["pitch"]
+        assert np.linalg.norm(np.cross(one.axis, found[0].axis)) < 0.1 * np.hypot(std["axis_1"], std["axis_2"])
+        assert abs(one.pitch - truth.pitch) < 3 * std["pitch"]
+
+
+def test_where_an_arc_tells_no_lead_the_interval_holds_every_lead() -> None:
+    """A short piece of a wide screw may as well be a circle, or turn the other way."""
+    truth = screw(AXIS, (0.2, 0.3, 0.1), 0.03, (0.5, 0.1, 0.3))
+    rng = np.random.default_rng(1)
+    position = forward(truth, np.linspace(0, 0.4, 60)).translation + 0.001 * rng.standard_normal((60, 3))
+    found = fitted(truth, position, None).joint
+    assert found.covariance is not None
+    std = dict(zip(found.covariance.names, stds_of(found), strict=True))
+    for pitch in (truth.pitch, 0.0, -truth.pitch):
+        assert abs(found.pitch - pitch) < 1.96 * std["pitch"]
+    # But where the path is, its rows tell.
+    assert max(std[name] for name in std if name.startswith("position")) < 0.002
+
+
+def test_slopes_of_a_helix_are_those_of_its_rows() -> None:
+    """Errors of rows on the path change with the helix's numbers as the chart says."""
+    helix = helix_of(TRUTHS["screw"], 0.05)
+    assert helix is not None
+    joint = helix.joint(0.03, TRUTHS["screw"])
+    again = helix_of(joint, 0.03)
+    assert again is not None
+    np.testing.assert_allclose(again.point, helix.point, atol=1e-12)
+    np.testing.assert_allclose(again.frame, helix.frame, atol=1e-12)
+    position = forward(joint, np.linspace(-0.3, 0.7, 20)).translation
+    noise = white_noise((1.0, 0.001))
+    fit = seen_with(joint, position, None, noise)
+    slopes = fit.chart.in_frame @ chart_slopes(helix, 0.03, joint, fit.chart)
+    for number in range(NUMBERS):
+        step = np.zeros(NUMBERS)
+        step[number] = 1e-5
+        errors = []
+        for moved in (helix.moved(step), helix.moved(-step)):
+            assert moved is not None
+            errors.append(seen_with(moved.joint(0.03, joint), position, None, noise).contrasts[0].error)
+        expected = (fit.contrasts[0].design @ slopes)[..., number]
+        np.testing.assert_allclose((errors[1] - errors[0]) / 2e-5, expected, atol=2e-6)

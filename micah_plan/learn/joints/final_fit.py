@@ -6,6 +6,7 @@ outliers); generalized least squares on SE(3) under the noise that they leave fi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.joints.helix_fit import fit_helix
 from micah_plan.learn.joints.joint_frame import seen_by
 from micah_plan.learn.joints.likelihood import Fit, fit_likelihood, parameter_covariance, seen_with
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.joints.quaternions import times
-from micah_plan.learn.joints.tracker_noise import likeliest, noise_of, white_noise
+from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, noise_of, white_noise
 
 Floats = NDArray[np.float64]
 
@@ -88,24 +90,37 @@ def fit_joint(
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
     start, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
-    # A helix through positions alone has other optima near circles: there the guess is refined as well.
-    starts = [start, guess] if guess.kind == "screw" and quaternion is None else [start]
-    fits = [fit for fit in (_believed(one, stds, rows, used, trusting) for one in starts) if fit is not None]
-    if not fits:
+    believed = _believed(start, stds, rows, used, trusting)
+    if believed is None:
         return rows.judged(start)
-    fit, kept, stds = max(fits, key=lambda one: rows.likelihood(one[0].joint, one[2])) if len(fits) > 1 else fits[0]
+    fit, kept, stds = believed
     posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], stds, _LEAST_STDS)
     if posterior is None:
         return rows.judged(fit.joint)
     noise = likeliest(posterior)
     before = _counted_as(fit.joint, guess, quaternion is not None)
-    fit = fit_likelihood(before, *rows.of(kept), noise)
-    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
-    if _strays(joint, before):
-        fit = seen_with(before, *rows.of(kept), noise)
-        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
+    helix = None
+    if guess.kind == "screw" and quaternion is None:
+        helix = fit_helix(before, position[kept], time[kept], noise, _LEAST_STDS)
+    joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
     judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if quaternion is not None else 0.0)
+
+
+def _refined(
+    before: Joint,
+    position: Floats,
+    quaternion: Floats | None,
+    noise: TrackerNoise,
+    posterior: Sequence[tuple[float, TrackerNoise]],
+) -> Joint:
+    """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
+    fit = fit_likelihood(before, position, quaternion, noise)
+    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    if _strays(joint, before):
+        fit = seen_with(before, position, quaternion, noise)
+        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
+    return joint
 
 
 def _strays(joint: Joint, before: Joint) -> bool:
@@ -150,10 +165,6 @@ class _Rows:
         if has_orientation:
             sorts.append(Sort(squares[1], 2.5 if turning else 3.0, _ROTATION_SPAN, _LEAST_STDS[0]))
         return fit_mixtures(sorts, weight, self.outlier_weight)
-
-    def likelihood(self, joint: Joint, stds: tuple[float, float]) -> float:
-        """Log likelihood of the mixture under a joint."""
-        return float(self.mixture(joint, stds).log_likelihood[0])
 
     def judged(self, joint: Joint) -> FittedJoint:
         """A joint as it is, without covariance, with what the rows say of it."""

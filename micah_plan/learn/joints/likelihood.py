@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
-from micah_plan.learn.joints.helix_steps import helix_covariance, helix_stepped
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import TrackerNoise
@@ -51,17 +50,17 @@ def fit_likelihood(
         converged: it stops where the next step promises less than that [nats].
     """
     fit = seen_with(joint, position, quaternion, noise)
-    information, pull, cost = _normal_equations(fit, noise)
+    information, pull, cost = normal_equations(fit, noise)
     damping = 0.0
     for _ in range(_STEPS):
         damped = information + damping * np.diag(np.diag(information)) + np.eye(len(pull)) / _UNKNOWN**2
         step = np.asarray(np.linalg.solve(damped, pull))
         if 0.5 * float(step @ pull) < converged:
             break
-        trial = _moved(fit, step)
+        trial = stepped(fit.joint, fit.chart, step)
         if trial is not None:
             after = seen_with(trial, position, quaternion, noise)
-            *equations, next_cost = _normal_equations(after, noise)
+            *equations, next_cost = normal_equations(after, noise)
             if next_cost < cost:
                 fit, cost = after, next_cost
                 information, pull = equations
@@ -71,23 +70,6 @@ def fit_likelihood(
     return fit
 
 
-def _moved(fit: Fit, step: Floats) -> Joint | None:
-    """The joint after a step of its free numbers."""
-    if _is_helix(fit):
-        return helix_stepped(fit.joint, fit.chart, step, _middle(fit))
-    return stepped(fit.joint, fit.chart, step)
-
-
-def _is_helix(fit: Fit) -> bool:
-    """Whether only positions tell of a screw."""
-    return fit.joint.kind == "screw" and fit.seen.rotation_error is None
-
-
-def _middle(fit: Fit) -> float:
-    """Arc length from the origin to the middle of the rows [m]."""
-    return float(np.mean(fit.seen.configuration)) * float(np.hypot(fit.seen.radius, fit.joint.pitch))
-
-
 def parameter_covariance(
     fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
 ) -> ParameterCovariance:
@@ -95,24 +77,19 @@ def parameter_covariance(
 
     What the rows do not determine has a std of about 1 rad, 1 m or 1 m/rad.
     """
-    information, _, _ = _normal_equations(fit, noise)
+    information, _, _ = normal_equations(fit, noise)
     prior = np.eye(len(information)) / _UNKNOWN**2
     spread = np.linalg.inv(information + prior)
-    within = fit.chart.in_frame
-    middle = prior + within.T @ _spread_of_pull(fit.contrasts, noise, posterior) @ within
-    matrix = spread @ middle @ spread.T
-    if _is_helix(fit):
-        matrix = helix_covariance(fit.joint, fit.chart, matrix, _middle(fit))
-    else:
-        matrix = fit.chart.free @ matrix @ fit.chart.free.T
+    matrix = spread @ (prior + pull_covariance(fit, noise, posterior)) @ spread.T
+    matrix = fit.chart.free @ matrix @ fit.chart.free.T
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     rows = (0.5 * (matrix + matrix.T)).tolist()
     return ParameterCovariance(fit.chart.names, tuple(tuple(row) for row in rows))
 
 
-def _normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:
-    """Information (p, p), pull (p,) of the errors, and their cost [nats]."""
+def normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:
+    """Information (p, p) on the free numbers, pull (p,) of the errors, and their cost [nats]."""
     size = fit.contrasts[0].design.shape[2] + 1
     gram = np.zeros((size, size))
     for contrast in fit.contrasts:
@@ -131,13 +108,11 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floa
     return np.asarray(noise.process.whiten(wander / white, flat).reshape(columns.shape) / white)
 
 
-def _spread_of_pull(
-    contrasts: Sequence[Contrasts], noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
-) -> Floats:
+def pull_covariance(fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]) -> Floats:
     """(p, p) covariance of the pull, when noise of the posterior meets the weights of one noise."""
-    n, _, p = contrasts[0].design.shape
+    n, _, p = fit.contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))
-    for contrast in contrasts:
+    for contrast in fit.contrasts:
         weighted = _weighted(contrast.design, contrast, noise)
         if contrast.position is not None:
             by_position += contrast.position.transpose(0, 2, 1) @ weighted
@@ -154,4 +129,5 @@ def _spread_of_pull(
             if one.process is not None and wander > 0:
                 wandered = one.process.covariance_times(columns.reshape(n, -1))
                 total += probability * wander * (flat.T @ wandered.reshape(-1, p))
-    return total
+    within = fit.chart.in_frame
+    return np.asarray(within.T @ total @ within)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.learn.joints.contrasts import Contrasts
+from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
 from micah_plan.learn.joints.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 Floats = NDArray[np.float64]
@@ -67,16 +68,9 @@ def noise_of(
         least: smallest stds to believe in.
     """
     tried = memories(time)
-    processes = [OrnsteinUhlenbeck(time, memory) for memory in tried.tolist()]
-    found: list[NoisePosterior] = []
-    for contrast in contrasts:
-        if contrast.reach:
-            continue
-        floor = least[1 if contrast.rotation is None else 0] ** 2
-        posterior = noise_posterior(processes, contrast.error, contrast.design @ within, floor)
-        if posterior is None:
-            return None
-        found.append(posterior)
+    found = _posteriors(contrasts, within, wanders(time), least)
+    if found is None:
+        return None
     score = np.sum([one.log_likelihood for one in found], axis=0)
     probability = np.exp(score - score.max())
     probability[probability < _UNLIKELY] = 0.0
@@ -96,6 +90,46 @@ def noise_of(
         for i, memory in enumerate(finer(tried))
         if probability[i]
     ]
+
+
+def wanders(time: Floats) -> list[OrnsteinUhlenbeck]:
+    """Wanders worth trying for rows at these times (n,) [s]."""
+    return [OrnsteinUhlenbeck(time, memory) for memory in memories(time).tolist()]
+
+
+def log_evidence(
+    contrasts: Sequence[Contrasts], within: Floats, tried: list[OrnsteinUhlenbeck], least: tuple[float, float]
+) -> float:
+    """Ln density of what a fit of some numbers leaves, those numbers (flat) and the noise integrated out.
+
+    Args:
+        contrasts, least: those of `noise_of`.
+        within: (11, r) of the r numbers that were fitted.
+        tried: `wanders` at the times of the rows.
+    """
+    found = _posteriors(contrasts, within, tried, least)
+    if found is None:
+        return 0.0
+    columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
+    # The posteriors integrate over orthonormal numbers.
+    volume = 0.5 * float(np.linalg.slogdet(columns.T @ columns)[1])
+    return float(np.logaddexp.reduce(np.sum([one.log_likelihood for one in found], axis=0))) - volume
+
+
+def _posteriors(
+    contrasts: Sequence[Contrasts], within: Floats, processes: list[OrnsteinUhlenbeck], least: tuple[float, float]
+) -> list[NoisePosterior] | None:
+    """Of the pure contrasts, positions first."""
+    found: list[NoisePosterior] = []
+    for contrast in contrasts:
+        if contrast.reach:
+            continue
+        floor = least[1 if contrast.rotation is None else 0] ** 2
+        posterior = noise_posterior(processes, contrast.error, contrast.design @ within, floor)
+        if posterior is None:
+            return None
+        found.append(posterior)
+    return found
 
 
 def likeliest(posterior: Sequence[tuple[float, TrackerNoise]]) -> TrackerNoise:

@@ -1,0 +1,265 @@
+"""The last fit of a screw that only positions show, over every lead angle that they allow.
+
+A short arc of a helix is hardly told from a circle, nor from a tight helix that follows the tracker's wander: the
+likelihood of the lead angle is wide and has several peaks, and each of these, taken for the answer, is too sure of
+itself. So the other numbers are fitted at each of many angles, and these are compared with the noise integrated out:
+what is wander to one is motion to another. The answer is the median angle; its covariance holds all the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.linalg import block_diag
+from scipy.special import ndtr
+
+from micah_plan.automaton.joint import Joint, ParameterCovariance
+from micah_plan.learn.joints.helix import NUMBERS, Helix, chart_slopes, helix_of
+from micah_plan.learn.joints.joint_frame import cross, frame_of, seen_by
+from micah_plan.learn.joints.likelihood import Fit, normal_equations, pull_covariance, seen_with
+from micah_plan.learn.joints.parametrization import Chart, chart_of
+from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, log_evidence, noise_of, wanders
+from micah_plan.learn.joints.wander import OrnsteinUhlenbeck
+
+Floats = NDArray[np.float64]
+
+_LEADS = np.radians(np.linspace(-84.0, 84.0, 9))
+_STDS = (-2.6, -1.5, -0.7, 0.0, 0.7, 1.5, 2.6)  # around the likeliest angle
+_BETWEEN = 10  # angles for each that was tried, interpolated
+_STEPS = 6
+_FIRST_STEPS = 25
+_CONVERGED = 0.01  # nats
+_LARGEST_TURN = 0.5  # rad, of one step
+_LEAST_CURVATURE = 0.3  # of what it was, after one step
+_SURE = 0.95
+_QUANTILE = 1.959964
+_BISECTIONS = 30
+_UNKNOWN = 1.0  # rad, m, 1/m: std of what the rows say nothing about
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A helix fitted at one lead angle, with the slopes (p, 7) of its joint's free numbers."""
+
+    helix: Helix
+    fit: Fit
+    slopes: Floats
+    information: Floats
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    position: Floats
+    wanders: list[OrnsteinUhlenbeck]
+    least: tuple[float, float]
+    like: Joint
+
+
+def fit_helix(
+    start: Joint, position: Floats, time: Floats, noise: TrackerNoise, least: tuple[float, float]
+) -> tuple[Joint, TrackerNoise] | None:
+    """The screw of the median lead angle, with its covariance, and the noise that it leaves; None of a straight path.
+
+    Args:
+        start: a screw near the rows, of any lead angle; the answer counts from where it counts.
+        position, time: (n, 3) [m] and (n,) [s] of rows without outliers.
+        noise: rough one.
+        least: smallest stds of noise to believe in.
+    """
+    seen = seen_by(start, position, None, 1.0)
+    middle = float(np.mean(seen.configuration)) * float(np.hypot(seen.radius, start.pitch))
+    helix, rows = helix_of(start, middle), _Rows(position, wanders(time), least, start)
+    if helix is None:
+        return None
+    first = _fitted(helix, rows, noise, NUMBERS, _FIRST_STEPS)
+    tried = _over_leads(first, rows, noise)
+    log_density = [_log_density(one, rows) for one in tried]
+    highest = int(np.argmax(log_density))
+    likelier = log_density[highest] > _log_density(first, rows)
+    best = _fitted(tried[highest].helix, rows, noise, NUMBERS) if likelier else first
+    std = float(np.linalg.inv(best.information + np.eye(NUMBERS) / _UNKNOWN**2)[-1, -1]) ** 0.5
+    tried += _at(best, best.helix.lead + std * np.array(_STDS), rows, noise)
+    log_density += [_log_density(one, rows) for one in tried[len(log_density) :]]
+    leads, order = np.unique([one.helix.lead for one in tried], return_index=True)
+    tried = [tried[i] for i in order]
+    lead, chance = _chances(leads, np.array(log_density)[order])
+    middle = float(np.interp(0.5, np.cumsum(chance) - 0.5 * chance, lead))
+    nearest = min(tried, key=lambda one: abs(one.helix.lead - middle))
+    (median,) = _at(nearest, np.array([middle]), rows, noise)
+    posterior = noise_of(median.fit.contrasts, median.fit.chart.in_frame, time, noise.stds, least)
+    if posterior is None:
+        return None
+    noise = likeliest(posterior)
+    median = _fitted(median.helix, rows, noise, NUMBERS - 1)
+    slopes, prior = median.slopes[:, :-1], np.eye(NUMBERS - 1) / _UNKNOWN**2
+    spread = np.linalg.inv(median.information[:-1, :-1] + prior)
+    pull = slopes.T @ pull_covariance(median.fit, noise, posterior) @ slopes + prior
+    return _covered(median, tried, chance, spread @ pull @ spread, start), noise
+
+
+def _over_leads(start: _Tried, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
+    """Helices at angles all over the range, each fitted from its neighbour."""
+    upwards = start.helix.lead < _LEADS
+    return _at(start, _LEADS[upwards], rows, noise) + _at(start, _LEADS[~upwards][::-1], rows, noise)
+
+
+def _at(start: _Tried, leads: Floats, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
+    """Helices at lead angles, each fitted from the one before."""
+    found: list[_Tried] = []
+    for lead in leads.tolist():
+        before = found[-1] if found else start
+        away = lead - before.helix.lead
+        # Where the others go as the angle goes: along the valley of the likelihood.
+        others = np.linalg.lstsq(before.information[:-1, :-1], -away * before.information[:-1, -1], rcond=1e-12)[0]
+        step = np.append(_shortened(others, before.helix), away)
+        helix = before.helix.moved(step) or before.helix.moved(np.append(np.zeros(NUMBERS - 1), away))
+        if helix is not None:
+            found.append(_fitted(helix, rows, noise, NUMBERS - 1))
+    return found
+
+
+def _fitted(helix: Helix, rows: _Rows, noise: TrackerNoise, free: int, steps: int = _STEPS) -> _Tried:
+    """The helix after Gauss-Newton steps of the first numbers."""
+    now, pull = _seen(helix, rows, noise)
+    damping = 0.0
+    for _ in range(steps):
+        information = now.information[:free, :free]
+        damped = information + damping * np.diag(np.diag(information)) + np.eye(free) / _UNKNOWN**2
+        step = np.asarray(np.linalg.solve(damped, pull[:free]))
+        if 0.5 * float(step @ pull[:free]) < _CONVERGED:
+            break
+        trial = now.helix.moved(_shortened(step, now.helix))
+        if trial is not None:
+            after, after_pull = _seen(trial, rows, noise)
+            if after.cost < now.cost:
+                now, pull = after, after_pull
+                damping /= 10
+                continue
+        damping = max(damping, 1e-3) * 30
+    return now
+
+
+def _shortened(step: Floats, helix: Helix) -> Floats:
+    """A step along which the frame's numbers mean something."""
+    share = min(1.0, _LARGEST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
+    if step[5] < 0:
+        share = min(share, (1 - _LEAST_CURVATURE) * helix.curvature / -float(step[5]))
+    return share * step
+
+
+def _seen(helix: Helix, rows: _Rows, noise: TrackerNoise) -> tuple[_Tried, Floats]:
+    """A helix as it is, and the pull (7,) of the rows on its numbers."""
+    joint = helix.joint(0.0, rows.like)
+    fit = seen_with(joint, rows.position, None, noise)
+    information, pull, cost = normal_equations(fit, noise)
+    slopes = chart_slopes(helix, 0.0, joint, fit.chart)
+    return _Tried(helix, fit, slopes, slopes.T @ information @ slopes, cost), slopes.T @ pull
+
+
+def _log_density(one: _Tried, rows: _Rows) -> float:
+    """Ln density of the lead angle, all other numbers and the noise integrated out."""
+    within = one.fit.chart.in_frame @ one.slopes[:, :-1]
+    return log_evidence(one.fit.contrasts, within, rows.wanders, rows.least)
+
+
+def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
+    """Angles (f,) between those tried (m,), in order, and their probabilities; no angle is preferred beforehand."""
+    fine = _interpolation(len(leads)) @ leads
+    log_fine = PchipInterpolator(leads, log_density)(fine)
+    chance = np.gradient(fine) * np.exp(log_fine - log_fine.max())
+    return fine, np.asarray(chance / chance.sum())
+
+
+def _interpolation(points: int) -> Floats:
+    """(f, m) matrix that interpolates values between neighbours, evenly."""
+    at = np.linspace(0, points - 1, _BETWEEN * points)
+    return np.asarray(np.maximum(1 - np.abs(at[:, None] - np.arange(points)), 0.0))
+
+
+def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Floats, start: Joint) -> Joint:
+    """A fitted screw, counted from where a start counts, with its covariance over all lead angles.
+
+    Args:
+        tried: fits in the order of their angles.
+        chance: (f,) probabilities of angles between these.
+        spread: (6, 6) covariance of the numbers but the angle.
+
+    The stds are such that 1.96 of them hold 95 %: the curves are no straight lines.
+    """
+    joint, chart, _ = _counted_from(median, start)
+    values, vectors = np.linalg.eigh(spread)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))
+    # In the joint's frame, so that nothing hangs on the base's.
+    frame, _ = frame_of(joint)
+    planar = frame[:2] @ chart.basis.T
+    turn = np.asarray(block_diag(planar, planar, 1.0, frame))
+    offs, all_slopes = [], []
+    for one in tried:
+        other, other_chart, slopes = _counted_from(one, start)
+        offs.append(turn @ _difference(other, joint, chart))
+        all_slopes.append(turn @ _carried(other, other_chart, joint, chart) @ slopes[:, :-1] @ roots)
+    between = _interpolation(len(tried))
+    off, slope = between @ np.array(offs), np.tensordot(between, all_slopes, 1)
+    matrix = (chance[:, None] * off).T @ off + np.einsum("i,ijr,ikr->jk", chance, slope, slope)
+    wide = _half_width(chance, off, np.sqrt((slope**2).sum(axis=2))) / _QUANTILE
+    scale = wide / np.maximum(np.sqrt(np.diag(matrix)), 1e-300)
+    matrix = turn.T @ (matrix * scale[:, None] * scale) @ turn
+    rows = (0.5 * (matrix + matrix.T)).tolist()
+    return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
+
+
+def _counted_from(one: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
+    """A fitted screw whose origin is closest to that of another, its chart, and slopes (p, 7) there."""
+    c = float(seen_by(one.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
+    length = -c * one.helix.width
+    joint = one.helix.joint(length, start)
+    chart = chart_of(joint, False)
+    return joint, chart, chart_slopes(one.helix, length, joint, chart)
+
+
+def _half_width(chance: Floats, off: Floats, std: Floats) -> Floats:
+    """(k,) half width of the interval about 0 that holds 95 % of a mixture of normals (m, k)."""
+    std = np.maximum(std, 1e-12)
+    low, high = np.zeros(off.shape[1]), (np.abs(off) + 4 * std).max(axis=0)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        inside = chance @ (ndtr((middle - off) / std) - ndtr((-middle - off) / std))
+        low, high = np.where(inside < _SURE, middle, low), np.where(inside < _SURE, high, middle)
+    return np.asarray(high)
+
+
+def _carried(other: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
+    """(k, p) named parameters of a joint with chart `here` per free number of another one's chart."""
+    axis = np.array(other.axis)
+    side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
+    across = here.free[5:, 5:]
+    carried = np.zeros((len(here.free), chart.free.shape[1]))
+    tilted = [cross(np.array(joint.axis), side * cross(tilt, axis)) for tilt in chart.basis]
+    carried[:2, :2] = here.basis @ np.stack(tilted, axis=1)
+    carried[2:4, 2:4] = here.basis @ chart.basis.T
+    carried[4, 4] = 1.0
+    carried[5:, 5:] = across @ across.T @ chart.free[5:, 5:]
+    return carried
+
+
+def _difference(other: Joint, joint: Joint, chart: Chart) -> Floats:
+    """(k,) named parameters of a screw less those of a joint, counted from where it comes closest to its origin."""
+    seen = seen_by(other, np.array([joint.position]), None, 1.0)
+    c = float(seen.configuration[0])
+    radial, axis = np.cos(c) * seen.frame[0] + np.sin(c) * seen.frame[1], np.array(other.axis)
+    center = np.array(other.center) + other.pitch * c * axis
+    side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
+    across = chart.free[5:, 5:]
+    return np.concatenate(
+        [
+            chart.basis @ cross(np.array(joint.axis), side * axis),
+            chart.basis @ (center - joint.center),
+            [other.pitch - joint.pitch],
+            across @ across.T @ (center + seen.radius * radial - joint.position),
+        ]
+    )
