@@ -94,7 +94,8 @@ def _file_page(kind: str) -> str:
     sections = [
         f"# {title}\n\n{introduction}\n",
         f"Unknown keys, missing keys and wrong types are errors with the line number. Units are SI, angles in rad, "
-        f"quaternions scalar last, paths relative to the file.\n\nFor editors: [JSON Schema]({kind}.schema.json).\n",
+        f"quaternions scalar last, paths relative to the file.\n\nCompletion and hover [in your editor](editors.md): "
+        f"[JSON Schema]({kind}.schema.json).\n",
         _example(example),
         f"## The file\n\n{_table(described)}",
     ]

@@ -59,6 +59,7 @@ LIBRARIES = (
     Library("pytest", "pytest", "run the tests", "test"),
     Library("pytest-xdist", "xdist", "run the tests", "test"),
     Library("hypothesis", "hypothesis", "run the tests", "test"),
+    Library("jsonschema", "jsonschema", "run the tests", "test"),
     Library("mkdocs-material", "material", "build the docs", "docs"),
     Library("mkdocstrings", "mkdocstrings", "build the docs", "docs"),
 )
