@@ -34,7 +34,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("execution",),
     ("residual",),
     ("view",),
-    ("checking", "environment"),
+    ("checking", "environment", "templates"),
     ("workflow",),
     ("summaries",),
     ("cli",),

@@ -17,9 +17,10 @@ from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.residuals import calibrate, predict
 from micah_plan.cli.schemas import schema
+from micah_plan.cli.templates import new
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (learn, solve, explain, execute, predict, calibrate, show, check, schema, doctor)
+COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, show, check, schema, doctor)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

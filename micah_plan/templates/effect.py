@@ -1,0 +1,53 @@
+"""An effect of your own: a bearing that drags the more, the faster the part is moved.
+
+Run it as it is: `python effect.py` checks the form, and shows a drawer with and without it. To have it in
+calibration, predictions and plans, import this file before you call `micah_plan.workflow`: `register` does the rest.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from micah_plan.automaton.effects.conformance import check_form
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.registry import register
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.transition import simulate
+from micah_plan.spec.model_file import load_model
+
+
+@final
+class SpeedDrag(EffectForm):
+    """v -> v / (1 + drag |v|)."""
+
+    name = "speed_drag"
+    # Which hook below is used: frame, memory, command, force, guard, sensor or geometry.
+    layer = "command"
+    sentence = "Large commands fall short by a share that grows with their size."
+    source = "a guess of mine"
+    # Name, unit ("coordinate" stands for rad or m), value at which nothing changes, smallest and largest value.
+    parameters = (Parameter("drag", "1/coordinate", 0.0, 0.0, 50.0),)
+
+    # One formula for NumPy and for CasADi: use the functions of `ops` instead of numpy's, and no `if` on values.
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        """What of a command v reaches the joint."""
+        return v / (1.0 + p[0] * ops.abs(v))
+
+
+def main() -> None:
+    """Check the form and show what it does to the drawer in model.yaml."""
+    form = register(SpeedDrag())
+    check_form(form)
+    print(f"{form.name} conforms")
+    plain = load_model("model.yaml")
+    dragged = plain.with_effect(Effect(form.name, "drawer", (("drag", 10.0),)))
+    commands = np.full((5, 1), 0.04)
+    for name, automaton in (("without", plain), ("with", dragged)):
+        path = simulate(automaton, "slides", np.array([0.05]), commands)
+        print(f"{name:8}", np.round(path.states[:, 0], 4))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""What `micah-plan new` writes works as it is: the problems solve, the effect conforms, editors find the schemas."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from micah_plan import workflow
+from micah_plan.automaton.effects.conformance import check_form
+from micah_plan.checking import check_file
+from micah_plan.errors import InputError
+from micah_plan.spec.problem_file import load_problem
+from micah_plan.spec.yaml_lines import read_yaml
+from micah_plan.templates.effect import SpeedDrag
+from micah_plan.templates.write import write_template
+
+
+@pytest.mark.parametrize(
+    ("kind", "modes", "has_arm"), [("problem", ("shut", "slides"), False), ("robot", ("slides",), True)]
+)
+def test_the_problem_solves_as_it_is(tmp_path: Path, kind: str, modes: tuple[str, ...], has_arm: bool) -> None:
+    write_template(kind, tmp_path / "mine")  # type: ignore[arg-type]
+    plan = workflow.solve(load_problem(tmp_path / "mine" / "problem.yaml"))
+    assert plan.outcome == "solved"
+    assert tuple(dict.fromkeys(plan.mode_sequence)) == modes
+    assert (plan.arm is not None) is has_arm
+
+
+def test_what_the_comment_on_the_guard_says_is_so(tmp_path: Path) -> None:
+    """A harder pull is planned where the magnet holds more, and none is found where it holds more than a step."""
+    write_template("problem", tmp_path)
+    model = tmp_path / "model.yaml"
+
+    def pull(release: str) -> tuple[str, float]:
+        model.write_text(re.sub(r"input drawer > [\d.]+", f"input drawer > {release}", model.read_text()))
+        plan = workflow.solve(load_problem(tmp_path / "problem.yaml"))
+        return plan.outcome, 0.0 if plan.trajectory is None else float(plan.trajectory.inputs.max())
+
+    assert pull("0.02")[0] == "solved"
+    assert pull("0.02")[1] > 0.02
+    assert pull("0.05")[0] == "no_plan"
+
+
+def test_the_effect_conforms_and_runs(tmp_path: Path) -> None:
+    check_form(SpeedDrag())
+    write_template("effect", tmp_path)
+    done = subprocess.run([sys.executable, "effect.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    first, without, dragged = done.stdout.splitlines()
+    assert first == "speed_drag conforms"
+    ends = [float(line.rstrip("]").split()[-1]) for line in (without, dragged)]
+    assert ends[0] == pytest.approx(0.05 + 5 * 0.04)
+    assert ends[1] == pytest.approx(0.05 + 5 * 0.04 / 1.4, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["problem", "effect", "robot"])
+def test_every_yaml_file_is_good_and_names_a_schema_that_says_so(tmp_path: Path, kind: str) -> None:
+    written = write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
+    assert sorted((tmp_path / kind).iterdir()) == sorted(written)
+    found = [path for path in written if path.suffix == ".yaml"]
+    assert found
+    for path in found:
+        assert check_file(path).faults == ()
+        comment = path.read_text().splitlines()[0]
+        described = json.loads((path.parent / comment.removeprefix("# yaml-language-server: $schema=")).read_text())
+        jsonschema.validate(read_yaml(path.read_bytes(), str(path)).data, described)
+
+
+def test_the_command_writes_and_never_overwrites(tmp_path: Path) -> None:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "micah_plan", "new", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    done = run("problem", "mine", "--json")
+    assert json.loads(done.stdout)["files"][0] == "mine/problem.yaml"
+    (tmp_path / "mine" / "problem.yaml").write_text("my own")
+    (tmp_path / "mine" / "model.schema.json").unlink()
+    refused = run("robot", "mine")
+    assert refused.returncode == 2
+    assert refused.stderr == "error: mine/problem.yaml: is there already; name another folder\n"
+    assert (tmp_path / "mine" / "problem.yaml").read_text() == "my own"
+    assert not (tmp_path / "mine" / "robot.urdf").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "no" / "such", tmp_path / "file"):
+        with pytest.raises(InputError, match="cannot be made"):
+            write_template("effect", place)
+    with pytest.raises(InputError, match="choose one of problem, effect, robot"):
+        write_template("page", tmp_path)  # type: ignore[arg-type]
