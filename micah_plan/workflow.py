@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from micah_plan import __version__
-from micah_plan.automaton.effects.channel import left_out
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.automaton.memory_states import left_out
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.planning.plan import Obstacle, Plan
@@ -137,7 +137,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
     found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
-    return replace(_with_arm(problem, found, seed), warnings=left_out(problem.automaton))
+    return replace(_with_arm(problem, found, seed), warnings=left_out(problem.automaton, method != "pomdp-hd"))
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int) -> Plan:

@@ -19,6 +19,7 @@ from micah_plan.automaton.gain import mode_gains
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.register import Register
 from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
@@ -232,6 +233,7 @@ class HybridAutomaton:
         learned: what learning was sure of; empty for a model that was not learned.
         effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
             `modes` and `edges`, the others act in every step.
+        registers: the memories of effects that are states here (`memory_states`); empty: steps leave these effects out.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -245,6 +247,7 @@ class HybridAutomaton:
     provenance: Mapping[str, str] = field(default_factory=dict)
     learned: tuple[LearnedEdge, ...] = ()
     effects: tuple[Effect, ...] = ()
+    registers: tuple[Register, ...] = ()
 
     @property
     def n(self) -> int:

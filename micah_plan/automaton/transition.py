@@ -34,7 +34,8 @@ over until the next instant with an event. A step has at most ``MOST_EVENTS`` ev
 in front of its own guard could go on for ever); then the state rests where it is and ``Step.complete`` is false.
 
 **Effects.** Those of the automaton that have no memory change d, which is taken at the state where the step starts or a
-mode is entered. Effects with a memory change the sequence of inputs before it gets here (`effects.channel`).
+mode is entered. Effects with a memory change the input: that of the automaton's registers here, at the start of the
+step; without registers they change the sequence of inputs before it gets here (`effects.channel`).
 
 **Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
 clips.
@@ -59,6 +60,7 @@ from micah_plan.automaton.guard_table import (
     next_entry,
 )
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.register import passed_on
 from micah_plan.errors import InputError, shown
 
 Floats = NDArray[np.float64]
@@ -138,7 +140,7 @@ def step(
     start = _values(x, automaton.n, "x")
     given = _values(u, automaton.m, "u")
     pushed = None if disturbance is None else _values(disturbance, automaton.n, "disturbance")
-    end, final, events, complete = _advance(tables, table, start, given, pushed)
+    end, final, events, complete = _advance(automaton, tables, table, start, given, pushed)
     return Step(end.name, np.array(final), tuple(events), complete)
 
 
@@ -160,7 +162,7 @@ def simulate(
     modes, states, all_complete = [table.name], [x], True
     log: list[tuple[int, Event]] = []
     for k, (u, pushed) in enumerate(zip(rows, pushes, strict=True)):
-        table, x, events, complete = _advance(tables, table, x, u, pushed)
+        table, x, events, complete = _advance(automaton, tables, table, x, u, pushed)
         modes.append(table.name)
         states.append(x)
         log.extend((k, event) for event in events)
@@ -200,6 +202,22 @@ def saturate(automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike) 
 
 
 def _advance(
+    automaton: HybridAutomaton,
+    tables: dict[str, ModeTable],
+    table: ModeTable,
+    x: list[float],
+    u: list[float],
+    pushed: list[float] | None,
+) -> tuple[ModeTable, list[float], list[Event], bool]:
+    """A whole step with what comes out of the registers, which take their next values at its end; see `_travel`."""
+    if not automaton.registers:
+        return _travel(tables, table, x, u, pushed)
+    passed, after = passed_on(np, automaton.registers, table.name, x, u)
+    end, final, events, complete = _travel(tables, table, x, list(map(float, passed)), pushed)
+    return end, [float(after.get(i, value)) for i, value in enumerate(final)], events, complete
+
+
+def _travel(
     tables: dict[str, ModeTable], table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None
 ) -> tuple[ModeTable, list[float], list[Event], bool]:
     """Move from s = 0 to s = 1, alternately on to the next instant with an event and through the events there.

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.register import passed_arrays
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.belief import gaussian
 from micah_plan.belief.crossing import Piece, cross, whole_step
@@ -75,15 +76,17 @@ def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> H
     if applied.shape != (automaton.m,):
         raise InputError(f"an input must have shape ({automaton.m},). Got {applied.shape}")
     arrived: list[Piece] = []
+    remembered: Floats | None = None
     whole, (means, factors) = with_boundary_states(automaton), joint_of(automaton, belief)
     for index, mode in enumerate(whole.modes):
         weight = float(belief.weights[index])
         if weight < NEGLIGIBLE:
             continue
-        travelling = [whole_step(whole, mode.name, weight, means[index], factors[index], applied)]
+        passed, remembered = passed_arrays(whole.registers, mode.name, means[index], applied)
+        travelling = [whole_step(whole, mode.name, weight, means[index], factors[index], passed)]
         while travelling:
-            arrived += _through_guards(whole, travelling.pop(), applied, travelling)
-    return _assembled(whole, automaton.n, arrived)
+            arrived += _through_guards(whole, travelling.pop(), passed, travelling)
+    return _assembled(whole, automaton.n, arrived, remembered)
 
 
 def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> HybridBelief:
@@ -139,11 +142,14 @@ def guard_limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
     return [(-np.array(h.a), -h.c) for h in single if any(h.a) and not any(h.b)]
 
 
-def _assembled(automaton: HybridAutomaton, n: int, pieces: list[Piece]) -> HybridBelief:
+def _assembled(
+    automaton: HybridAutomaton, n: int, pieces: list[Piece], remembered: Floats | None = None
+) -> HybridBelief:
     """One Gaussian per mode from its pieces; a mode without any gets the mixture's, held at its pins.
 
     Args:
         automaton: over states and boundaries, of which the first n are states.
+        remembered: state with the registers' next values, which are known and the same in all modes.
     """
     weights = np.zeros(len(automaton.modes))
     gaussians: dict[str, tuple[Floats, Floats]] = {}
@@ -158,6 +164,10 @@ def _assembled(automaton: HybridAutomaton, n: int, pieces: list[Piece]) -> Hybri
             gaussians[mode.name] = gaussian.hold_at_pins(*overall, mode.pins)
     ordered = [gaussians[mode.name] for mode in automaton.modes]
     means, factors = (np.stack([pair[i] for pair in ordered]) for i in (0, 1))
+    if remembered is not None:
+        for register in automaton.registers:
+            memory = slice(register.first, register.first + register.size)
+            means[:, memory] = remembered[memory]
     return belief_of(weights / weights.sum(), means, factors, n)
 
 

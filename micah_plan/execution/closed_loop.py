@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from micah_plan.execution.pose import command, configuration
 from micah_plan.execution.scoring import goal_error, goal_probability, true_state
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import coasted, remembering
 from micah_plan.planning.verification import is_in_goal
 from micah_plan.recording.value import Recording
 
@@ -88,13 +89,13 @@ def execute(
         replan: gives a trajectory from a belief, or None if there is none; None: never replan.
         continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
     """
-    automaton = problem.automaton
+    automaton, known = problem.automaton, remembering(problem)
     longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
-    log, pilot = RunLog(automaton), _Pilot(problem, trajectory, replan, continue_plan)
+    log, pilot = RunLog(automaton), _Pilot(known, trajectory, replan, continue_plan)
     measurement = plant.reset(rng)
-    prior = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
-    beliefs = [_updated(automaton, prior, measurement)]
-    confidence = goal_probability(automaton, problem.goal, beliefs[-1])
+    prior = initial_belief(known.automaton, known.start.mean, known.start.std, trajectory.modes[0])
+    beliefs = [_updated(problem, known, prior, measurement)]
+    confidence = _lasting_probability(known, beliefs[-1])
     while len(beliefs) <= longest and not pilot.is_lost:
         belief = beliefs[-1]
         if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
@@ -103,8 +104,8 @@ def execute(
         order = _order(automaton, belief, u)
         log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
         measurement = plant.apply(order)
-        beliefs.append(_updated(automaton, predict(automaton, belief, u), measurement))
-        confidence = goal_probability(automaton, problem.goal, beliefs[-1])
+        beliefs.append(_updated(problem, known, predict(known.automaton, belief, u), measurement))
+        confidence = _lasting_probability(known, beliefs[-1])
     mode, x = true_state(automaton, plant.truth())
     log.add(measurement, beliefs[-1], x, None)
     return TrialResult(
@@ -186,15 +187,25 @@ class _Pilot:
 
 def _order(automaton: HybridAutomaton, belief: HybridBelief, u: Floats) -> Command:
     mode = automaton.modes[belief.most_likely].name
-    return command(automaton, mode, belief.means[belief.most_likely], u)
+    return command(automaton, mode, belief.means[belief.most_likely, : automaton.n], u)
 
 
-def _updated(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measurement) -> HybridBelief:
-    number = belief.most_likely
-    z = configuration(
-        automaton, automaton.modes[number].name, measurement.position, measurement.quaternion, belief.means[number]
-    )
-    return update(automaton, belief, z)
+def _updated(problem: Problem, known: Problem, belief: HybridBelief, measurement: Measurement) -> HybridBelief:
+    """The belief over the known problem's states after a measurement, which shows only those of the problem."""
+    automaton, number = problem.automaton, belief.most_likely
+    poses = measurement.position, measurement.quaternion
+    z = configuration(automaton, automaton.modes[number].name, *poses, belief.means[number, : automaton.n])
+    unseen = np.full(known.automaton.n - automaton.n, np.nan)
+    return update(known.automaton, belief, np.concatenate([z, unseen]))
+
+
+def _lasting_probability(problem: Problem, belief: HybridBelief) -> float:
+    """Probability of the goal now, and when all that was commanded has arrived: the smaller of both."""
+    automaton, now = problem.automaton, goal_probability(problem.automaton, problem.goal, belief)
+    if not automaton.registers:
+        return now
+    ends = [coasted(automaton, q.name, mean) for q, mean in zip(automaton.modes, belief.means, strict=True)]
+    return min(now, goal_probability(automaton, problem.goal, replace(belief, means=np.array(ends))))
 
 
 def _ending(problem: Problem, pilot: _Pilot, beliefs: list[HybridBelief], confidence: float) -> str:

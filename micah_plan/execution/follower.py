@@ -15,6 +15,7 @@ from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import coasted, own_size
 from micah_plan.planning.verification import is_in_goal
 
 Floats = NDArray[np.float64]
@@ -52,6 +53,7 @@ class PlanFollower:
         self._problem, self._automaton = problem, problem.automaton
         self._trajectory = trajectory
         self._max_step = limits_of(problem).max_step
+        self._size = own_size(problem.automaton)
         self._knot = 0
 
     def advise(self, belief: HybridBelief) -> Advice:
@@ -107,9 +109,10 @@ class PlanFollower:
     def _strayed(self, belief: HybridBelief, knot: int) -> bool:
         """Whether the estimate is further from the knot than plan and belief together allow (Mahalanobis distance)."""
         number = belief.most_likely
-        away = belief.means[number] - self._trajectory.means[knot]
-        planned, actual = self._trajectory.factors[knot], belief.factors[number]
-        measured = np.square(self._automaton.sensing(self._automaton.modes[number]).std_at(belief.means[number]))
+        n = self._size  # a memory of inputs is known exactly
+        away = belief.means[number][:n] - self._trajectory.means[knot][:n]
+        planned, actual = self._trajectory.factors[knot][:n, :n], belief.factors[number][:n, :n]
+        measured = np.square(self._automaton.sensing(self._automaton.modes[number]).std_at(belief.means[number]))[:n]
         covariance = planned @ planned.T + actual @ actual.T + np.diag(np.where(np.isfinite(measured), measured, 0.0))
         distance = float(away @ np.linalg.pinv(covariance) @ away)
         return distance > float(chi2.isf(_OFF_PLAN_PROBABILITY, away.size))
@@ -129,14 +132,18 @@ class PlanFollower:
             if earlier:
                 again = self._towards(other, belief.means[doubted], earlier[-1])
                 after = self._undisturbed(mode, estimate, again)
-                if after.mode == mode and np.allclose(after.x, estimate, rtol=0.0, atol=_NO_MOTION):
+                if after.mode == mode and self._is_near(after.x, estimate):
                     return again
         return self._towards(mode, estimate, knot)
 
+    def _is_near(self, x: Floats, estimate: Floats) -> bool:
+        return np.allclose(x[: self._size], estimate[: self._size], rtol=0.0, atol=_NO_MOTION)
+
     def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
         """The smallest input that brings what the mode moves closest to a knot; what it holds is not pulled at."""
-        effect = np.array(self._automaton.mode(mode).B)
-        away = self._trajectory.means[knot] - estimate
+        effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
+        ahead = coasted(self._automaton, mode, estimate)  # what is on its way need not be commanded again
+        away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
         u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
         return self._limited(mode, estimate, np.asarray(u, dtype=float))
 

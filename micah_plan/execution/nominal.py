@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.gain import drawn_gains, with_gains
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, jacobian
@@ -39,6 +40,7 @@ class NominalPlant:
         self.automaton = automaton
         self.start = start
         self._true = automaton
+        self._channel = InputChannel(automaton)
         self._period = control_period
         self._process_std = np.array(automaton.noise.process_std)
         self._rng: np.random.Generator | None = None
@@ -53,6 +55,7 @@ class NominalPlant:
         gains = drawn_gains(self.automaton, rng, 1)[0]
         self._true = with_drawn_thresholds(with_gains(self.automaton, gains), rng)
         self._mode, self._x = sample_start(self._true, self.start, rng)
+        self._channel = InputChannel(self._true)
         self._time = 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)
         return self._measure(0.0)
@@ -62,7 +65,7 @@ class NominalPlant:
         if self._rng is None:
             raise RuntimeError("apply before reset")
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
-        after = step(self._true, self._mode, self._x, command.input, disturbance)
+        after = step(self._true, self._mode, self._x, self._channel.pass_on(command.input, self._mode), disturbance)
         self._mode, self._x = after.mode, after.x
         self._time += self._period
         return self._measure(self._period)

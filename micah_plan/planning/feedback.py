@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import linear_step
 
 Floats = NDArray[np.float64]
 
@@ -21,12 +22,19 @@ _TRACKING_WEIGHT = 0.3
 _SMALLEST_WEIGHT = 1e-3
 
 
-def belief_lqr(problem: Problem, limits: Limits, modes: tuple[str, ...], is_transition: NDArray[np.bool_]) -> Floats:
+def belief_lqr(
+    problem: Problem,
+    limits: Limits,
+    modes: tuple[str, ...],
+    is_transition: NDArray[np.bool_],
+    around: tuple[Floats, Floats] | None = None,
+) -> Floats:
     """(K-1, m, n) gains for the executed input = inputs[k] + gains[k] @ (estimate - means[k]).
 
     Args:
         modes: (K,) mode at each knot.
         is_transition: (K-1,) whether the step from knot to knot is a transition; its gain is zero.
+        around: means (K, n) and inputs (K-1, m) near which a memory of inputs is linear; None: largest inputs at rest.
 
     A coordinate that a mode pins has no feedback: what it seems to deviate by is not motion.
     """
@@ -46,10 +54,11 @@ def belief_lqr(problem: Problem, limits: Limits, modes: tuple[str, ...], is_tran
             A = matrix_after(automaton, edge)
             value = tracking + A.T @ value @ A
             continue
-        B = automaton.mode(modes[k]).B
-        gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value)
+        place = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
+        A, B = linear_step(automaton, modes[k], *place)
+        gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value @ A)
         gains[k] = gain * _is_free(problem, modes[k])
-        closed = np.eye(n) + B @ gain
+        closed = A + B @ gain
         value = tracking + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains
 

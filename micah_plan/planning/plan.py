@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -66,7 +66,7 @@ class Trajectory:
     Attributes:
         modes: (K,) mode at each knot. At a transition two successive knots share one time: the belief before the guard
             and the belief after the reset; the input between them is zero and `is_transition` is true.
-        means: (K, n) of the belief [rad or m].
+        means: (K, n) of the belief [rad or m]; the model's coordinates, then its memory of inputs if it has one.
         factors: (K, n, n) lower Cholesky factors of its covariance.
         inputs: (K-1, m) nominal input from knot to knot.
         gains: (K-1, m, n): executed input = inputs[k] + gains[k] @ (estimate - means[k]).
@@ -79,6 +79,10 @@ class Trajectory:
     inputs: Floats
     gains: Floats
     is_transition: NDArray[np.bool_]
+
+    def of_first(self, n: int) -> Trajectory:
+        """What it says of the first n coordinates: of the object, without a memory of inputs."""
+        return replace(self, means=self.means[:, :n], factors=self.factors[:, :n, :n], gains=self.gains[:, :, :n])
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,5 +17,9 @@ def time_knots(trajectory: Trajectory) -> Ints:
 
 
 def feedback_input(trajectory: Trajectory, knot: int, estimate: Floats) -> Floats:
-    """(..., m) planned displacement corrected for the estimate (..., n) of the state; limits are the caller's."""
-    return np.asarray(trajectory.inputs[knot] + (estimate - trajectory.means[knot]) @ trajectory.gains[knot].T)
+    """(..., m) planned displacement corrected for the estimate (..., n) of the state; limits are the caller's.
+
+    A plan that knows fewer of its coordinates, none of a memory, looks at the first ones.
+    """
+    known = estimate[..., : trajectory.means.shape[1]]
+    return np.asarray(trajectory.inputs[knot] + (known - trajectory.means[knot]) @ trajectory.gains[knot].T)

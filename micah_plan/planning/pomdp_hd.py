@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -19,7 +20,8 @@ from micah_plan.planning.mode_search import ModeSequence, search_modes
 from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason, obstacle_of_status, obstacles_of
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.replanning import believed_problem, rest_of
+from micah_plan.planning.remembering import forgetting, remembering
+from micah_plan.planning.replanning import believed_problem, rest_of, with_memory
 from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription import transcribe
@@ -51,7 +53,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
         return Plan("no_plan", reason, seed=seed, timings=_Clock().timings(), obstacles=endpoint_obstacles(problem))
-    return _plan_from(problem, mode, seed, progress or _silent)
+    return _plan_from(remembering(problem), mode, seed, progress or _silent)
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
@@ -59,8 +61,9 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
 
     None if there is none, or none that roll-outs confirm.
     """
+    here = believed_problem(remembering(problem), belief)
     mode = problem.automaton.modes[belief.most_likely].name
-    found = verified_plan(believed_problem(problem, belief), lambda task: _plan_from(task, mode, seed, _silent), seed)
+    found = verified_plan(here, lambda task: _plan_from(task, mode, seed, _silent), seed)
     return found.trajectory if found.outcome == "solved" else None
 
 
@@ -70,7 +73,7 @@ def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory
     Modes and numbers of steps stay those of the trajectory: there is no search, and the end comes no later, however
     often it is continued. None where the steps left do not suffice, or the belief is in another mode.
     """
-    here, clock = believed_problem(problem, belief), _Clock()
+    here, clock = believed_problem(remembering(problem), belief), _Clock()
     if here.start.mode != trajectory.modes[knot]:
         return None
     limits, compiled = limits_of(here), compile_automaton(here.automaton)
@@ -91,9 +94,10 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
     limits = limits_of(problem)
     say("searching mode sequences", 0.0)
     with clock.stage("search"):
-        found = search_modes(
-            problem, limits, mode, seed, is_over=lambda: clock.seconds >= problem.settings.solve_time_limit_s
-        )
+        plain = forgetting(problem)
+        is_over = partial(_is_over, clock, problem)
+        found = search_modes(plain, limits_of(plain), mode, seed, is_over=is_over)
+        sequences = [with_memory(problem, sequence) for sequence in found.sequences]
     if not found.sequences:
         obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", found.reason),)
         return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), obstacles=obstacles)
@@ -102,8 +106,8 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
     candidates: list[Candidate] = []
     missed: list[Obstacle] = []
     best: tuple[BeliefPath, ModeSequence] | None = None
-    for number, sequence in enumerate(found.sequences, start=1):
-        say(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
+    for number, sequence in enumerate(sequences, start=1):
+        say(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
         path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock)
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
@@ -154,6 +158,10 @@ def _optimise(
     return path, message, obstacles or [obstacle_of_status(sequence.modes, path.message)]
 
 
+def _is_over(clock: _Clock, problem: Problem) -> bool:
+    return clock.seconds >= problem.settings.solve_time_limit_s
+
+
 def _with_time_left(problem: Problem, clock: _Clock) -> Problem:
     """The problem with the time that an optimisation may take now."""
     settings = problem.settings
@@ -170,9 +178,9 @@ def _out_of_time(problem: Problem, sequence: ModeSequence, said: str) -> tuple[s
 def _solved(
     problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: _Clock
 ) -> Plan:
-    gains = belief_lqr(problem, limits, path.modes, path.is_transition)
     inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
     inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver keeps bounds only to its tolerance
+    gains = belief_lqr(problem, limits, path.modes, path.is_transition, (path.means, inputs))
     trajectory = Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
     errors = [abs(float(path.means[-1, i]) - value) for i, value, _ in problem.goal.target]
     stds = [float(np.linalg.norm(path.factors[-1, i])) for i, _, _ in problem.goal.target]

@@ -13,6 +13,7 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.mode_search import ModeSequence
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.problem import Problem, Start
+from micah_plan.planning.remembering import own_size
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,13 @@ def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
     if belief.shifts is not None and belief.shift_stds is not None:
         automaton = with_known_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
     return replace(problem, start=start, automaton=automaton)
+
+
+def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
+    """A sequence found over x as one over (x, m), m as at the start of the problem: search asks for x only."""
+    memory = np.array(problem.start.mean[own_size(problem.automaton) :])
+    paths = [np.hstack([path, np.tile(memory, (len(path), 1))]) for path in sequence.waypoints]
+    return replace(sequence, waypoints=tuple(paths))
 
 
 def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tuple[ModeSequence, list[int]]:

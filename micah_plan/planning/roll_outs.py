@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.gain import drawn_gains
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
@@ -21,6 +22,7 @@ from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import forgetting, remembering, steps_of_memory
 from micah_plan.planning.start_state import draw_state
 
 Floats = NDArray[np.float64]
@@ -63,6 +65,7 @@ class RollOuts:
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int) -> Chances:
     """The random part of that many roll-outs; the same for the same seed."""
+    problem = forgetting(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     stds = threshold_stds(automaton)
     shifts = stds * rng.standard_normal((trials, stds.size))
@@ -76,23 +79,31 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> RollOuts:
-    """Carry a trajectory out once per row of chances."""
-    automaton, limits = problem.automaton, limits_of(problem)
+    """Carry a trajectory out once per row of chances, and wait until all that was commanded has arrived."""
+    known, problem = remembering(problem), forgetting(problem)
+    automaton, whole, limits = problem.automaton, known.automaton, limits_of(problem)
+    memory = {r.effect: known.start.mean[r.first : r.first + r.size] for r in whole.registers}
+    channel = InputChannel(automaton, memory)
+    unseen = np.full((len(chances.starts), whole.n - automaton.n), np.nan)
     trials, everyone = len(chances.starts), np.arange(len(chances.starts))
     index = [mode.name for mode in automaton.modes].index(trajectory.modes[0])
     modes, x = np.full(trials, index), chances.starts
-    start = initial_belief(automaton, problem.start.mean, problem.start.std, trajectory.modes[0])
-    beliefs = repeated(automaton, start, trials)
+    start = initial_belief(whole, known.start.mean, known.start.std, trajectory.modes[0])
+    beliefs = repeated(whole, start, trials)
     for step, knot in enumerate(time_knots(trajectory)):
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]
         u = feedback_input(trajectory, int(knot), estimate)
         for number in np.unique(believed):
             rows = believed == number
-            u[rows] = limited_input(automaton.modes[number], estimate[rows], u[rows], limits.max_step)
-        modes, x = chances.objects.step(modes, x, u, chances.process[step])
+            u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
+        modes, x = chances.objects.step(modes, x, channel.pass_on(u, modes), chances.process[step])
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
-        beliefs = update(automaton, predict(automaton, beliefs, u), measured)
+        beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
+    nothing = np.zeros((trials, automaton.m))
+    for _ in range(steps_of_memory(whole, limits.max_step)[1]):
+        modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes), np.zeros_like(x))
+        beliefs = predict(whole, beliefs, nothing)
     return RollOuts(modes, x, beliefs)
 
 

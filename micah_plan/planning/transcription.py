@@ -12,7 +12,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import steps_of_memory
 from micah_plan.planning.transcription_corridor import CorridorRow, corridor
 from micah_plan.planning.transcription_guess import STRICT_SHARE, PhaseGuess
 from micah_plan.planning.transcription_rows import Row, RowNames
@@ -95,7 +96,7 @@ def transcribe(
         _add_phase(nlp, problem, limits, compiled, phase)
     for before, after in zip(range(len(guess) - 1), range(1, len(guess)), strict=True):
         _join(nlp, problem, limits, compiled, before, after)
-    _add_goal(nlp, problem)
+    _add_goal(nlp, problem, limits, compiled)
     return nlp
 
 
@@ -273,12 +274,18 @@ def _join(
     nlp.require(target.states[:, 0] - reset, rows)
 
 
-def _add_goal(nlp: Transcription, problem: Problem) -> None:
-    """The goal at the last knot: the mean within the tolerance, error and variance in the cost."""
+def _add_goal(nlp: Transcription, problem: Problem, limits: Limits, compiled: CompiledAutomaton) -> None:
+    """The goal at the last knot, and once all commands have arrived: the mean within the tolerance.
+
+    Error and variance are in the cost.
+    """
     automaton, settings = problem.automaton, problem.settings
     last = nlp.guess[-1]
     state = nlp.phases[-1].states[:, -1]
     factor = factor_of(state, nlp.pattern)
+    settled = state[: automaton.n]
+    for _ in range(steps_of_memory(automaton, limits.max_step)[1]):
+        settled = compiled.modes[last.mode].step(settled, ca.DM.zeros(automaton.m))
     for index, value, tolerance in problem.goal.target:
         coordinate = automaton.coordinates[index]
         error = state[index] - value
@@ -287,6 +294,10 @@ def _add_goal(nlp: Transcription, problem: Problem) -> None:
         row = Row(last.mode, knot, name, coordinate.unit, -tolerance, tolerance, "goal")
         nlp.require(error, [row])
         nlp.cost += settings.weight_goal * (error / tolerance) ** 2
+        if automaton.registers:
+            later = settled[index] - value
+            nlp.require(later, [replace(row, name=f"{name} when all commands have arrived")])
+            nlp.cost += settings.weight_goal * (later / tolerance) ** 2
         nlp.cost += settings.weight_covariance * ca.sumsqr(factor[index, :]) / tolerance**2
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits
@@ -16,6 +17,7 @@ from micah_plan.planning.mode_search import ModeSequence
 from micah_plan.planning.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
 from micah_plan.planning.polytope import mode_states
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.remembering import linear_step, steps_of_memory
 from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
 
 Floats = NDArray[np.float64]
@@ -114,12 +116,16 @@ def _divide(
     moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
     if moving is not None:
         wanted[moving] += int(_steps_to_correct_start(problem, limits, sequence.modes[moving]))
+    felt, gone = steps_of_memory(automaton, limits.max_step)
     for p, mode in enumerate(sequence.modes):
         moves = bool(automaton.mode(mode).B.any())
-        by_input = p > 0 and any(any(h.b) for h in automaton.edges[sequence.edges[p - 1]].guard.half_spaces)
+        by_input = p > 0 and _is_by_input(automaton, sequence.edges[p - 1])
         wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
         least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
         wanted[p] = int(np.ceil(stretch * wanted[p])) if moves else wanted[p]
+        # Commands take their time: until the object is released, and until the last one has arrived.
+        waits = felt * (p < len(sequence.edges) and _is_by_input(automaton, sequence.edges[p]))
+        least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:
         return [], (
             f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
@@ -127,6 +133,10 @@ def _divide(
         )
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
+
+
+def _is_by_input(automaton: HybridAutomaton, edge: int) -> bool:
+    return any(any(h.b) for h in automaton.edges[edge].guard.half_spaces)
 
 
 def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
@@ -151,17 +161,20 @@ def _roll(
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
         mode, count = compiled.modes[name], steps[p]
+        slopes = linear_step(problem.automaton, name, mean, limits.max_step)
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
             _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
-            covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, gains[first_knot:])[-1]
+            covariance = factors[-1] @ factors[-1].T + _spreads(mode, slopes, spread, factors, gains[first_knot:])[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         needed.append(_input_length(path, mode.mode.B, limits.max_step))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(mode.mode.B).T
+        if edge is not None and problem.automaton.registers and not mode.mode.B.any():
+            inputs[:] = _pull(problem.automaton, edge, limits)
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)
-        spreads = _spreads(mode, spread, factors, gains[first_knot:])
+        spreads = _spreads(mode, slopes, spread, factors, gains[first_knot:])
         phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads))
         first_knot += count + 1
         if edge is not None:
@@ -169,6 +182,12 @@ def _roll(
             mean, factor = _belief(compiled.edges[edge].belief_reset(means[-1], factors[-1], u))
             spread = _spread_after(problem, edge, spreads[-1])
     return tuple(phases), needed
+
+
+def _pull(automaton: HybridAutomaton, edge: int, limits: Limits) -> Floats:
+    """(m,) the input that the guard of an edge asks for while the object is still held, as large as it may be."""
+    wanted = sum((np.array(h.b) for h in automaton.edges[edge].guard.half_spaces), np.zeros(automaton.m))
+    return np.asarray(limits.max_step * np.sign(wanted))
 
 
 def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> Floats:
@@ -179,13 +198,15 @@ def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list
     return belief_lqr(problem, limits, tuple(modes), is_transition)
 
 
-def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, gains: Floats) -> Floats:
+def _spreads(
+    mode: CompiledMode, slopes: tuple[Floats, Floats], spread: Floats, factors: Floats, gains: Floats
+) -> Floats:
     """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
     spreads, u = [spread], np.zeros(mode.mode.B.shape[1])
     n = len(spread)
     for before, after, gain in zip(factors[:-1], factors[1:], gains, strict=False):
         predicted = _belief(mode.predict(np.zeros(n), before, u))[1]
-        closed = np.eye(n) + mode.mode.B @ gain
+        closed = slopes[0] + slopes[1] @ gain
         spreads.append(closed @ spreads[-1] @ closed.T + predicted @ predicted.T - after @ after.T)
     return np.array(spreads)
 

@@ -28,7 +28,10 @@ def factor_pattern(
     maps = [compiled.modes[name].belief_step for name in dict.fromkeys(modes)]
     maps += [compiled.edges[index].belief_reset for index in dict.fromkeys(edges)]
     mean, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
-    pattern = ca.Sparsity.diag(n).unite(ca.sparsify(ca.DM(np.tril(start))).sparsity())
+    uncertain = np.ones(n)
+    for register in compiled.automaton.registers:
+        uncertain[register.first : register.first + register.size] = 0.0
+    pattern = ca.sparsify(ca.DM(np.diag(uncertain) + np.abs(np.tril(start)))).sparsity()
     for _ in range(n * n):
         grown = pattern
         for function in maps:

@@ -68,7 +68,8 @@ def tool_path(problem: Problem, trajectory: Trajectory, touching: Sequence[froze
     grasp = problem.grasp
     if grasp is None:
         raise InputError("the problem has no grasp", source=problem.source or None, remedy="add 'grasp'")
-    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, trajectory.means, strict=True)]
+    states = trajectory.of_first(problem.automaton.n).means
+    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, states, strict=True)]
     if touching is None and problem.hold is not None:
         touching = [touching_pairs(problem, poses) for poses in knots]
     moved = {

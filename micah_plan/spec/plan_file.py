@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from micah_plan import __version__
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.memory_states import with_memory_states
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
@@ -255,6 +256,8 @@ def _stored(located: Located) -> StoredPlan:
 
 def _trajectory(document: TrajectoryDocument, automaton: HybridAutomaton, located: Located) -> Trajectory:
     knots, n, m = len(document.modes), automaton.n, automaton.m
+    if document.means and len(document.means[0]) != n:
+        n = with_memory_states(automaton).n
     names = [mode.name for mode in automaton.modes]
     for i, name in enumerate(document.modes):
         if name not in names:

@@ -2,6 +2,7 @@
 
 Inputs and outputs: x, mean (n, 1); u (m, 1); factor (n, n), structurally lower triangular: the lower Cholesky factor L
 of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton.
+u is what is commanded; guards and motion see what of it comes out of the automaton's registers.
 
 Noise and pins: the process noise acts on the coordinates that a mode leaves free. A pinned coordinate is held, so it
 gets none; that the mode holds it at a known value is one piece of information (N(value, std²)), counted once, when
@@ -22,6 +23,7 @@ import numpy as np
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.register import passed_on
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.effects import CasadiOperations
@@ -174,7 +176,10 @@ def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
 
 def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> CompiledMode:
     sensing = automaton.sensing(mode)
-    flowed = _flow(automaton, mode, s)
+    given, remembered = _passed_on(automaton, mode.name, s)
+    flowed = _flow(automaton, mode, s, given)
+    for i, value in remembered.items():
+        flowed[i] = value
     carried = _carried(flowed, s) if automaton.effects else s.factor
     if mode.ties:
         # The state keeps to the ties already, so its factor does; so must what an effect or noise does to it.
@@ -182,11 +187,11 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         for tie in mode.ties:
             tied[tie.coordinate, :] = ca.DM(tie.weights).T
             flowed[tie.coordinate] = tie.offset + ca.dot(ca.DM(tie.weights), flowed)
-        noise = ca.mtimes(ca.sparsify(tied), ca.diag(ca.vertcat(*_step_noise_std(automaton, mode, s))))
+        noise = ca.mtimes(ca.sparsify(tied), ca.diag(ca.vertcat(*_step_noise_std(automaton, mode, given))))
         noise = ca.sparsify(noise)
         spread = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(ca.sparsify(tied), carried), noise)))
     else:
-        spread = add_noise(carried, _step_noise_std(automaton, mode, s))
+        spread = add_noise(carried, _step_noise_std(automaton, mode, given))
     updated = _update(s.x, s.factor, sensing_std(sensing, s.x), s.z)
     stepped = _update(flowed, spread, sensing_std(sensing, flowed), None)
     held = _condition(s.x, s.factor, mode.pins)
@@ -195,9 +200,9 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
     return CompiledMode(
         mode=mode,
         step=ca.Function("step", [s.x, s.u], [flowed], ["x", "u"], ["x_next"]),
-        invariant=_margins("invariant", mode.invariant, s),
-        inputs=_margins("inputs", mode.inputs, s),
-        invariant_belief=_margins_of_belief("invariant_belief", mode.invariant, s),
+        invariant=_margins("invariant", mode.invariant, s, given),
+        inputs=_margins("inputs", mode.inputs, s, s.u),
+        invariant_belief=_margins_of_belief("invariant_belief", mode.invariant, s, given),
         observation=ca.Function("observation", [s.x], [s.x], ["x"], ["z"]),
         observation_std=ca.Function("observation_std", [s.x], [ca.vertcat(*sensing_std(sensing, s.x))], ["x"], ["std"]),
         predict=ca.Function("predict", belief, [flowed, spread], [*names, "u"], ["mean_next", "factor_next"]),
@@ -209,9 +214,18 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
     )
 
 
-def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> ca.SX:
+def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.SX, dict[int, ca.SX]]:
+    """The input (m, 1) that comes out of the automaton's registers in a mode, and their next values by index."""
+    if not automaton.registers:
+        return s.u, {}
+    x, u = ([symbols[i] for i in range(symbols.numel())] for symbols in (s.x, s.u))
+    passed, after = passed_on(CasadiOperations(), automaton.registers, mode, x, u)
+    return ca.SX(ca.vertcat(*passed)), after
+
+
+def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols, u: ca.SX) -> ca.SX:
     """x⁺ = x + B u with the effects of the mode that have no memory."""
-    moved = ca.mtimes(ca.DM(mode.B), s.u)
+    moved = ca.mtimes(ca.DM(mode.B), u)
     acting = motions(automaton.effects, [c.name for c in automaton.coordinates], mode.name)
     held = {pin.coordinate for pin in mode.pins}
     for i, motion in acting.items():
@@ -220,9 +234,9 @@ def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> ca.SX:
     return s.x + moved
 
 
-def _step_noise_std(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> list[float | ca.SX]:
+def _step_noise_std(automaton: HybridAutomaton, mode: Mode, u: ca.SX) -> list[float | ca.SX]:
     """`HybridAutomaton.step_noise_std`: numbers where the gain is certain."""
-    free, gains, moved = automaton.free_process_std(mode), automaton.gain_std(mode), ca.mtimes(ca.DM(mode.B), s.u)
+    free, gains, moved = automaton.free_process_std(mode), automaton.gain_std(mode), ca.mtimes(ca.DM(mode.B), u)
     return [
         std if gain == 0.0 else ca.sqrt(max(std, SMALLEST_STD) ** 2 + (gain * moved[i]) ** 2)
         for i, (std, gain) in enumerate(zip(free, gains, strict=True))
@@ -237,7 +251,8 @@ def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:
 
 def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> CompiledEdge:
     a, b, c = edge.reset.matrices(automaton.n, automaton.m)
-    moved = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), s.u) + ca.DM(c)
+    given = _passed_on(automaton, edge.source, s)[0]
+    moved = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), given) + ca.DM(c)
     mean, factor = _turned(turn, s) if (turn := turn_of(automaton, edge)) else (moved, s.factor)
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
     factor = factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), factor))
@@ -246,8 +261,8 @@ def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> Compil
     held = _condition(mean, factor, automaton.pins_met_by(edge))
     return CompiledEdge(
         edge=edge,
-        guard=_margins("guard", edge.guard, s),
-        guard_belief=_margins_of_belief("guard_belief", edge.guard, s),
+        guard=_margins("guard", edge.guard, s, given),
+        guard_belief=_margins_of_belief("guard_belief", edge.guard, s, given),
         reset=ca.Function("reset", [s.x, s.u], [moved], ["x", "u"], ["x_next"]),
         belief_reset=ca.Function(
             "belief_reset", [s.x, s.factor, s.u], list(held), ["mean", "factor", "u"], ["mean_next", "factor_next"]
@@ -262,18 +277,18 @@ def _turned(turn: Turn, s: _Symbols) -> tuple[ca.SX, ca.SX]:
     return ca.mtimes(A, s.x) + ca.DM(turn.c), factor
 
 
-def _margins(name: str, region: Region, s: _Symbols) -> ca.Function:
-    return ca.Function(name, [s.x, s.u], [_margin_rows(region, s)], ["x", "u"], ["margins"])
+def _margins(name: str, region: Region, s: _Symbols, u: ca.SX) -> ca.Function:
+    return ca.Function(name, [s.x, s.u], [_margin_rows(region, s.x, u)], ["x", "u"], ["margins"])
 
 
-def _margins_of_belief(name: str, region: Region, s: _Symbols) -> ca.Function:
+def _margins_of_belief(name: str, region: Region, s: _Symbols, u: ca.SX) -> ca.Function:
     stds = [norm(ca.mtimes(s.factor.T, ca.DM(h.a))) for h in region.half_spaces]
-    outputs = [_margin_rows(region, s), ca.vertcat(*stds) if stds else ca.SX(0, 1)]
+    outputs = [_margin_rows(region, s.x, u), ca.vertcat(*stds) if stds else ca.SX(0, 1)]
     return ca.Function(name, [s.x, s.factor, s.u], outputs, ["mean", "factor", "u"], ["margin", "std"])
 
 
-def _margin_rows(region: Region, s: _Symbols) -> ca.SX:
-    rows = [ca.dot(ca.DM(h.a), s.x) + ca.dot(ca.DM(h.b), s.u) - h.c for h in region.half_spaces]
+def _margin_rows(region: Region, x: ca.SX, u: ca.SX) -> ca.SX:
+    rows = [ca.dot(ca.DM(h.a), x) + ca.dot(ca.DM(h.b), u) - h.c for h in region.half_spaces]
     return ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
 
 

@@ -51,7 +51,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
         raise InputError(
             f"a plan with outcome '{plan.outcome}' has no belief to draw", remedy="solve the problem first"
         )
-    automaton, trajectory = problem.automaton, plan.trajectory
+    automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
     executed = [] if runs is None else executed_configurations(problem, runs)
     figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
     steps = step_times(trajectory)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,8 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal."""
     problem = with_shown_points(problem)
     automaton = problem.automaton
+    if plan.trajectory:
+        plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
     scene = Scene()
     size = object_size(automaton)
     sigmas = _Sigmas(float(norm.ppf(problem.settings.confidence)), 0.025 * size)

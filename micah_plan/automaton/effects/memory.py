@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
+
+import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
@@ -19,7 +22,8 @@ class Delay(EffectForm):
     parameters = (Parameter("steps", "step", 0.0, 0.0, float(LONGEST_DELAY)),)
 
     def at_rest(self, p: Values) -> tuple[Value, ...]:
-        return (0.0,) * LONGEST_DELAY
+        # Many delays at once share a line for the longest.
+        return (0.0,) * (LONGEST_DELAY if np.ndim(p[0]) else math.ceil(p[0]))
 
     def remember(
         self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.register import passed_arrays
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
 from micah_plan.belief.batch.sliding import slid
@@ -66,18 +67,22 @@ def predict(automaton: HybridAutomaton, beliefs: BeliefBatch, u: Floats) -> Beli
     """The beliefs after one step with inputs u (t, m)."""
     automaton = with_boundary_states(automaton)
     arrived: list[list[Pieces]] = [[] for _ in automaton.modes]
-    travelling = []
+    remembered = np.zeros(beliefs.joint_means[:, 0].shape)
+    travelling: list[tuple[Pieces, Floats]] = []
     for index in range(len(automaton.modes)):
         owner = np.flatnonzero(beliefs.weights[:, index] >= NEGLIGIBLE)
         if owner.size:
             mean, factor = beliefs.joint_means[owner, index], beliefs.joint_factors[owner, index]
-            travelling.append(
-                whole_step(automaton, index, owner, beliefs.weights[owner, index], mean, factor, u[owner])
-            )
+            passed, name = u.copy(), automaton.modes[index].name
+            passed[owner], remembered[owner] = passed_arrays(automaton.registers, name, mean, u[owner])
+            weights = beliefs.weights[owner, index]
+            travelling.append((whole_step(automaton, index, owner, weights, mean, factor, passed[owner]), passed))
     while travelling:
-        pieces = travelling.pop()
-        arrived[pieces.mode] += _through_guards(automaton, pieces, u, travelling)
-    return _assembled(automaton, beliefs, arrived)
+        pieces, passed = travelling.pop()
+        onward: list[Pieces] = []
+        arrived[pieces.mode] += _through_guards(automaton, pieces, passed, onward)
+        travelling += [(piece, passed) for piece in onward]
+    return _assembled(automaton, beliefs, arrived, remembered)
 
 
 def update(automaton: HybridAutomaton, beliefs: BeliefBatch, z: Floats) -> BeliefBatch:
@@ -124,14 +129,19 @@ def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, trave
     return [*ended, pieces] if len(pieces) else ended
 
 
-def _assembled(automaton: HybridAutomaton, before: BeliefBatch, arrived: list[list[Pieces]]) -> BeliefBatch:
-    """One Gaussian per belief and mode from its pieces."""
+def _assembled(
+    automaton: HybridAutomaton, before: BeliefBatch, arrived: list[list[Pieces]], remembered: Floats
+) -> BeliefBatch:
+    """One Gaussian per belief and mode from its pieces; the registers' values (t, n + b) are known."""
     weights = np.zeros_like(before.weights)
     means, factors = np.zeros_like(before.joint_means), np.zeros_like(before.joint_factors)
     for index in range(len(automaton.modes)):
         if arrived[index]:
             owners, weight, mean, factor = _merged(arrived[index])
             weights[owners, index], means[owners, index], factors[owners, index] = weight, mean, factor
+    for register in automaton.registers:
+        own = slice(register.first, register.first + register.size)
+        means[:, :, own] = remembered[:, None, own]
     return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors, before.n)
 
 
