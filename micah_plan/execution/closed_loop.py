@@ -111,7 +111,7 @@ def execute(
     return TrialResult(
         recording=log.recording(run),
         success=is_in_goal(problem.goal, mode, x),
-        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x),
+        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x, plant.truth().incident),
         final_error=goal_error(problem.goal, x),
         final_mode=mode,
         final_x=x,
@@ -219,7 +219,7 @@ def _ending(problem: Problem, pilot: _Pilot, beliefs: list[HybridBelief], confid
     return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
 
 
-def _reason(problem: Problem, ending: str, mode: str, x: Floats) -> str:
+def _reason(problem: Problem, ending: str, mode: str, x: Floats, incident: str) -> str:
     if is_in_goal(problem.goal, mode, x):
         return ending
     misses = [
@@ -230,4 +230,4 @@ def _reason(problem: Problem, ending: str, mode: str, x: Floats) -> str:
     ]
     if problem.goal.modes and mode not in problem.goal.modes:
         misses.append(f"the true mode is {mode}, not {' or '.join(problem.goal.modes)}")
-    return f"{ending}, but {' and '.join(misses)}"
+    return f"{ending}, but {' and '.join([incident, *misses] if incident else misses)}"

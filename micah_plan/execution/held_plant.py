@@ -104,12 +104,7 @@ class HeldPlant:
         held[_JOINT] = self._is_latched
         rigid = next((mode.name for mode in self.automaton.modes if mode.pins), FREE)
         mode = COLLIDED if self._collision else (rigid if self._is_latched else FREE)
-        return Truth(mode, x, *self._poses(), held)
-
-    @property
-    def collision(self) -> str:
-        """What the object hit first; empty if nothing."""
-        return self._collision
+        return Truth(mode, x, *self._poses(), held, self._collision)
 
     def close(self) -> None:
         """Free the simulation."""
@@ -132,7 +127,10 @@ class HeldPlant:
             push = np.zeros(6)
             self._mj.mj_contactForce(self._model, self._data, number, push)
             if contact.dist < -LARGEST_PENETRATION or (self._forbidden[geom] and push[0] > _LARGEST_PUSH_N):
-                self._collision = f"hit {self._model.geom(geom).name.split('/')[1]} ({push[0]:.0f} N)"
+                body = self._model.geom(geom).name.split("/")[1]
+                depth = max(0.0, -1e3 * contact.dist)
+                when = f"at {self._data.time:.1f} s"
+                self._collision = f"it hit '{body}' {when} with {push[0]:.0f} N, {depth:.1f} mm deep"
 
     def _poses(self) -> tuple[Floats, Floats]:
         """Poses of the links' children: the hand's slides, the hand, the two parts."""

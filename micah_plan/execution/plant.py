@@ -54,6 +54,7 @@ class Truth:
         x: (n,) true configuration [rad or m], in the coordinates of the plant's own automaton.
         position, quaternion: (l, 3) [m] and (l, 4), the true poses of the parts in the base frame.
         held: (n,) whether each coordinate is held by a latch.
+        incident: what went wrong in between and cannot be seen at the end, such as a collision; empty if nothing.
     """
 
     mode: str | None
@@ -61,6 +62,7 @@ class Truth:
     position: Floats
     quaternion: Floats
     held: NDArray[np.bool_]
+    incident: str = ""
 
 
 class Plant(Protocol):
