@@ -4,8 +4,8 @@
                                     [--solvers contact no-contact rrt] [--json FILE]
 
 `contact` is the planner as it is; `no-contact` is the same planner, but the object may touch nothing; `rrt` is the
-kinodynamic RRT with as much time as `contact` took in all, its inputs with the same feedback around them. `predicted` is the
-share of roll-outs in the model, `model` counts executions in closed loop on the nominal plant, `MuJoCo` those in
+kinodynamic RRT with as much time as `contact` took in all, its inputs with the same feedback around them. `predicted`
+is the share of roll-outs in the model, `model` counts executions in closed loop on the nominal plant, `MuJoCo` those in
 physics. One execution has the seed `--seed` plus its number. An execution succeeds if the hand truly ends within the
 goal's tolerances and nothing was hit (a push on a body that may not be touched, or a contact deeper than 2 mm);
 `latched` counts the successes in physics whose joint is latched. Failures are told one by one below their row.
@@ -90,14 +90,8 @@ def measure(path: Path, solver: str, seconds: float, asked: argparse.Namespace, 
     """Solve by one solver, and execute what it found."""
     problem, began = problem_for(path, solver, seconds), process_time()
     plan = solve(problem)
-    row = Row(
-        path.stem,
-        solver,
-        plan.outcome,
-        process_time() - began,
-        plan.success_probability,
-        plan.reason.replace("\n", " "),
-    )
+    spent, wall = process_time() - began, plan.timings["total"]
+    row = Row(path.stem, solver, plan.outcome, spent, wall, plan.success_probability, plan.reason.replace("\n", " "))
     if plan.trajectory is None:
         return row
     with TemporaryDirectory() as folder:

@@ -16,9 +16,9 @@ from micah_plan.automaton.contacts.task import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.ranges import region_interval
-from micah_plan.planning.problem import Hold, Problem
+from micah_plan.planning.problem import Problem
 from micah_plan.scene.body import corners
-from micah_plan.scene.surroundings import surroundings_of
+from micah_plan.scene.surroundings import faces_of
 
 Floats = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -37,7 +37,7 @@ def settled_poses(problem: Problem, mode: str, x: Floats) -> dict[str, RigidTran
     mode, x = _followed(automaton, mode, x)
     poses = part_poses(automaton, automaton.mode(mode), x)
     if hold.grip.pivots and automaton.mode(mode).pins:
-        for face in _faces(problem, hold):
+        for face in faces_of(problem.scene, hold.contacts):
             poses = _rested(poses, hold.grip, face)
     return poses
 
@@ -46,13 +46,10 @@ def touching_pairs(problem: Problem, poses: dict[str, RigidTransform]) -> frozen
     """(part, body) of the faces that the moving part touches, as the contacts of the problem intend it."""
     if problem.hold is None:
         return frozenset()
-    part = problem.hold.grip.moving.name
-    near = {face.solid for face in _faces(problem, problem.hold) if _gap(poses, problem.hold.grip, face) < _TOUCHING}
+    grip, faces = problem.hold.grip, faces_of(problem.scene, problem.hold.contacts)
+    part = grip.moving.name
+    near = {face.solid for face in faces if _gap(poses, grip, face) < _TOUCHING}
     return frozenset((part, solid) for solid in near)
-
-
-def _faces(problem: Problem, hold: Hold) -> tuple[Face, ...]:
-    return surroundings_of(problem.scene, hold.contacts, hold.lower, hold.upper).faces
 
 
 def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Floats]:
@@ -75,24 +72,25 @@ def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Fl
 
 def _rested(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> dict[str, RigidTransform]:
     """The object turned in the hand about the hinge's direction, no more than keeps it out of the face."""
-    hand = poses[grip.held.name].apply(grip.point)
-    axis = poses[grip.held.name].rotation.apply(_HINGE)
-
-    def turned(angle: float) -> dict[str, RigidTransform]:
-        turn = Rotation.from_rotvec(angle * axis)
-        about = RigidTransform.from_components(hand - turn.apply(hand), turn)
-        return {name: about * poses[name] for name in (grip.held.name, grip.moving.name)}
-
     if _gap(poses, grip, face) >= 0:
         return poses
+    hand = poses[grip.held.name].apply(grip.point)
+    axis = poses[grip.held.name].rotation.apply(_HINGE)
     angles = np.linspace(-_MOST_TURN, _MOST_TURN, _ANGLES)
-    gaps = [_gap(turned(angle), grip, face) for angle in angles]
-    free = [angle for angle, gap in zip(angles, gaps, strict=True) if gap >= 0]
-    best = min(free, key=abs) if free else float(angles[int(np.argmax(gaps))])
-    return {**poses, **turned(best)}
+    turned = Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ (_corners(poses, grip) - hand).T
+    gaps = (face.sign * (turned[:, face.axis] + hand[face.axis] - face.position)).min(axis=1)
+    free = angles[gaps >= 0]
+    best = free[np.argmin(np.abs(free))] if free.size else angles[np.argmax(gaps)]
+    turn = Rotation.from_rotvec(best * axis)
+    about = RigidTransform.from_components(hand - turn.apply(hand), turn)
+    return {**poses, **{name: about * poses[name] for name in (grip.held.name, grip.moving.name)}}
 
 
 def _gap(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> float:
     """Distance of the moving part from the plane of a face [m]; negative: below it."""
-    points = np.concatenate([corners(shape) for shape in grip.moving.shapes])
-    return float((face.sign * (poses[grip.moving.name].apply(points)[:, face.axis] - face.position)).min())
+    return float((face.sign * (_corners(poses, grip)[:, face.axis] - face.position)).min())
+
+
+def _corners(poses: dict[str, RigidTransform], grip: Grip) -> Floats:
+    """(k, 3) corners of the moving part in the base frame [m]."""
+    return np.asarray(poses[grip.moving.name].apply(np.concatenate([corners(shape) for shape in grip.moving.shapes])))

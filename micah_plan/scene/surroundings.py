@@ -33,9 +33,13 @@ def surroundings_of(
                 low, high = _box(body, (shape,))
                 name = body.name if len(body.shapes) == 1 else f"{body.name} {number}"
                 solids.append(Solid(name, _vector(low), _vector(high)))
-    boxes = {body.name: _box(body, body.shapes) for body in scene}
-    faces = [Face(body, axis, sign, float(boxes[body][1 if sign > 0 else 0][axis])) for body, axis, sign in contacts]
-    return Surroundings(tuple(solids), tuple(faces), lower, upper)
+    return Surroundings(tuple(solids), faces_of(scene, contacts), lower, upper)
+
+
+def faces_of(scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]]) -> tuple[Face, ...]:
+    """The faces (body, axis, sign) of a scene that may be touched."""
+    boxes = {body.name: _box(body, body.shapes) for body in scene if body.name in {name for name, _, _ in contacts}}
+    return tuple(Face(body, axis, sign, float(boxes[body][sign > 0][axis])) for body, axis, sign in contacts)
 
 
 def _box(body: Body, shapes: Sequence[Shape]) -> tuple[Floats, Floats]:
