@@ -55,6 +55,8 @@ LIBRARIES = (
     Library("typer", "typer", "the command line"),
     Library("u-msgpack-python", "umsgpack", "pages"),
     Library("mujoco", "mujoco", "execute in MuJoCo", "sim"),
+    Library("mcap", "mcap.reader", "read and write MCAP", "ros"),
+    Library("mcap-ros2-support", "mcap_ros2.decoder", "read and write MCAP", "ros"),
     Library("example-robot-data", "", "arms with meshes", "robots"),
     Library("pytest", "pytest", "run the tests", "test"),
     Library("pytest-xdist", "xdist", "run the tests", "test"),

@@ -21,6 +21,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("files",),
+    ("ros",),
     ("outputs",),
     ("recording",),
     ("automaton",),
@@ -34,6 +35,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("execution",),
     ("residual",),
     ("view",),
+    ("exchange",),
     ("checking", "environment", "templates"),
     ("workflow",),
     ("summaries",),
@@ -52,10 +54,11 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "matplotlib": (("view.",), False),
     "ruamel": (("spec.",), True),
     "pydantic": (("spec.",), False),
+    **dict.fromkeys(("mcap", "mcap_ros2", "lz4", "zstandard"), (("ros.",), True)),
     "typer": (("cli",), False),
     "rich": (("cli",), False),
 }
-SLOW_TO_LOAD = ("ompl", "pinocchio", "coal", "meshcat", "mujoco", "casadi", "matplotlib")
+SLOW_TO_LOAD = ("ompl", "pinocchio", "coal", "meshcat", "mujoco", "casadi", "matplotlib", "mcap")
 LIGHT = (
     "errors",
     "files",

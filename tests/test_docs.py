@@ -21,7 +21,20 @@ from micah_plan.spec.schema import schema
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
 SHIPPED = ("examples", "models", "problems")
-COMMANDS = ("new", "learn", "solve", "explain", "execute", "predict", "calibrate", "show", "check", "schema", "doctor")
+COMMANDS = (
+    "new",
+    "learn",
+    "solve",
+    "explain",
+    "execute",
+    "predict",
+    "calibrate",
+    "show",
+    "convert",
+    "check",
+    "schema",
+    "doctor",
+)
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 

@@ -12,6 +12,7 @@ from micah_plan import __version__
 from micah_plan.cli.checking import check
 from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, err, out
 from micah_plan.cli.environment import doctor
+from micah_plan.cli.exchange import convert
 from micah_plan.cli.learning import learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
@@ -20,7 +21,7 @@ from micah_plan.cli.schemas import schema
 from micah_plan.cli.templates import new
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, show, check, schema, doctor)
+COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, show, convert, check, schema, doctor)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

@@ -24,7 +24,7 @@ class LearnMethod(StrEnum):
 
 
 def learn(
-    recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text or NPZ).")],
+    recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text, NPZ or MCAP).")],
     output: OutputPath,
     method: Annotated[
         LearnMethod, typer.Option(help="Score segments with or without the actions.")

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 from micah_plan.recording.csv_file import read_csv, write_csv
+from micah_plan.recording.mcap_file import read_mcap, write_mcap
 from micah_plan.recording.npz_file import read_npz, write_npz
 from micah_plan.recording.tum_file import read_tum, write_tum
 from micah_plan.recording.value import Recording
 
-_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory) or .npz (arrays)"
+_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays) or .mcap (ROS 2 messages)"
 
 
-def read_recording(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """Read a recording from a .csv, .tum, .txt or .npz file.
+def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
+    """Read a recording from a .csv, .tum, .txt, .npz or .mcap file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
     TUM trajectory.
@@ -23,11 +25,17 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     Args:
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
+        topics: of an .mcap file, which to read; empty: all.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
+        MissingDependencyError: for .mcap files without the extra ``ros``.
     """
     suffix = Path(path).suffix.lower()
+    if suffix == ".mcap":
+        return read_mcap(path, minimum_rows=minimum_rows, topics=topics)
+    if topics:
+        raise InputError("only .mcap files have topics", source=path, remedy="leave out the topics")
     if suffix == ".npz":
         return read_npz(path, minimum_rows=minimum_rows)
     if suffix == ".csv" or (suffix == ".txt" and _has_commas(path)):
@@ -39,13 +47,15 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write a recording in the format that the extension names: .csv, .tum, .txt (TUM trajectory) or .npz.
+    """Write a recording in the format that the extension names: .csv, .tum, .txt (TUM trajectory), .npz or .mcap.
 
     Raises:
         InputError: if the file cannot be written or its format cannot hold all that the recording has.
     """
     suffix = Path(path).suffix.lower()
-    writer = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum}.get(suffix)
+    writer = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum, ".mcap": write_mcap}.get(
+        suffix
+    )
     if writer is None:
         raise _unknown(path, suffix)
     writer(recording, path)

@@ -1,0 +1,76 @@
+"""From one file to another: what is in it, in the format that the other's ending names."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Literal
+
+from micah_plan.errors import InputError, shown
+from micah_plan.exchange.joint_trajectory import trajectory_json, trajectory_mcap
+from micah_plan.exchange.urdf_read import load_urdf
+from micah_plan.exchange.urdf_write import urdf_text
+from micah_plan.files import replace_file
+from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.spec.model_file import dump_model, load_model
+from micah_plan.spec.plan_file import load_plan
+
+Kind = Literal["recording", "plan", "model"]
+RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
+TARGETS = {
+    **dict.fromkeys(RECORDINGS, RECORDINGS),
+    ".json": (".json", ".mcap"),
+    **dict.fromkeys((".yaml", ".yml"), (".urdf",)),
+    ".urdf": (".yaml", ".yml"),
+}
+"""What a file may be converted to, by its ending."""
+
+
+def targets(path: str | Path) -> tuple[str, ...]:
+    """The endings that a file may be converted to.
+
+    Raises:
+        InputError: if there are none.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in TARGETS:
+        remedy = "give a recording (.csv, .npz, .tum, .txt, .mcap), plan (.json), model (.yaml) or .urdf"
+        raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
+    return TARGETS[suffix]
+
+
+def convert(source: str | Path, target: str | Path, *, topics: Collection[str] = ()) -> tuple[Kind, tuple[str, ...]]:
+    """Write what one file holds into another, at once or not at all.
+
+    Args:
+        topics: of an .mcap file, which to read; empty: all.
+
+    Returns:
+        What it was, and what of it is not in the target, one line each.
+
+    Raises:
+        InputError: if the one cannot be read, or the other cannot hold it.
+        MissingDependencyError: for .mcap files without the extra ``ros``.
+    """
+    wanted = Path(target).suffix.lower()
+    if wanted not in targets(source):
+        remedy = f"choose one that ends in {' or '.join(targets(source))}"
+        raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
+    given = Path(source).suffix.lower()
+    if given in RECORDINGS:
+        write_recording(read_recording(source, topics=topics), target)
+        return "recording", ()
+    if given == ".json":
+        stored = load_plan(source)
+        replace_file(target, trajectory_mcap(stored) if wanted == ".mcap" else trajectory_json(stored).encode())
+        return "plan", ()
+    if given == ".urdf":
+        automaton, notes = load_urdf(source)
+        dump_model(automaton, target)
+        return "model", notes
+    try:
+        text = urdf_text(load_model(source), Path(source).stem)
+    except InputError as error:
+        raise error.located(source) from None
+    replace_file(target, text.encode())
+    return "model", ()

@@ -1,0 +1,229 @@
+"""Models from URDF: one mode, coordinates named after the joints, which stop at their limits.
+
+Links that are fixed to one another are one part, named after the first of them, or, where that has no shape, after the
+only one that is fixed to it, as `urdf_write` makes them. So a model of one mode comes back as it was, except for noise,
+handles and uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Primitive, Reset
+from micah_plan.automaton.joint import Joint, prismatic, revolute
+from micah_plan.automaton.region import HalfSpace, Region, above, below
+from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes
+from micah_plan.robot.checked_robot import NO_LIMIT, CheckedRobot
+from micah_plan.robot.urdf_text import check_urdf
+from micah_plan.robot.xml_text import LARGEST_XML_BYTES, Element, parse_xml
+
+# A URDF says nothing of noise: a good tracker's, per step and per measurement, by unit.
+PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
+OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
+MODE = "moves"
+_HERE = RigidTransform.identity()
+
+
+def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
+    """The model that a URDF describes, and what of the file is not in it, one line each.
+
+    Raises:
+        InputError: if it is no URDF, nothing moves, or a joint follows another one.
+    """
+    try:
+        text = read_bytes(path, LARGEST_XML_BYTES).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError("expected UTF-8 text", source=path, remedy="give a URDF file") from None
+    root = parse_xml(text, str(path))
+    if root.tag != "robot":
+        raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
+    checked = check_urdf(root, str(path), str(Path(path).parent), {})
+    if checked.mimics:
+        problem = f"joint {shown(min(checked.mimics))} follows another one"
+        raise InputError(problem, source=path, remedy="remove <mimic>")
+    try:
+        return _Tree(checked, str(path)).automaton()
+    except InputError as error:
+        raise error.located(path) from None
+
+
+@dataclass
+class _Body:
+    """Links that are fixed to one another."""
+
+    root: str
+    poses: dict[str, RigidTransform]
+    name: str = ""
+    frame: RigidTransform = field(default_factory=RigidTransform.identity)
+
+
+class _Tree:
+    """The links and joints of a checked file as bodies."""
+
+    def __init__(self, checked: CheckedRobot, source: str) -> None:
+        root = parse_xml(checked.text, source)
+        self._links = {link.attributes["name"]: link for link in root.all("link")}
+        self._joints: dict[str, list[Element]] = {}
+        for joint in root.all("joint"):
+            self._joints.setdefault(_end(joint, "parent"), []).append(joint)
+        self._colors = checked.colors
+        carried = {_end(joint, "child") for joints in self._joints.values() for joint in joints}
+        self._root = next(name for name in self._links if name not in carried)
+        self._notes: list[str] = []
+
+    def automaton(self) -> tuple[HybridAutomaton, tuple[str, ...]]:
+        base = self._body(self._root)
+        base.name, base.frame = BASE, _HERE
+        bodies, waiting = [base], [base]
+        links: list[Link] = []
+        names: list[str] = []
+        joints: list[Joint] = []
+        limits: list[tuple[float, float]] = []
+        while waiting:
+            body = waiting.pop(0)
+            for joint in self._moving(body):
+                child = self._body(_end(joint, "child"))
+                if child.name == BASE:
+                    raise InputError("a moving link is called 'base'", remedy="give it another name")
+                links.append(Link(body.name, child.name, len(links)))
+                names.append(joint.attributes["name"])
+                joints.append(_joint(joint, body, child))
+                limits.append(_limits(joint))
+                bodies.append(child)
+                waiting.append(child)
+        if not links:
+            raise InputError("expected a joint that moves, found none", remedy="a rigid object needs no model")
+        return _automaton(names, links, joints, limits, [self._part(body) for body in bodies]), tuple(self._notes)
+
+    def _body(self, root: str) -> _Body:
+        body = _Body(root, {root: _HERE}, root)
+        waiting = [root]
+        while waiting:
+            link = waiting.pop(0)
+            for joint in self._joints.get(link, []):
+                if joint.attributes["type"] == "fixed":
+                    child = _end(joint, "child")
+                    body.poses[child] = body.poses[link] * _pose(joint)
+                    waiting.append(child)
+        fixed = [joint for joint in self._joints.get(root, []) if joint.attributes["type"] == "fixed"]
+        if len(fixed) == 1 and not self._links[root].all("collision"):
+            body.name = _end(fixed[0], "child")
+            body.frame = body.poses[body.name]
+        return body
+
+    def _moving(self, body: _Body) -> list[Element]:
+        found = [joint for link in body.poses for joint in self._joints.get(link, [])]
+        return [joint for joint in found if joint.attributes["type"] != "fixed"]
+
+    def _part(self, body: _Body) -> Part:
+        shapes: list[Primitive] = []
+        for link, pose in body.poses.items():
+            colors = self._colors.get(link, ())
+            for i, shape in enumerate(self._links[link].all("collision")):
+                solid = shape.children[-1].children[0]
+                color = colors[min(i, len(colors) - 1)] if colors else "#9aa5b1"
+                primitives = _primitives(solid, body.frame.inv() * pose * _pose(shape), color)
+                if not primitives:
+                    self._notes.append(
+                        f"link {link}: a mesh is left out; parts are made of boxes, cylinders and spheres"
+                    )
+                shapes += primitives
+        return Part(body.name, tuple(shapes))
+
+
+def _automaton(
+    names: Sequence[str],
+    links: Sequence[Link],
+    joints: Sequence[Joint],
+    limits: Sequence[tuple[float, float]],
+    parts: Sequence[Part],
+) -> HybridAutomaton:
+    n = len(links)
+    units = ["m" if joint.kind == "prismatic" else "rad" for joint in joints]
+    coordinates = tuple(Coordinate(name, unit) for name, unit in zip(names, units, strict=True))
+    rows: list[HalfSpace] = []
+    edges: list[Edge] = []
+    for i, (low, high) in enumerate(limits):
+        stop = tuple(tuple(float(row == column != i) for column in range(n)) for row in range(n))
+        for end, inside, outside in ((low, above, below), (high, below, above)):
+            if abs(end) < NO_LIMIT:
+                rows.append(inside(i, end, n, n, name=names[i]))
+                reset = Reset(stop, None, tuple(end if row == i else 0.0 for row in range(n)))
+                edges.append(Edge(MODE, MODE, Region((outside(i, end, n, n, strict=True, name=names[i]),)), reset))
+    gain = tuple(tuple(float(row == column) for column in range(n)) for row in range(n))
+    automaton = HybridAutomaton(
+        coordinates=coordinates,
+        inputs=coordinates,
+        links=tuple(links),
+        parts=tuple(parts),
+        modes=(Mode(MODE, tuple(joints), gain, Region(tuple(rows))),),
+        edges=tuple(edges),
+        noise=Noise(tuple(PROCESS_STD[unit] for unit in units), tuple(OBSERVATION_STD[unit] for unit in units)),
+        provenance={"method": "urdf"},
+    )
+    check_automaton(automaton)
+    return automaton
+
+
+def _joint(joint: Element, parent: _Body, child: _Body) -> Joint:
+    at = parent.frame.inv() * parent.poses[_end(joint, "parent")] * _pose(joint)
+    placed = at * child.frame
+    axis = joint.first("axis")
+    direction = _numbers("1 0 0" if axis is None else axis.attributes.get("xyz", "1 0 0"))
+    along = at.rotation.apply(direction)
+    quaternion = placed.rotation.as_quat(canonical=True)
+    if joint.attributes["type"] == "prismatic":
+        return prismatic(along, placed.translation, quaternion)
+    return revolute(along, at.translation, placed.translation, quaternion)
+
+
+def _limits(joint: Element) -> tuple[float, float]:
+    limit = joint.first("limit")
+    if limit is None:
+        return -NO_LIMIT, NO_LIMIT
+    return float(limit.attributes["lower"]), float(limit.attributes["upper"])
+
+
+def _primitives(solid: Element, pose: RigidTransform, color: str) -> list[Primitive]:
+    """The shape as solids; none if it is a mesh."""
+
+    def one(kind: str, size: Sequence[float], along: float = 0.0) -> Primitive:
+        x, y, z = pose.apply([0.0, 0.0, along]).tolist()
+        qx, qy, qz, qw = pose.rotation.as_quat(canonical=True).tolist()
+        return Primitive(kind, tuple(size), (x, y, z), (qx, qy, qz, qw), color)
+
+    if solid.tag == "box":
+        return [one("box", _numbers(solid.attributes["size"]))]
+    if solid.tag == "mesh":
+        return []
+    radius = float(solid.attributes["radius"])
+    if solid.tag == "sphere":
+        return [one("sphere", [radius])]
+    length = float(solid.attributes["length"])
+    ends = [one("sphere", [radius], along) for along in (-length / 2, length / 2)] if solid.tag == "capsule" else []
+    return [one("cylinder", [radius, length]), *ends]
+
+
+def _end(joint: Element, key: str) -> str:
+    element = joint.first(key)
+    return "" if element is None else element.attributes["link"]
+
+
+def _pose(owner: Element) -> RigidTransform:
+    """What the <origin> of a joint or shape says."""
+    origin = owner.first("origin")
+    if origin is None:
+        return _HERE
+    turn = Rotation.from_euler("xyz", _numbers(origin.attributes.get("rpy", "0 0 0")))
+    return RigidTransform.from_components(_numbers(origin.attributes.get("xyz", "0 0 0")), turn)
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]

@@ -1,0 +1,190 @@
+"""Recordings as MCAP files with ROS 2 messages.
+
+Written are, for every part, ``geometry_msgs/PoseStamped`` on ``/PART/pose`` in the frame ``base``, and, where there are
+any, actions and forces as ``Vector3Stamped`` on ``/PART/action`` and ``/PART/force``. Columns ``joint NAME`` become
+``sensor_msgs/JointState`` on ``/joint_states``. Times are kept to the nanosecond; rows come back in order of time.
+
+Read are poses of ``PoseStamped``, one part per topic, and of ``TFMessage``, one part per child frame; actions and
+forces as they are written; and ``JointState``, whose positions become further columns ``joint NAME``, each row with
+the last message until its time. All poses must be in one frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes, replace_file
+from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.value import DEFAULT_PART, Floats, Recording
+from micah_plan.ros.log import NANOSECONDS, Logged, header_at, read_log, stamp_ns, write_log
+
+_POSE, _VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
+_LATEST_S = 2**31 - 1  # the seconds of a stamp are 32 bits
+_SELECT = "convert it with --topic to name what is wanted"
+_JOINT = "joint "
+Sample = tuple[int, tuple[float, ...]]
+
+
+def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
+    """Read a recording from an MCAP file.
+
+    Args:
+        path: the file.
+        minimum_rows: how many rows every part needs.
+        topics: of poses, or child frames of transforms, to read; empty: all.
+
+    Raises:
+        InputError: if it is no MCAP file, has no poses, or poses in several frames.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    try:
+        collected = _Collected(read_log(read_bytes(path)), topics)
+        return checked(_recording(collected), minimum_rows=minimum_rows, place=row_and_column)
+    except InputError as error:
+        raise error.located(path) from None
+
+
+def write_mcap(recording: Recording, path: str | Path) -> None:
+    """Write a recording as MCAP, at once or not at all.
+
+    Raises:
+        InputError: if the file cannot be written, or the recording has what the messages cannot hold: several runs,
+            further columns, no orientation, or times before 0. Nothing is left out silently.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    try:
+        recording = checked(recording)
+        _check_fits(recording)
+    except InputError as error:
+        raise error.located(path) from None
+    replace_file(path, write_log([message for row in range(len(recording)) for message in _messages(recording, row)]))
+
+
+def _check_fits(recording: Recording) -> None:
+    remedy = "write a .csv or .npz file"
+    if len(recording.runs) > 1:
+        raise InputError(f"an MCAP file holds one run, found {len(recording.runs)}", remedy=remedy)
+    others = [name for name in recording.extra if not name.startswith(_JOINT)]
+    if others:
+        raise InputError(f"an MCAP file cannot hold the columns {shown(','.join(others))}", remedy=remedy)
+    if recording.quaternion is None:
+        raise InputError("ROS poses have orientations, found none", remedy=remedy)
+    if recording.time.min() < 0 or recording.time.max() > _LATEST_S:
+        raise InputError(f"ROS times go from 0 to {_LATEST_S} s", where="column 't'", remedy="shift the times")
+
+
+def _messages(recording: Recording, row: int) -> Iterable[Logged]:
+    time, part = round(float(recording.time[row]) * NANOSECONDS), recording.part[row]
+    header = header_at(time, "base")
+    if recording.quaternion is not None:
+        pose = {
+            "position": dict(zip("xyz", recording.position[row].tolist(), strict=True)),
+            "orientation": dict(zip("xyzw", recording.quaternion[row].tolist(), strict=True)),
+        }
+        yield Logged(f"/{part}/pose", "geometry_msgs/msg/PoseStamped", time, {"header": header, "pose": pose})
+    for name, values in (("action", recording.action), ("force", recording.force)):
+        if values is not None and not np.isnan(values[row]).any():
+            vector = dict(zip("xyz", values[row].tolist(), strict=True))
+            message = {"header": header, "vector": vector}
+            yield Logged(f"/{part}/{name}", "geometry_msgs/msg/Vector3Stamped", time, message)
+    joints = {name.removeprefix(_JOINT): column[row] for name, column in recording.extra.items() if column[row]}
+    if joints:
+        try:
+            positions = [float(text) for text in joints.values()]
+        except ValueError:
+            where = row_and_column(row, f"{_JOINT}{next(iter(joints))}")
+            raise InputError("expected joint positions [rad or m]", where=where, remedy="rename the column") from None
+        state = {"header": header, "name": list(joints), "position": positions, "velocity": [], "effort": []}
+        yield Logged("/joint_states", "sensor_msgs/msg/JointState", time, state)
+
+
+class _Collected:
+    """What the messages of a log say, by part."""
+
+    def __init__(self, messages: Iterable[Logged], topics: Collection[str]) -> None:
+        self.poses: dict[str, list[Sample]] = {}
+        self.vectors: dict[str, dict[int, tuple[float, ...]]] = {}
+        self.joints: dict[str, list[Sample]] = {}
+        self._frames: dict[str, str] = {}
+        self._topics = topics
+        for logged in messages:
+            self._add(logged)
+
+    def _add(self, logged: Logged) -> None:
+        message = logged.message
+        if logged.kind == _POSE:
+            pose = message.pose
+            part = logged.topic.strip("/").removesuffix("/pose") or DEFAULT_PART
+            self._pose(logged.topic, part, message.header, logged.time, pose.position, pose.orientation)
+        elif logged.kind == "tf2_msgs/msg/TFMessage":
+            for item in message.transforms:
+                moved = item.transform
+                frame = item.child_frame_id
+                self._pose(frame, frame.strip("/"), item.header, logged.time, moved.translation, moved.rotation)
+        elif logged.kind == _VECTOR:
+            vector = message.vector
+            values = self.vectors.setdefault(logged.topic.strip("/"), {})
+            values[stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
+        elif logged.kind == "sensor_msgs/msg/JointState":
+            time = stamp_ns(message.header, logged.time)
+            for name, position in zip(message.name, message.position, strict=False):
+                self.joints.setdefault(name, []).append((time, (position,)))
+
+    def _pose(self, topic: str, part: str, header: Any, logged: int, position: Any, rotation: Any) -> None:
+        if self._topics and topic not in self._topics and topic.strip("/") not in self._topics:
+            return
+        frame = self._frames.setdefault(part, header.frame_id)
+        if frame != header.frame_id:
+            problem = f"{shown(topic)} is given in the frames {shown(frame)} and {shown(header.frame_id)}"
+            raise InputError(problem, remedy=_SELECT)
+        values = (position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
+        self.poses.setdefault(part, []).append((stamp_ns(header, logged), values))
+
+    @property
+    def frames(self) -> set[str]:
+        """In which poses are given."""
+        return set(self._frames.values())
+
+
+def _recording(found: _Collected) -> Recording:
+    if not found.poses:
+        problem = "expected poses (geometry_msgs/PoseStamped or tf2_msgs/TFMessage), found none"
+        raise InputError(problem, remedy="log poses of the part, or name other topics")
+    if len(found.frames) > 1:
+        problem = f"expected poses in one frame, found {shown(', '.join(sorted(found.frames)))}"
+        raise InputError(problem, remedy=_SELECT)
+    rows = sorted((time, i, values) for i, part in enumerate(found.poses) for time, values in found.poses[part])
+    names = list(found.poses)
+    parts = tuple(names[i] for _, i, _ in rows)
+    times = np.array([time for time, _, _ in rows], dtype=np.int64)
+    poses = np.array([values for _, _, values in rows])
+
+    def vectors(kind: str) -> Floats | None:
+        given = {part: found.vectors.get(f"{part}/{kind}", {}) for part in names}
+        if not any(given.values()):
+            return None
+        nothing = (np.nan,) * 3
+        return np.array([given[part].get(time, nothing) for part, time in zip(parts, times.tolist(), strict=True)])
+
+    return Recording(
+        time=times / NANOSECONDS,
+        position=poses[:, :3],
+        quaternion=poses[:, 3:],
+        action=vectors("action"),
+        force=vectors("force"),
+        part=parts,
+        has_part=True,
+        extra={f"{_JOINT}{name}": _held(samples, times) for name, samples in sorted(found.joints.items())},
+    )
+
+
+def _held(samples: list[Sample], times: Any) -> tuple[str, ...]:
+    """The last value until each time, as text; empty before the first."""
+    samples = sorted(samples)
+    last = np.searchsorted([time for time, _ in samples], times, side="right") - 1
+    return tuple("" if i < 0 else repr(samples[i][1][0]) for i in last.tolist())

@@ -1,0 +1,159 @@
+"""MCAP files with ROS 2 messages. The only importer of `mcap`, `mcap_ros2`, `lz4` and `zstandard`.
+
+Only messages of `definitions.MESSAGE_TYPES` are looked at, and they are read by these definitions, not by those that a
+file brings along. Chunks are unpacked here, so that a file cannot ask for more memory than its stated limit.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from micah_plan.errors import InputError, MissingDependencyError, shown
+from micah_plan.files import LARGEST_FILE_BYTES
+from micah_plan.ros.definitions import MESSAGE_TYPES, MessageType, definition
+
+NANOSECONDS = 1_000_000_000
+_BROKEN = (ValueError, KeyError, IndexError, EOFError, RuntimeError, struct.error, OverflowError, MemoryError)
+_REMEDY = "record it again, or repair it with `mcap recover`"
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A message in a log.
+
+    Attributes:
+        topic: its name, such as ``/door/pose``.
+        kind: type of the message.
+        time: at which it was logged [ns], at least 0.
+        message: what it says: to write, a dict by field; as read, an object with the fields as attributes.
+    """
+
+    topic: str
+    kind: MessageType
+    time: int
+    message: Any
+
+
+def write_log(messages: Sequence[Logged]) -> bytes:
+    """The content of an MCAP file with these messages, in this order; the same messages give the same bytes.
+
+    Raises:
+        MissingDependencyError: without the extra ``ros``.
+    """
+    _require()
+    from mcap_ros2.writer import Writer
+
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    schemas: dict[MessageType, Any] = {}
+    for number, logged in enumerate(messages):
+        if logged.kind not in schemas:
+            schemas[logged.kind] = writer.register_msgdef(logged.kind, definition(logged.kind))
+        writer.write_message(logged.topic, schemas[logged.kind], logged.message, log_time=logged.time, sequence=number)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def read_log(content: bytes) -> Iterator[Logged]:
+    """The messages of the known types in an MCAP file, in the order of the file.
+
+    Raises:
+        InputError: if it is no MCAP file, is damaged, or unpacks to over 256 MiB.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    _require()
+    from mcap.exceptions import McapError
+    from zstandard import ZstdError
+
+    try:
+        yield from _messages(content)
+    except InputError:
+        raise
+    except (McapError, ZstdError, *_BROKEN) as error:
+        said = shown(str(error) or type(error).__name__)
+        raise InputError(f"expected an MCAP file, found one that cannot be read ({said})", remedy=_REMEDY) from None
+
+
+def stamp_ns(header: Any, logged: int) -> int:
+    """The time of a message [ns]: its stamp, or when it was logged if it has none."""
+    stamp = int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
+    return stamp if stamp else logged
+
+
+def header_at(time: int, frame: str) -> dict[str, Any]:
+    """A ``std_msgs/Header`` to write; `time` in ns."""
+    return {"stamp": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}, "frame_id": frame}
+
+
+def _require() -> None:
+    try:
+        import mcap_ros2.writer  # noqa: F401 - only whether it is there
+    except ImportError:
+        raise MissingDependencyError("MCAP files need an extra: pip install 'micah-plan[ros]'") from None
+
+
+def _messages(content: bytes) -> Iterator[Logged]:
+    from mcap.records import Channel, Message, Schema
+    from mcap_ros2.decoder import DecoderFactory
+
+    factory = DecoderFactory()
+    kinds: dict[int, MessageType] = {}
+    channels: dict[int, tuple[str, MessageType]] = {}
+    decoders = {
+        kind: factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
+        for number, kind in enumerate(MESSAGE_TYPES, start=1)
+    }
+    for record in _records(content):
+        if isinstance(record, Schema):
+            named = next((kind for kind in MESSAGE_TYPES if kind == record.name), None)
+            if named is not None:
+                kinds[record.id] = named
+        elif isinstance(record, Channel):
+            if record.schema_id in kinds and record.message_encoding == "cdr":
+                channels[record.id] = record.topic, kinds[record.schema_id]
+        elif isinstance(record, Message) and record.channel_id in channels:
+            topic, kind = channels[record.channel_id]
+            decode = decoders[kind]
+            if decode is not None:
+                yield Logged(topic, kind, record.log_time, decode(record.data))
+
+
+def _records(content: bytes) -> Iterator[Any]:
+    """All records, those in chunks too."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    room = LARGEST_FILE_BYTES
+    for record in StreamReader(io.BytesIO(content), emit_chunks=True, record_size_limit=len(content)).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        data = _unpacked(record, room)
+        room -= len(data)
+        plain = Chunk("", data, record.message_end_time, record.message_start_time, 0, len(data))
+        yield from breakup_chunk(plain)
+
+
+def _unpacked(chunk: Any, room: int) -> bytes:
+    """The content of a chunk, of at most `room` bytes."""
+    if chunk.compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(room + 1)
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=room + 1)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise InputError(f"a chunk is packed by {shown(chunk.compression)}", remedy="pack it by zstd or lz4")
+    if len(data) > room:
+        limit = LARGEST_FILE_BYTES // 1024 // 1024
+        raise InputError(f"expected at most {limit} MiB of messages, found more", remedy="split the recording")
+    return bytes(data)

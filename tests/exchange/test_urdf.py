@@ -1,0 +1,184 @@
+"""Models to and from URDF: Pinocchio finds the parts where the model does, round trips, what URDF cannot say."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.joint import Joint, screw
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.ranges import coordinate_ranges
+from micah_plan.errors import InputError
+from micah_plan.exchange.convert import convert
+from micah_plan.exchange.urdf_read import load_urdf
+from micah_plan.exchange.urdf_write import urdf_text
+from micah_plan.spec.model_file import load_model, model_text
+
+ROOT = Path(__file__).resolve().parents[2]
+MODELS = ["microwave", "drawer", "cabinet", "slot", "light_dark"]
+
+
+def moving(automaton: HybridAutomaton, k: int) -> Joint:
+    return max((mode.joints[k] for mode in automaton.modes), key=lambda joint: joint.kind != "rigid")
+
+
+def part_poses(automaton: HybridAutomaton, state: np.ndarray) -> dict[str, RigidTransform]:
+    poses = {"base": RigidTransform.identity()}
+    for k, link in enumerate(automaton.links):
+        poses[link.child] = poses[link.parent] * forward(moving(automaton, k), state[link.coordinate])[0]
+    return poses
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_pinocchio_finds_the_parts_where_the_model_does(name: str) -> None:
+    automaton = load_model(ROOT / "models" / f"{name}.yaml")
+    robot = pin.buildModelFromXML(urdf_text(automaton, name))
+    data = robot.createData()
+    order = [robot.joints[robot.getJointId(c.name)].idx_q for c in automaton.coordinates]
+    for state in np.random.default_rng(0).uniform(0.0, 1.0, (5, automaton.n)):
+        q = np.zeros(robot.nq)
+        q[order] = state
+        pin.framesForwardKinematics(robot, data, q)
+        for part, pose in part_poses(automaton, state).items():
+            found = data.oMf[robot.getFrameId(part, pin.FrameType.BODY)]
+            np.testing.assert_allclose(found.homogeneous, pose.as_matrix(), atol=1e-9)
+    for index, at in enumerate(order):
+        ranges = np.clip(coordinate_ranges(index, automaton.modes), -1e9, 1e9)
+        np.testing.assert_allclose(
+            [robot.lowerPositionLimit[at], robot.upperPositionLimit[at]], [ranges[0][0], ranges[-1][1]]
+        )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_comes_back_moves_alike_and_has_its_shapes(tmp_path: Path, name: str) -> None:
+    automaton = load_model(ROOT / "models" / f"{name}.yaml")
+    (tmp_path / "m.urdf").write_text(urdf_text(automaton, name))
+    found, notes = load_urdf(tmp_path / "m.urdf")
+    assert notes == ()
+    assert [c.name for c in found.coordinates] == [c.name for c in automaton.coordinates]
+    assert [c.unit for c in found.coordinates] == [c.unit for c in automaton.coordinates]
+    state = np.linspace(0.1, 0.3, automaton.n)
+    again = part_poses(found, state)
+    for part, pose in part_poses(automaton, state).items():
+        if part not in again:
+            assert part == "handle"
+            continue
+        np.testing.assert_allclose(again[part].as_matrix(), pose.as_matrix(), atol=1e-9)
+    shapes = {part.name: part.shapes for part in automaton.parts if part.shapes}
+    kept = {part.name: part.shapes for part in found.parts if part.shapes}
+    assert sum(map(len, shapes.values())) == sum(map(len, kept.values()))
+    for part in shapes.keys() & kept.keys() - {"door"}:  # a cabinet's handle is now of the door that it is fixed to
+        for before, after in zip(shapes[part], kept[part], strict=True):
+            assert (after.kind, after.size, after.color.lower()) == (before.kind, before.size, before.color.lower())
+            np.testing.assert_allclose(after.position, before.position, atol=1e-12)
+    (tmp_path / "again.urdf").write_text(urdf_text(found, name))
+    third, _ = load_urdf(tmp_path / "again.urdf")
+    for first, last in zip(found.modes[0].joints, third.modes[0].joints, strict=True):
+        for key in ("position", "quaternion", "axis", "center"):
+            np.testing.assert_allclose(getattr(last, key), getattr(first, key), atol=1e-12)
+
+
+def test_limits_stop_the_motion(tmp_path: Path) -> None:
+    from micah_plan.automaton.transition import simulate
+
+    convert(ROOT / "models" / "drawer.yaml", tmp_path / "d.urdf")
+    convert(tmp_path / "d.urdf", tmp_path / "d.yaml")
+    model = load_model(tmp_path / "d.yaml")
+    (low, high) = coordinate_ranges(0, model.modes)[0]
+    run = simulate(model, "moves", [0.1], np.array([[0.3], [-0.1], [-0.5]]))
+    np.testing.assert_allclose(run.states[:, 0], [0.1, high, high - 0.1, low], atol=1e-12)
+
+
+def test_an_arm_is_a_model_too() -> None:
+    automaton, notes = load_urdf(ROOT / "models" / "robots" / "arm7.urdf")
+    assert automaton.n == 7
+    assert notes == ()
+    hand = next(part for part in automaton.parts if part.name == "flange")
+    assert len(hand.shapes) == 4  # the flange itself, the palm and two fingers are fixed to one another
+    robot = pin.buildModelFromUrdf(str(ROOT / "models" / "robots" / "arm7.urdf"))
+    q = np.linspace(-0.5, 0.7, 7)
+    pin.framesForwardKinematics(robot, data := robot.createData(), q)
+    pose = part_poses(automaton, q)["flange"].as_matrix()
+    np.testing.assert_allclose(data.oMf[robot.getFrameId("flange")].homogeneous, pose, atol=1e-9)
+    assert load_model_text(model_text(automaton)) == automaton
+
+
+def load_model_text(text: str) -> HybridAutomaton:
+    from micah_plan.spec.model_file import usable_model
+
+    return usable_model(text.encode(), "m.yaml")
+
+
+LINK = '<link name="{}"><collision><geometry>{}</geometry></collision></link>'
+HINGE = '<joint name="h" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{}</joint>'
+
+
+def urdf(tmp_path: Path, shape: str = '<sphere radius="1"/>', more: str = "", joint: str = HINGE) -> Path:
+    links = LINK.format("a", '<sphere radius="1"/>') + LINK.format("b", shape)
+    text = f"<robot name='r'>{links}{joint.format(more)}</robot>"
+    (tmp_path / "r.urdf").write_text(text)
+    return tmp_path / "r.urdf"
+
+
+def test_capsules_become_solids_and_meshes_are_told_of(tmp_path: Path) -> None:
+    found, _ = load_urdf(urdf(tmp_path, '<capsule radius="0.1" length="0.4"/>'))
+    assert [shape.kind for shape in found.parts[1].shapes] == ["cylinder", "sphere", "sphere"]
+    assert found.modes[0].invariant.half_spaces == ()
+    (tmp_path / "m.stl").write_text("solid")
+    found, notes = load_urdf(urdf(tmp_path, '<mesh filename="m.stl"/>'))
+    assert found.parts[1].shapes == ()
+    assert notes == ("link b: a mesh is left out; parts are made of boxes, cylinders and spheres",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"more": '<mimic joint="x"/>'}, "joint 'h' follows another one"),
+        ({"joint": HINGE.replace("continuous", "fixed")}, "expected a joint that moves, found none"),
+        ({"joint": HINGE.replace("continuous", "floating")}, "expected a joint of type"),
+        ({"joint": ""}, "expected one tree of links"),
+        ({"shape": '<mesh filename="../../etc/passwd"/>'}, "leaves its folder"),
+    ],
+)
+def test_what_no_model_can_say_is_one_line(tmp_path: Path, changes: dict[str, str], said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        load_urdf(urdf(tmp_path, **changes))
+    assert str(caught.value).startswith(str(tmp_path / "r.urdf"))
+
+
+def test_what_urdf_cannot_say_is_refused() -> None:
+    drawer = load_model(ROOT / "models" / "drawer.yaml")
+    turned = replace(drawer.modes[0], joints=(screw((0, 0, 1), (0, 0, 0), 0.1, (1, 0, 0)),))
+    with pytest.raises(InputError, match="part drawer moves on a screw"):
+        urdf_text(replace(drawer, modes=(turned,)), "r")
+    other = replace(drawer.modes[0], name="other", joints=(replace(drawer.modes[0].joints[0], position=(1, 0, 0)),))
+    with pytest.raises(InputError, match="different joints in different modes"):
+        urdf_text(replace(drawer, modes=(*drawer.modes, other)), "r")
+
+
+def test_the_command_converts_and_refuses_what_does_not_fit(tmp_path: Path) -> None:
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "micah_plan", "convert", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    box = ROOT / "examples" / "demonstrations" / "box.csv"
+    done = run(box, tmp_path / "box.npz", "--json")
+    assert json.loads(done.stdout)["kind"] == "recording"
+    for source, target, said in (
+        (box, tmp_path / "box.yaml", "must end in .csv or .npz"),
+        (ROOT / "README.md", tmp_path / "x.csv", "nothing can be made of a '.md' file"),
+        (box, box, "would overwrite an input"),
+    ):
+        refused = run(source, target)
+        assert refused.returncode == 2
+        assert said in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1
