@@ -14,9 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from micah_plan import __version__
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.automaton.learned_channel import with_learned_channel
 from micah_plan.automaton.memory_states import left_out
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
@@ -206,6 +209,16 @@ def execute(
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
     run = partial(run_trials, replan=replan, continue_plan=continue_plan)
     return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress)
+
+
+def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
+    """The model for a recording whose actions were given like those of the demonstration that it was learned from.
+
+    Raises:
+        InputError: if learning found nothing about the actions.
+    """
+    steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
+    return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
 
 
 def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:

@@ -19,6 +19,9 @@ from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
 def predict(
     model: Annotated[Path, typer.Argument(help="Model (YAML).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
+    as_learned: Annotated[
+        bool, typer.Option("--actions-as-learned", help="Read actions as those of the model's demonstration were.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data."""
@@ -28,6 +31,7 @@ def predict(
     automaton = load_model(model)
     measured = workflow.read(recording, minimum_rows=2)
     try:
+        automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
         runs = workflow.predict(automaton, measured)
     except InputError as error:
         raise error.located(recording) from None
