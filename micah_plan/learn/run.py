@@ -84,7 +84,7 @@ def learn_run(
     before = None if known is None else known.segmented
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
     noise = segmented.noise.of_rows(steps.size)
-    posterior = posterior_of(segmented, settings)
+    posterior = posterior_of(segmented, settings, use_actions)
     segmented, log_odds, misfit = unless_free(segmented, track, inlier, noise, settings, use_actions)
     pieces = segmented.segmentation.pieces
     fitted, places = fitted_pieces(pieces, segmented, steps, track, inlier, settings, use_actions, rng)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
+import sys
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -21,6 +25,7 @@ from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepo
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RECORDINGS = 100
 RARELY = 1e-4
 
@@ -40,6 +45,16 @@ def drawn(seed: int) -> tuple[str, int | None, KinematicEdge, KinematicEdge]:
     recording = recorded([(JOINTS[kind], c)], rng, Noise(0.001, 0.006), commanded=[asked])
     edges = [learn_graph(recording, method=method).edges[0] for method in METHODS]
     return kind, moving if held else None, edges[0], edges[1]
+
+
+@pytest.fixture(scope="module")
+def reliability() -> ModuleType:
+    """The benchmark's module, without leaving its folder on the path."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        return importlib.import_module("reliability")
+    finally:
+        sys.path.remove(str(BENCHMARKS))
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +139,32 @@ def test_an_interval_is_the_narrowest_that_holds_enough() -> None:
         assert high - low == width
 
 
+def test_a_stop_that_the_answer_has_not_is_counted_all_the_same() -> None:
+    """A rest of a few rows may be a pause: one joint is the answer, but how sure it is depends on how long it rests."""
+    none = []
+    for held in (2, 7, 12):
+        recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 70, held))], np.random.default_rng(3))
+        none.append(learn_graph(recording, method="champ").edges[0].certainty.changepoint_counts[0][0])
+    assert none[0] > 0.9 > none[1] > 0.5 > none[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("orientation", [True, False])
+def test_of_what_is_said_of_counts_so_much_is_true(reliability: ModuleType, orientation: bool) -> None:
+    """Short and noisy motions, every second one of which stops; other seeds than those that constants come from."""
+    said = [
+        (probability, true)
+        for trial in range(500_000, 500_000 + 100)
+        for question, probability, true in reliability.said(reliability.drawn(trial, orientation))
+        if question == "changepoints"
+    ]
+    probability, true = (np.array(column, dtype=float) for column in zip(*said, strict=True))
+    for low, high in ((0.0, 0.1), (0.1, 0.4), (0.4, 0.8), (0.8, 1.01)):
+        inside = (probability >= low) & (probability < high)
+        spread = np.sqrt((probability * (1 - probability))[inside].sum())
+        assert abs((true - probability)[inside].sum()) < 3 * spread + 0.05 * inside.sum()
+
+
 def enumerated(log_density, cost, apart, prior: LengthPrior, kinds: int, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Log weights (c, ...) of all segmentations with up to `most` segments: totals by count, and by count and row."""
     order, n, h = log_density.shape[0] - 1, *log_density.shape[1:]
@@ -161,8 +202,9 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     cost, prior = rng.uniform(0, 3, 3), LengthPrior(4.0, 2.0)
     apart = rng.uniform(0, 2, (3, 3))
     np.fill_diagonal(apart, np.inf)
+    worth = table.sums - cost[:, None, None]
     for changepoints in (0, 1, 2):
-        found: ChangepointPosterior = changepoint_posterior(table, cost, apart, prior, 4, changepoints)
+        found: ChangepointPosterior = changepoint_posterior(worth, apart, prior, 4, changepoints)
         most = len(found.counts)
         totals, rows = enumerated(table.log_density, cost, apart, prior, 4, most)
         assert found.log_evidence == pytest.approx(logsumexp(totals))

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 
 Floats = NDArray[np.float64]
@@ -38,26 +37,25 @@ class ChangepointPosterior:
 
 
 def changepoint_posterior(
-    table: EvidenceTable, cost: Floats, apart: Floats, prior: LengthPrior, kinds: int, changepoints: int
+    worth: Floats, apart: Floats, prior: LengthPrior, kinds: int, changepoints: int
 ) -> ChangepointPosterior:
     """Sum over segmentations with up to a few more changepoints than the most probable one.
 
     Args:
-        table: densities of n rows under h hypotheses.
-        cost: (h,) what a segment pays for using a hypothesis [nats].
+        worth: (h, n, n) evidence of every segment (first, last row) under h hypotheses, less what it pays for using it
+            [nats].
         apart: (h, h) what it costs that a segment of one hypothesis is followed by one of another; inf if it cannot.
         prior: of segment lengths.
         kinds: number of candidate kinds.
         changepoints: c, of the most probable segmentation.
     """
-    n = table.log_density.shape[1]
+    n = worth.shape[1]
     most = min(max(changepoints + 1 + _MORE_SEGMENTS, 2), max(_MOST_SEGMENTS, changepoints + 1), n)
     every = np.arange(1, n + 1)
     lengths = np.arange(n)[None] - np.arange(n)[:, None]
     of_length = np.where(lengths >= 0, prior.log_probability(every)[np.maximum(lengths, 0)], -np.inf)
-    paid = (cost + np.log(kinds))[:, None, None]
-    inner = table.sums - paid + of_length
-    last = table.sums[:, :, -1] - paid[:, 0] + prior.log_survival(every - 1)[::-1]
+    inner = worth - np.log(kinds) + of_length
+    last = worth[:, :, -1] - np.log(kinds) + prior.log_survival(every - 1)[::-1]
     reached = _reached(inner)
     # Everything is counted relative to the best segments before a row: sums are products of matrices then, and what is
     # too small for a number is too small to matter.

@@ -20,7 +20,7 @@ from micah_plan.learn.segmenting.occam import RARE_SCREW
 from micah_plan.learn.segmenting.pool import pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
-from micah_plan.learn.segmenting.stops import stopped_in_the_end
+from micah_plan.learn.segmenting.stops import rests_in_the_end, stopped_in_the_end
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -34,9 +34,11 @@ _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 _CLOSE = 10.0  # nats; outcomes further apart under their own noises are not compared under others
 _SAME_ROWS = 0.6  # of the rows of either
-# How many times as large as they should be log odds are, in simulations of short and noisy motions
-# (benchmarks/reliability.py): joints and noise are fitted to the rows that they are judged by.
-_KINDS_OVERSTATED, _COUNTS_OVERSTATED = 6.0, 2.0
+# By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
+# be followed by any kind, and by a pause. And how many times too large the log odds of kinds are: joints and noise are
+# fitted to the rows that they are judged by. Both from simulations of short and noisy motions (reliability.py).
+_ENDS_AT_REST = 2.7  # nats
+_KINDS_OVERSTATED = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,21 +202,36 @@ def _rows_of_joints(found: Segmented) -> tuple[list[int], Bools]:
     return used, rows
 
 
-def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
-    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment."""
+def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -> ChangepointPosterior:
+    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
+
+    Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
+    """
     table, pieces = found.table, found.segmentation.pieces
     used = sorted({piece.hypothesis for piece in pieces})
     moving = table.pool.moving
+    moves = [i for i in used if moving[i]]
     index = np.arange(len(moving))
-    cost: Floats = table.cost(index, table.rows, bool(moving[used].any())) + ANOTHER_JOINT * moving
-    paid = float(cost[used].sum()) - ANOTHER_JOINT * bool(moving[used].any())
+    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves)
+    paid = float(cost[used].sum()) - ANOTHER_JOINT * bool(moves)
     cost[used] = 0.0
+    worth = table.sums - cost[:, None, None]
+    spare = ~moving
+    spare[used] = False
+    rests = worth[spare]
+    if "rigid" in settings.kinds:
+        ends = rests_in_the_end(table, moves, found.track, found.noise, use_actions, settings.rest)
+        rests = np.concatenate([rests, ends])
+    # Rests fitted to much the same rows are one rest, told by the best of them.
+    worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
+    rigid = np.append(~moving[~spare], True) if len(rests) else ~moving
+    if not table.motion.gain[moves].any():
+        worth[rigid, 1:, -1] += _ENDS_AT_REST
     # A part does not get from one rest to another without a motion.
-    apart: Floats = np.where(np.eye(len(moving)) > 0, np.inf, ANOTHER_JOINT * np.outer(~moving, ~moving))
+    apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
     prior = _prior(found.track, settings)
-    result = changepoint_posterior(table, cost, apart, prior, len(settings.kinds), len(pieces) - 1)
-    counts = result.counts ** (1 / _COUNTS_OVERSTATED)
-    return replace(result, counts=counts / counts.sum(), log_evidence=result.log_evidence - paid)
+    result = changepoint_posterior(worth, apart, prior, len(settings.kinds), len(pieces) - 1)
+    return replace(result, log_evidence=result.log_evidence - paid)
 
 
 def kind_probabilities(

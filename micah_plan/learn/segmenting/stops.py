@@ -3,6 +3,8 @@
 What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
 stop are among them, the actions seem to say little, and so the stop is not seen. Here each stop that there may be is
 taken for granted, and the channel learned from the rows before it.
+
+And the rests themselves: how many changepoints there may be hangs on rests that the most probable answer has not.
 """
 
 from __future__ import annotations
@@ -19,10 +21,14 @@ from micah_plan.learn.segmenting.selection import shared
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
+Floats = NDArray[np.float64]
+
 _GRAINS = 16
 _EARLIEST = 5  # of the grains
 _TRIED = 2
 _FEWEST_ROWS = 3
+_LENGTHS = 8
+_LONGEST = 0.6  # of the rows
 
 
 def stopped_in_the_end(
@@ -56,3 +62,26 @@ def stopped_in_the_end(
     best = np.argsort(-total, kind="stable")[:_TRIED]
     found = [shared(tried, [int(moves[i]), int(held[i])], prior, settings) for i in best]
     return tried, max(found, key=lambda one: one.log_probability)
+
+
+def rests_in_the_end(
+    table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, use_actions: bool, rest: float
+) -> Floats:
+    """(r, n, n) evidence of every segment (first, last row) under rigid joints fitted to some of the last rows.
+
+    What a segment pays for its pose is taken off.
+
+    Args:
+        moves: moving hypotheses of the table, on which the part may be held.
+        rest: as in `evidence.tabulated`.
+    """
+    n = len(track)
+    longest = max(_LONGEST * n, _FEWEST_ROWS)
+    lengths = np.unique(np.geomspace(_FEWEST_ROWS, longest, _LENGTHS).round().astype(int))
+    ends: NDArray[np.bool_] = np.arange(n) >= n - lengths[lengths < n, None]
+    rests = refitted(["rigid"] * len(ends), ends, track, noise)
+    pool = table.pool.hypotheses.take(moves).joined(rests)
+    tried = tabulated(pool, track, noise, use_actions, rest, table.trust)
+    held = np.arange(len(moves), len(pool))
+    cost = tried.cost(held, tried.rows[held], bool(moves))
+    return np.asarray(tried.sums[held] - cost[:, None, None])
