@@ -25,6 +25,7 @@ ROTATION_STD = 1.3  # rad; frames are mostly right, but reversed ones exist
 LOG_GAIN_STD = 1.5
 _PRECISION = np.array([ROTATION_STD**-2] * 3 + [LOG_GAIN_STD**-2])
 _GRID_ROTATIONS = 600
+_PARTS = 4  # that products over the grid are computed in
 _DAMPING = 1e-3
 _NEGLIGIBLE = 2e-3  # nats
 _ENOUGH_DRAWS = 50.0
@@ -77,7 +78,9 @@ def scan(quadratic: Quadratic, log_prior: Floats) -> tuple[NDArray[np.intp], Flo
         Up to 4 indices of delays (k,), the best first, with quaternions (k, 4) and ln gains (k,).
     """
     quaternions, monomials, entries, log_turned = _rotation_grid()
-    squares = _folded(quadratic.normal) @ monomials.T
+    # In parts: waking a second thread of the linear algebra costs more than such a product.
+    folded = _folded(quadratic.normal)
+    squares = np.concatenate([folded @ part.T for part in np.array_split(monomials, _PARTS)], axis=1)
     along = np.maximum(quadratic.target @ entries.T, 0.0)
     score = 0.5 * along**2 / np.maximum(squares, 1e-300) + log_prior[:, None] + log_turned
     best = np.argmax(score, axis=1)

@@ -128,5 +128,8 @@ def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: Floats) -> Fl
     target = c
     for _ in range(_NEWTON_STEPS):
         slope = weight * np.sin(c - target) - pitch * (along - pitch * c)
-        c = c - slope / np.maximum(weight + pitch**2, _TINY)
+        step = slope / np.maximum(weight + pitch**2, _TINY)
+        c = c - step
+        if np.abs(step).max(initial=0.0) < _TINY:
+            break
     return np.asarray(c)

@@ -33,6 +33,11 @@ def cross_matrix(vectors: Floats) -> Floats:
     return np.asarray(vectors[..., _OTHER] * _SIDE)
 
 
+def cross_of_units(vectors: Floats) -> Floats:
+    """(..., 3, 3, n) cross products of the unit vectors (last but one) with vectors (..., 3, n)."""
+    return np.asarray(vectors[..., _OTHER, :] * -_SIDE[..., None])
+
+
 def conjugate(q: Floats) -> Floats:
     """(..., 4) inverses of unit quaternions."""
     return np.asarray(q * _CONJUGATE)

@@ -92,9 +92,14 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
     variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
     innovations, quiet = _innovations(_signals(c, action), white, pool.renewed[members], variances, scale[members])
     waiting = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
-    innovations, quiet = innovations[..., :-1], quiet[:, :, :-1]
+    # Without gaps: NumPy is slow at rows of three numbers.
+    innovations, quiet = np.ascontiguousarray(innovations[..., :-1]), np.ascontiguousarray(quiet[:, :, :-1])
     free = innovations[0], innovations[1], quiet, mean_square
-    models = [_freely(*free, weight, rest, _directions(c), *_speeds(c, weight, white), waiting)]
+    models = [
+        _freely(
+            *free, np.repeat(weight, grid.shape[1], axis=2), rest, _directions(c), *_speeds(c, weight, white), waiting
+        )
+    ]
     if action is not None:
         models += _led(innovations[0], innovations[2:], quiet, grid, weight, pool.lever[members], waiting, enough)
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]

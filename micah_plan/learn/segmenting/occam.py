@@ -58,11 +58,10 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
         pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index]
     )
     design = parameter_design(joints, seen, track.position[index])
-    scaled = design * (np.sqrt(noise.information_share)[:, None, None] * _WIDTHS)
-    size = scaled.shape[1]
-    flat = (noise.decorrelation / np.sqrt(noise.left[-1])) @ scaled.reshape(len(joints), size, -1)
-    flat = flat.reshape(len(joints), -1, scaled.shape[3])
-    information = flat.transpose(0, 2, 1) @ flat * (count / _SAMPLES)[:, None, None]
+    scaling = noise.decorrelation / np.sqrt(noise.left[-1]) * np.sqrt(noise.information_share)
+    flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape).swapaxes(1, 2)
+    flat = flat.reshape(len(joints), len(_WIDTHS), -1) * _WIDTHS[:, None]
+    information = flat @ flat.swapaxes(1, 2) * (count / _SAMPLES)[:, None, None]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
     return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from micah_plan.learn.joints.comparison import Compared, compare_arrays
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.joints.least_norm import least_norm
-from micah_plan.learn.joints.quaternions import cross_matrix
+from micah_plan.learn.joints.quaternions import cross_matrix, cross_of_units
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
 
@@ -17,7 +17,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _GAUGE = 1e-9  # directions of less relative information are redundant
-_CONVERGED = 0.02  # nats
+_CONVERGED = 0.02  # nats that the next step promises
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
 
@@ -35,71 +35,72 @@ def fit_likelihood(
         return joints
     order = _known_before(used, min(_ORDER, len(noise.left) - 1))
     # Channels before rows: then one product of matrices per joint makes them independent.
-    scale = np.where(used[:, None], 1 / np.sqrt(noise.left[order]).transpose(0, 2, 1), 0.0)
-    coefficients = noise.coefficients[order, : order.max()].transpose(2, 0, 3, 1)
+    scale = np.where(used[:, None], 1 / np.sqrt(noise.left.T[:, order]).swapaxes(0, 1), 0.0)
+    coefficients = np.ascontiguousarray(noise.coefficients[order, : order.max()].transpose(2, 0, 3, 1))
     seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
     damping = np.full(len(joints), 1e-6)
     for _ in range(iterations):
         design = parameter_design(joints, seen, track.position)
         size = design.shape[1]
-        columns = _whitened(design, coefficients[..., None], scale[..., None])
+        columns = _whitened(design, coefficients[..., None, :], scale[..., None, :])
         columns = noise.decorrelation @ columns.reshape(len(joints), size, -1)
         weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=1))
-        rows = columns.reshape(design.shape)
-        weighted = (rows * weight[:, None, :, None]).reshape(len(joints), -1, design.shape[3]).transpose(0, 2, 1)
-        damped = weighted @ rows.reshape(len(joints), -1, design.shape[3])
+        rows = columns.reshape(design.shape).swapaxes(1, 2)
+        weighted = (rows * weight[:, None, None]).reshape(len(joints), design.shape[2], -1)
+        damped = weighted @ rows.reshape(len(joints), design.shape[2], -1).swapaxes(1, 2)
         pull = (weighted @ innovation.reshape(len(joints), -1, 1))[..., 0]
         diagonal = np.einsum("hii->hi", damped)
         diagonal += damping[:, None] * diagonal
         step = np.clip(np.nan_to_num(least_norm(damped, pull, _GAUGE)), -1.0, 1.0)
+        if 0.5 * (step * pull).sum(axis=1).max() < _CONVERGED:
+            break
         trial = joints.moved(step)
         after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
         trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
         better = trial_cost < cost
-        gained = float(np.maximum(cost - trial_cost, 0.0).max())
         joints, seen = trial.where(better, joints), _chosen(better, after, seen)
         innovation = np.where(better[:, None, None], trial_innovation, innovation)
         cost = np.where(better, trial_cost, cost)
         damping = np.where(better, damping / 10, np.maximum(damping, 1e-6) * 100)
-        if better.all() and gained < _CONVERGED:
-            break
     return joints
 
 
 def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
-    """(h, d, n, 13) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
+    """(h, d, 13, n) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
 
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
     """
     h, n, d = seen.error.shape
-    c = seen.configuration
-    points = position - seen.error[:, :, -3:]
-    axis, turning = joints.axis, joints.turning
-    angle = np.where(turning[:, None], c, 0.0)
-    slide = np.where(turning[:, None], joints.pitch[:, None] * c, c)
-    cross = cross_matrix(axis)
-    sine, versine = np.sin(angle)[..., None, None], (1 - np.cos(angle))[..., None, None]
-    turn = np.eye(3) + sine * cross[:, None] + versine * (cross @ cross)[:, None]
-    # Rows first while it is filled.
-    design = np.zeros((h, 6, n, 13))
-    by_rows = design.swapaxes(1, 2)
-    by_rows[:, :, :3, :3] = by_rows[:, :, 3:, 3:6] = np.eye(3)
-    by_rows[:, :, 3:, :3] = cross_matrix(-points)
-    by_rows[:, :, 3:, 9:12] = turn
+    c = seen.configuration[:, None]
+    # Rows last: NumPy is slow at rows of three numbers.
+    points = np.ascontiguousarray((position - seen.error[:, :, -3:]).swapaxes(1, 2))
+    axis, turning = joints.axis[:, :, None], joints.turning[:, None, None]
+    angle = np.where(turning, c, 0.0)
+    cross = cross_matrix(joints.axis)
+    turn = np.eye(3)[..., None] + np.sin(angle)[:, None] * cross[..., None]
+    turn += (1 - np.cos(angle))[:, None] * (cross @ cross)[..., None]
+    design = np.zeros((h, 6, 13, n))
+    every = np.arange(3)
+    design[:, every, every] = design[:, every + 3, every + 3] = 1.0
+    design[:, 3:, :3] = cross_of_units(points)
+    design[:, 3:, 9:12] = turn
     if d == 6:
         # A part-side turn moves the point by (motion's rotation of ω) × (point - motion's translation).
-        center = joints.center[:, None]
-        shift = center - np.einsum("htij,hj->hti", turn, joints.center) + slide[..., None] * axis[:, None]
-        by_rows[:, :, :3, 6:9] = turn
-        by_rows[:, :, 3:, 6:9] = cross_matrix(shift - points) @ turn
+        center = joints.center[:, :, None]
+        slide = np.where(turning, joints.pitch[:, None, None] * c, c)
+        shift = center - (turn * joints.center[:, None, :, None]).sum(axis=2) + slide * axis
+        design[:, :3, 6:9] = turn
+        arm = (points - shift)[:, :, None]
+        for i, after, last in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            design[:, 3 + i, 6:9] = turn[:, after] * arm[:, last] - turn[:, last] * arm[:, after]
     # For a rigid part both sides say the same.
-    design[~joints.moving, :, :, 6:] = 0.0
-    by_rows[:, :, 3:, 12] = np.where(joints.twisting[:, None], c, 0.0)[..., None] * axis[:, None]
+    design[~joints.moving, :, 6:] = 0.0
+    design[:, 3:, 12] = np.where(joints.twisting[:, None, None], c, 0.0) * axis
     design = design[:, 6 - d :]
     length = np.sqrt(np.einsum("htk,htk->ht", seen.direction, seen.direction))
-    along = (seen.direction / np.maximum(length, 1e-12)[..., None]).transpose(0, 2, 1)[..., None]
+    along = (seen.direction / np.maximum(length, 1e-12)[..., None]).swapaxes(1, 2)[:, :, None]
     design -= along * (along * design).sum(axis=1, keepdims=True)
     return design
 
@@ -116,10 +117,10 @@ def _known_before(used: Bools, most: int) -> Ints:
 
 
 def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
-    """Values (h, d, n, ...) less their prediction from the rows before, in stds."""
+    """Values (h, d, ..., n) less their prediction from the rows before, in stds."""
     left = values * scale
     for lag, coefficient in enumerate(coefficients, start=1):
-        left[:, :, lag:] -= (coefficient * scale)[:, :, lag:] * values[:, :, :-lag]
+        left[..., lag:] -= (coefficient * scale)[..., lag:] * values[..., :-lag]
     return left
 
 
