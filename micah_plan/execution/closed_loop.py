@@ -215,7 +215,9 @@ def _ending(problem: Problem, pilot: _Pilot, beliefs: list[HybridBelief], confid
     steps = len(beliefs) - 1
     if pilot.is_lost:
         mode = problem.automaton.modes[beliefs[-1].most_likely].name
-        return f"stopped after {steps} steps, believed {mode}: the plan was left there and no new one leads on"
+        return (
+            f"stopped after {steps} steps, believed {mode}: off the plan after asking {_MOST_REPLANS} times for another"
+        )
     return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
-from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.pomdp_hd import plan, replan
 from micah_plan.spec.problem_file import load_problem
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 
+from micah_plan.execution.held_parameters import held_parameters
 from micah_plan.execution.held_plant import HeldPlant
 from micah_plan.execution.trials import run_trials
 
@@ -79,6 +81,28 @@ def test_the_tracker_shows_the_state(plant):
         seen = configuration(plant.automaton, mode, measurement.position, measurement.quaternion, truth.x)
         assert np.abs(seen - truth.x)[:3].max() < 5 * 0.015
         assert abs(seen[3] - truth.x[3]) < 5 * 0.05
+
+
+class WithoutLatch(HeldPlant):
+    """A stapler whose latch is broken, which neither planner nor filter knows."""
+
+    def _catch(self):
+        """Nothing catches."""
+
+
+@pytest.mark.slow
+def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
+    problem = load_problem(PROBLEM)
+    plant = WithoutLatch(problem, replace(held_parameters(problem), joint_friction=0.09))
+    statistics = run_trials(problem, plan(problem, 0), plant=plant, trials=1, replan=replan)
+    (result,) = statistics.results
+    plant.close()
+    assert not result.success
+    assert result.replans >= 1
+    assert "off the plan after asking" in result.reason
+    # It gave up next to the table, without having hit anything.
+    assert result.final_mode == "free"
+    assert result.final_x[0] < 0.3
 
 
 @pytest.mark.slow
