@@ -53,6 +53,18 @@ def test_a_circle_through_exact_positions_is_exact() -> None:
     assert_same_motion(joints.joint(0), JOINTS["revolute"], 1e-6)
 
 
+def test_a_circle_through_noisy_positions_of_a_short_arc_is_not_too_small() -> None:
+    """Least squares of the plain circle equation (Coope 1993) finds a quarter of this radius."""
+    radii = []
+    for seed in range(40):
+        noise = 0.001 * np.random.default_rng(seed).standard_normal((ROWS, 3))
+        position = forward(JOINTS["revolute"], np.linspace(0, 0.2, ROWS)).translation + noise
+        found, fixed = linear_fits(["revolute"], np.ones((1, ROWS), dtype=bool), position, None)
+        assert fixed[0]
+        radii.append(radius(found.joint(0)))
+    assert np.median(radii) == pytest.approx(radius(JOINTS["revolute"]), rel=0.2)
+
+
 @pytest.mark.parametrize("orientation", [True, False])
 def test_rows_without_motion_fix_no_moving_joint(orientation: bool) -> None:
     position = np.zeros((10, 3))

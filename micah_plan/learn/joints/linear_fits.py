@@ -2,7 +2,7 @@
 
 With orientations every model is linear in the measured rotation matrices: a part-fixed point c_b on the axis stays put,
 p_t + R_t c_b = c_w (+ pitch · angle along the axis), and the axis is the direction the relative rotations share. A
-circle through positions alone (Coope 1993) is biased on short arcs, so it only starts the refinement.
+circle through positions alone (Taubin 1991) only starts the refinement.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _TINY = 1e-9
+_STRAIGHTEST = 1e-4  # width of the rows in diameters of their circle
 
 
 def linear_fits(
@@ -113,15 +114,14 @@ def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, F
     """Normals (h, 3), centres and starts (h, 3) relative to the mean, and whether there is a circle (h,)."""
     plane = vectors[:, :, :0:-1]
     flat = np.einsum("hni,hij->hnj", centred, plane)
-    scale = np.sqrt(np.maximum(np.sum(share[..., None] * flat**2, axis=(1, 2)), 1e-300))[:, None]
-    unit = flat / scale[..., None]
-    design = np.concatenate([2 * unit, np.ones((*unit.shape[:2], 1))], axis=2)
-    normal = np.einsum("hn,hni,hnj->hij", share, design, design)
-    pulled = np.einsum("hn,hni,hn->hi", share, design, (unit**2).sum(axis=2))
-    values, basis = np.linalg.eigh(normal)
-    fixed = values[:, 0] > 1e-10
-    inverse = np.where(values > 1e-10, 1 / np.maximum(values, 1e-10), 0.0)
-    solution = np.einsum("hij,hj,hkj,hk->hi", basis, inverse, basis, pulled)[:, :2] * scale
+    squares = (flat**2).sum(axis=2)
+    scale = np.sqrt(np.maximum(np.sum(share * squares, axis=1), 1e-300))
+    # Taubin's circle: least squares of a (x² + y² - their mean) + b x + c y, its gradient 1 on average.
+    bend = (squares - scale[:, None] ** 2) / (2 * scale[:, None])
+    values, basis = np.linalg.eigh(_squared(share, np.concatenate([bend[..., None], flat], axis=2)))
+    bent, tilted = basis[:, 0, 0], basis[:, 1:, 0]
+    fixed = (values[:, 1] > 1e-10 * values[:, 2]) & (np.abs(bent) > _STRAIGHTEST)
+    solution = -tilted * (scale / np.where(fixed, bent, 1.0))[:, None]
     center = np.einsum("hij,hj->hi", plane, solution)
     # The origin: where the circle passes the mean.
     away = -solution / np.maximum(np.linalg.norm(solution, axis=1, keepdims=True), 1e-300)
