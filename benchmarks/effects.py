@@ -46,7 +46,7 @@ class Planted:
         parameter, value: of the first one, where the plant has the library's form.
         shape, turn: what differs in the poses and in the actions, see `planted_effects.door_recording`.
         halves: whether the model has a mode for each half of the range.
-        beyond: how far beyond the ends the hand aims, so that what is there is seen; None: seldom.
+        goals: where the hand aims, so that what is at an end is seen; None: seldom there.
     """
 
     plant: Callable[..., float]
@@ -56,7 +56,7 @@ class Planted:
     shape: Callable[..., Any] | None = None
     turn: Any = None
     halves: bool = False
-    beyond: float | None = None
+    goals: tuple[float, float] | None = None
 
 
 PLANTED: dict[str, Planted] = {
@@ -71,13 +71,13 @@ PLANTED: dict[str, Planted] = {
     "spring": Planted(plants.sprung, ("spring",), "stiffness", 0.03),
     "gravity": Planted(plants.heavy, ("gravity",), "cosine", -0.008),
     "latch": Planted(plants.magnetic, ("latch",)),
-    "limit": Planted(plants.blocked, ("limit",), "at", 0.7, beyond=1.0),
-    "guard_shift": Planted(plants.shifted, ("guard_shift",), "shift", -0.05, beyond=1.0),
-    "guard_hysteresis": Planted(plants.clinging, ("guard_hysteresis",), "width", 0.03, beyond=1.0),
+    "limit": Planted(plants.blocked, ("limit",), "at", 0.7, goals=(0.4, 1.6)),
+    "guard_shift": Planted(plants.shifted, ("guard_shift",), "shift", -0.05, goals=(0.4, 1.6)),
+    "guard_hysteresis": Planted(plants.clinging, ("guard_hysteresis",), "width", 0.03, goals=(0.8, 1.2)),
     "screw_pitch": Planted(plants.honest, ("screw_pitch",), "pitch", 0.02, shape=plants.climbing),
     "axis_offset": Planted(plants.honest, ("axis_offset",), shape=plants.off_axis),
-    "sensor_scale": Planted(plants.stretched, ("sensor_scale",), "scale", 1.1, beyond=1.0),
-    "drift": Planted(plants.drifting, ("drift",), "rate", 0.01, beyond=1.0),
+    "sensor_scale": Planted(plants.stretched, ("sensor_scale",), "scale", 1.1, goals=(0.4, 1.6)),
+    "drift": Planted(plants.drifting, ("drift",), "rate", 0.01, goals=(0.4, 1.6)),
     "gain in one mode": Planted(plants.short_far_out, ("gain",), "gain", 0.75, halves=True),
     "gain since half-way": Planted(plants.worn_half_way, ("gain",), "gain", 0.7),
     "gain and backlash": Planted(plants.short_and_loose, ("gain", "backlash")),
@@ -121,7 +121,7 @@ def door(*, halves: bool = False) -> HybridAutomaton:
 def change(planted: Planted) -> float:
     """Root mean square of what the effect changes in a step where it changes something [rad at the hinge]."""
     changes: list[float] = []
-    quiet = plants.runs_of(planted.plant, 20, 50, 0, noise=0.0, disturbance=0.0, beyond=planted.beyond, changes=changes)
+    quiet = plants.runs_of(planted.plant, 20, 50, 0, noise=0.0, disturbance=0.0, goals=planted.goals, changes=changes)
     if planted.shape is not None or planted.turn is not None:
         plain = plants.door_recording(quiet)
         other = plants.door_recording(quiet, shape=planted.shape, turn=planted.turn)
@@ -138,7 +138,7 @@ def trial(name: str, size: float, runs: int, seed: int) -> Trial:
     """Plant, record, calibrate and compare."""
     planted = PLANTED[name]
     noise = change(planted) / size
-    hand = {"noise": noise, "disturbance": DISTURBANCE * noise, "beyond": planted.beyond}
+    hand = {"noise": noise, "disturbance": DISTURBANCE * noise, "goals": planted.goals}
     moved = plants.runs_of(planted.plant, runs, 50, seed, **hand)
     across = plants.RADIUS * noise
     recording = plants.door_recording(moved, across=across, seed=seed, shape=planted.shape, turn=planted.turn)
@@ -186,11 +186,11 @@ def control(seed: int) -> tuple[str, str]:
     noise = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
     share = float(rng.uniform(0.0, 1.5))
     halves = bool(rng.random() < 0.3)
-    beyond = 1.0 if rng.random() < 0.5 else None
-    moved = plants.runs_of(plants.honest, runs, rows, seed, noise=noise, disturbance=share * noise, beyond=beyond)
+    goals = (-1.0, 2.0) if rng.random() < 0.5 else None
+    moved = plants.runs_of(plants.honest, runs, rows, seed, noise=noise, disturbance=share * noise, goals=goals)
     found = calibrate(door(halves=halves), plants.door_recording(moved, across=plants.RADIUS * noise, seed=seed))
     said = ", ".join(_described(one) for one in found.effects)
-    text = f"{seed=}: {runs} x {rows} rows, noise {noise:.4f}, moved {share:.2f}, {halves=}, {beyond=}: {said}"
+    text = f"{seed=}: {runs} x {rows} rows, noise {noise:.4f}, moved {share:.2f}, {halves=}, {goals=}: {said}"
     return found.verdict, text
 
 

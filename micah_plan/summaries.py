@@ -333,6 +333,7 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "parameters": dict(effect.parameters) | dict(found.derived),
         "units": dict(zip(names, found.units, strict=True)) | {name: "s" for name, _ in found.derived},
         "evidence": found.evidence,
+        "is_added": found.is_added,
         "interval_95": {name: list(pair) for name, pair in zip(names, found.interval, strict=True)},
         "coordinate": effect.coordinate,
         "modes": list(effect.modes),

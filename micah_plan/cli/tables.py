@@ -91,9 +91,8 @@ def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) ->
     for effect in summary["effects"]:
         units, where = effect["units"], effect["coordinate"]
         values = ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in effect["parameters"].items())
-        table.add_row(
-            f"{effect['name']} ({where})", values, f"{effect['evidence']:.1f}", ", ".join(effect["tied_with"])
-        )
+        name = f"{effect['name']} ({where})" + ("" if effect["is_added"] else ", not added")
+        table.add_row(name, values, f"{effect['evidence']:.1f}", ", ".join(effect["tied_with"]))
     out.print(f"verdict: {summary['verdict']}", markup=False)
     if summary["effects"]:
         out.print(table)

@@ -48,6 +48,7 @@ class FoundEffect:
         derived: (name, value) of parameters in other units: times in s of those in steps.
         sentence, source: of its form.
         experiment: what would tell it from those it is tied with; empty if there are none.
+        is_added: whether the new automaton has it; not if it helps single steps but makes the roll-out worse.
     """
 
     effect: Effect
@@ -60,6 +61,7 @@ class FoundEffect:
     sentence: str
     source: str
     experiment: str
+    is_added: bool = True
 
 
 @dataclass(frozen=True)
@@ -185,6 +187,7 @@ def _found(lane: Lane, finding: Finding) -> FoundEffect:
         sentence=own.sentence,
         source=own.source,
         experiment=experiments.separating(own.name, finding.tied[0]) if finding.tied else "",
+        is_added=finding.is_added,
     )
 
 
@@ -274,6 +277,12 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         low, high = lane.visited
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
+        left_out = [finding.part.name for finding in one.findings if not finding.is_added]
+        if left_out:
+            notes.append(
+                f"{name}: {' and '.join(left_out)} was not added: single steps get better but the roll-out worse "
+                f"(x {one.longer:.2f}), so something else is missing as well"
+            )
         if abs(one.correlation) > 0.25:
             notes.append(f"{name}: what remains is correlated in time ({one.correlation:.2f} from step to step)")
     return tuple(notes)

@@ -1,8 +1,8 @@
 """Where the joint really is: what measured poses keep beside the joint, as a function of the configuration.
 
-A wrong axis or pitch shows across the motion, whatever was commanded: with the axis moved by d, the part's origin is
-off by (I - R(c)) d, and with a pitch h by h c along the axis. Both are linear, so the fit is a regression; errors of a
-tracker wander, so it is made on a first-order autoregression of the residual.
+A wrong axis or pitch shows beside the motion that orientations tell, whatever was commanded: with the axis moved by d,
+the part's origin is off by (I - R(c)) d, and with a pitch h by h c along the axis. Both are linear, so the fit is a
+regression; errors of a tracker wander, so it is made on a first-order autoregression of the residual.
 
 Source: Hamilton, Time Series Analysis, ch. 8 (regression with autocorrelated errors, Cochrane and Orcutt).
 """
@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis
-from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.automaton.kinematics import forward, inverse, jacobian
 from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # Evidence [nats] and size against the scatter that a change of geometry must have: the model's own error is no effect.
 _LEAST_EVIDENCE = 20.0
@@ -31,6 +32,8 @@ _LEAST_RATIO = 1.0
 _MOST_LEFT = 0.6
 _FOLDS = 4
 _FEWEST_ROWS = 20
+# Weight of orientation against position at which the angle is read from orientation alone [m/rad].
+_BY_ORIENTATION = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +47,23 @@ class GeometryFinding:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """One direction across the joint: residual (K,), regressors (K, k), block (K,) for holding out, start (K,)."""
+    """What poses keep beside the joint, in one direction or several of its frame.
+
+    Attributes:
+        residual: (K,) [m]; regressors: (K, k); block: (K,) for holding out; starts: (K,) whether a run starts there.
+        direction: (K,) each has a scatter, a memory and a constant of its own.
+    """
 
     residual: Floats
     regressors: Floats
-    block: NDArray[np.int64]
+    block: Ints
     starts: NDArray[np.bool_]
+    direction: Ints
+
+    @property
+    def constants(self) -> Floats:
+        """(K, directions) one column per direction."""
+        return np.asarray(self.direction[:, None] == np.arange(self.direction.max() + 1), dtype=float)
 
 
 def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[GeometryFinding, ...]:
@@ -89,33 +103,56 @@ def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple
 
 
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:
-    """Residuals along the axis and along the lever arm, with what would explain them."""
-    parts: list[tuple[Floats, Floats, Floats, Floats]] = []
-    blocks, starts = [], []
+    """Residuals along the axis and across the lever arm, with what would explain them.
+
+    Where orientation was measured the angle is read from it alone: then a moved axis shows along the motion as well.
+    """
+    along, out, tangential, c, blocks, starts = [], [], [], [], [], []
     axis, basis = np.array(joint.axis), axis_basis(joint.axis)
+    by_out, by_tangent = [], []
     for number, track in enumerate(tracks):
-        c = track.x[:, coordinate]
-        pose = forward(joint, c)
-        away = track.position[:, link] - pose.translation
-        tangent = jacobian(joint, c)[:, 3:]
+        turned = None if track.quaternion is None else Rotation.from_quat(track.quaternion[:, link])
+        angle = track.x[:, coordinate]
+        if turned is not None and joint.kind == "revolute":
+            angle = inverse(joint, track.position[:, link], turned, _BY_ORIENTATION, near=angle)
+        away = track.position[:, link] - forward(joint, angle).translation
+        tangent = jacobian(joint, angle)[:, 3:]
+        tangent = tangent - np.outer(tangent @ axis, axis)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
         outward = np.cross(tangent, axis)
-        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-        turn = Rotation.from_rotvec(c[:, None] * axis)
+        turn = Rotation.from_rotvec(angle[:, None] * axis)
         moved = np.stack([basis[k] - turn.apply(basis[k]) for k in (0, 1)], axis=2)
-        parts.append((away @ axis, (away * outward).sum(axis=1), c, (moved * outward[:, :, None]).sum(axis=1)))
+        along.append(away @ axis)
+        c.append(angle)
+        out.append((away * outward).sum(axis=1))
+        by_out.append((moved * outward[:, :, None]).sum(axis=1))
+        if turned is not None and joint.kind == "revolute":
+            tangential.append((away * tangent).sum(axis=1))
+            by_tangent.append((moved * tangent[:, :, None]).sum(axis=1))
         split = 1 if len(tracks) >= _FOLDS else _FOLDS
-        blocks.append(number * split + np.arange(len(c)) * split // max(len(c), 1))
-        starts.append(np.arange(len(c)) == 0)
-    along, out, c, moved = (np.concatenate(column) for column in zip(*parts, strict=True))
+        blocks.append(number * split + np.arange(len(angle)) * split // max(len(angle), 1))
+        starts.append(np.arange(len(angle)) == 0)
     block, first = np.concatenate(blocks) % _FOLDS, np.concatenate(starts)
-    return _Rows(along, c[:, None], block, first), _Rows(out, moved, block, first)
+    axial = _Rows(np.concatenate(along), np.concatenate(c)[:, None], block, first, np.zeros(len(block), dtype=np.int64))
+    count = 1 + bool(tangential)
+    radial = _Rows(
+        np.concatenate([*out, *tangential]),
+        np.concatenate([*by_out, *by_tangent]),
+        np.tile(block, count),
+        np.tile(first, count),
+        np.repeat(np.arange(count), len(block)),
+    )
+    return axial, radial
 
 
 def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) -> GeometryFinding | None:
     if len(rows.residual) < _FEWEST_ROWS or np.ptp(rows.regressors[:, 0]) < 1e-6:
         return None
-    constant = np.ones((len(rows.residual), 1))
-    with_it, without = np.hstack([constant, rows.regressors]), constant
+    without = rows.constants
+    with_it, own = np.hstack([without, rows.regressors]), without.shape[1]
+    everything = np.ones(len(rows.residual), dtype=bool)
+    beta, covariance, scatter, _ = _regression(rows, with_it, everything)
+    unit = scatter[rows.direction]
     evidence, squared, kept = 0.0, np.zeros(2), np.zeros(2)
     for fold in range(_FOLDS):
         train, test = rows.block != fold, rows.block == fold
@@ -123,19 +160,20 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
             continue
         evidence += _predicts(rows, with_it, train, test) - _predicts(rows, without, train, test)
         for k, design in enumerate((with_it, without)):
-            beta = _regression(rows, design, train)[0]
-            squared[k] += float(((rows.residual - design @ beta)[test] ** 2).sum())
+            fitted = _regression(rows, design, train)[0]
+            squared[k] += float((((rows.residual - design @ fitted) / unit)[test] ** 2).sum())
             # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
-            kept[k] += float(((rows.residual - design[:, 1:] @ beta[1:])[test] ** 2).sum())
-    everything = np.ones(len(rows.residual), dtype=bool)
-    beta, covariance, scatter, _ = _regression(rows, with_it, everything)
-    size = float(np.std(rows.regressors @ beta[1:]))
-    if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO * scatter or squared[0] > _MOST_LEFT * squared[1]:
+            effect = design[:, own:] @ fitted[own:]
+            kept[k] += float((((rows.residual - effect) / unit)[test] ** 2).sum())
+    effect = rows.regressors @ beta[own:]
+    centred = effect - (without @ (without.T @ effect / without.sum(axis=0)))
+    size = float(np.sqrt(np.mean((centred / unit) ** 2)))
+    if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO or squared[0] > _MOST_LEFT * squared[1]:
         return None
     if kept[0] > _MOST_LEFT * kept[1]:
         return None
-    std = np.sqrt(np.maximum(np.diag(covariance)[1:], 0.0))
-    pairs = tuple(zip(names, (float(b) for b in beta[1:]), strict=True))
+    std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
+    pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
     spread = tuple(float(s) for s in std)
     return GeometryFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
 
@@ -143,35 +181,40 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
 def _predicts(rows: _Rows, design: Floats, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:
     """Log likelihood of the test rows' whitened residuals under what the training rows say [nats]."""
     beta, _, scatter, memory = _regression(rows, design, train)
-    white, _ = _whitened(rows, rows.residual - design @ beta, memory)
-    left = white[test]
-    return float(-0.5 * np.sum((left / scatter) ** 2) - left.size * np.log(scatter))
+    spread = scatter[rows.direction][test]
+    left = _whitened(rows, rows.residual - design @ beta, memory)[test]
+    return float(-0.5 * np.sum((left / spread) ** 2) - np.log(spread).sum())
 
 
-def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, float, float]:
-    """Coefficients, covariance, scatter of the whitened residual and its autoregression, over the chosen rows."""
-    memory = 0.0
+def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
+    """Coefficients, their covariance, and of each direction the scatter of the whitened residual and its memory."""
+    count = int(rows.direction.max()) + 1
+    memory, scatter = np.zeros(count), np.ones(count)
     beta: Floats = np.zeros(design.shape[1])
     covariance: Floats = np.eye(design.shape[1])
-    scatter = 1.0
     for _ in range(4):
-        target, _ = _whitened(rows, rows.residual, memory)
-        columns = np.stack([_whitened(rows, column, memory)[0] for column in design.T], axis=1)
-        a, b = columns[chosen], target[chosen]
-        gram = a.T @ a + 1e-12 * np.eye(a.shape[1])
+        target = _whitened(rows, rows.residual, memory)[chosen]
+        columns = np.stack([_whitened(rows, column, memory) for column in design.T], axis=1)[chosen]
+        direction = rows.direction[chosen]
+        unit = scatter[direction]
+        a, b = columns / unit[:, None], target / unit
+        gram = a.T @ a
+        gram = gram + 1e-12 * np.trace(gram) * np.eye(a.shape[1])
         beta = np.asarray(np.linalg.solve(gram, a.T @ b))
-        scatter = max(float(np.sqrt(np.mean((b - a @ beta) ** 2))), 1e-9)
-        covariance = np.asarray(scatter**2 * np.linalg.inv(gram))
-        left = rows.residual - design @ beta
-        follows = chosen & ~rows.starts
+        covariance = np.asarray(np.linalg.inv(gram))
+        missed, left = target - columns @ beta, rows.residual - design @ beta
         before = np.roll(left, 1)
-        power = float((before[follows] ** 2).sum())
-        memory = float(np.clip((left[follows] * before[follows]).sum() / power, 0.0, 0.98)) if power > 0 else 0.0
+        for k in range(count):
+            scatter[k] = max(float(np.sqrt(np.mean(missed[direction == k] ** 2))), 1e-9)
+            follows = chosen & ~rows.starts & (rows.direction == k)
+            power = float((before[follows] ** 2).sum())
+            product = float((left[follows] * before[follows]).sum())
+            memory[k] = float(np.clip(product / power, 0.0, 0.98)) if power > 0 else 0.0
     return beta, covariance, scatter, memory
 
 
-def _whitened(rows: _Rows, values: Floats, memory: float) -> tuple[Floats, float]:
+def _whitened(rows: _Rows, values: Floats, memory: Floats) -> Floats:
     """Values less what the row before foretells; the first row of a run is scaled to the same variance."""
-    before = np.roll(values, 1)
-    first = np.sqrt(max(1.0 - memory**2, 1e-6))
-    return np.where(rows.starts, first * values, values - memory * before), first
+    own = memory[rows.direction]
+    first = np.sqrt(np.maximum(1.0 - own**2, 1e-6))
+    return np.asarray(np.where(rows.starts, first * values, values - own * np.roll(values, 1)))

@@ -21,6 +21,9 @@ from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
 
+# Rows that a run needs to show its own noise.
+_ROWS_FOR_NOISE = 8
+
 
 @dataclass(frozen=True, eq=False)
 class PredictionError:
@@ -137,11 +140,13 @@ def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
 
 
 def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
-    """The belief after the first measurement of a run."""
-    try:
-        return initial_belief(automaton, track.x[0], np.array(automaton.noise.observation_std))
-    except InputError:
-        pass
+    """The belief after the first measurement of a run, with the run's own noise if that is larger than the model's."""
+    std = np.array(automaton.noise.observation_std)
+    for spread in (std, np.maximum(std, _noise(track))):
+        try:
+            return initial_belief(automaton, track.x[0], spread)
+        except InputError:
+            continue
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
         ranges = coordinate_ranges(index, automaton.modes)
@@ -152,6 +157,15 @@ def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
         + ", ".join(allowed),
         remedy="take the model that was learned from this object",
     )
+
+
+def _noise(track: Track) -> Floats:
+    """(n,) std of the measured configurations, as third differences show it: no smooth motion has any."""
+    if len(track.x) < _ROWS_FOR_NOISE:
+        return np.zeros(track.x.shape[1])
+    third = np.diff(track.x, 3, axis=0)
+    # Third differences of white noise have 1 + 9 + 9 + 1 times its variance.
+    return np.asarray(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0))
 
 
 def _inputs(track: Track) -> Floats:

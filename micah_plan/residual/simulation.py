@@ -102,6 +102,7 @@ class _Run:
         offset, slope = self._sensor(0, ones)
         self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, self.low), self.high) * ones
         self.variance = self.r / slope**2 * ones
+        self.at_ends = self.c <= self.low, self.c >= self.high
 
     def step(self, t: int) -> None:
         """Predict the state of row t + 1."""
@@ -123,12 +124,19 @@ class _Run:
         ended = (free < low) | (free > high)
         free = np.minimum(np.maximum(free, low), high)
         if self.is_held:
-            stuck = ((self.c >= high) & (v < 0) & (-v <= self.release[1])) | (
-                (self.c <= low) & (v > 0) & (v <= self.release[0])
-            )
-            free, ended = np.where(stuck, self.c, free), ended | stuck
+            at_low, at_high = self._held(v, free, low, high)
+            free = np.where(at_high, high, np.where(at_low, low, free))
+            ended = ended | at_low | at_high
         self.variance = np.where(ended, _HELD_VARIANCE * self.variance, self.variance)
         self.c = free
+
+    def _held(self, v: Any, free: Any, low: Any, high: Any) -> tuple[Any, Any]:
+        """Whether the part is held at its lower and upper end after a step: it stays until a command releases it."""
+        before_low, before_high = self.at_ends
+        stays_low = before_low & (v <= self.release[0])
+        stays_high = before_high & (-v <= self.release[1])
+        self.at_ends = stays_low | (free <= low), stays_high | (free >= high)
+        return stays_low & (self.release[0] > 0), stays_high & (self.release[1] > 0)
 
     def measure(self, t: int, kind: Kind) -> tuple[Floats, Floats]:
         """Compare with row t and take the measurement in."""

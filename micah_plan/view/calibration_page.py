@@ -81,6 +81,8 @@ def _effects(found: Calibration) -> list[str]:
         sentence = f"<p><b>{escape(effect.effect.name)}</b>: {escape(effect.sentence)}"
         if effect.effect.modes:
             sentence += escape(f" It acts only in {', '.join(effect.effect.modes)}.")
+        if not effect.is_added:
+            sentence += " It makes the roll-out worse, so the new model does not have it."
         if effect.since is not None:
             sentence += escape(f" It was seen from run {effect.since[0]}, {effect.since[1]:.3g} s on.")
         sentence += f' <span class="note">Source: {escape(effect.source)}.</span></p>'

@@ -10,24 +10,26 @@ RADIUS, LENGTH, PERIOD = 0.3, 1.2, 0.1
 STEP = LENGTH / 25
 
 
-def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001, beyond=None, changes=None):
+def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001, goals=None, changes=None):
     """(z, u) of runs in which a hand goes to and fro between drawn places; plant(c, u, k, memory) -> c.
 
-    With `beyond`, goals are drawn that share of the range beyond both ends, so that the hand often gets there.
+    `goals`, shares of the range, are where the hand wants to go; those beyond an end are that end. None: rarely there.
     `changes`, a list, takes for each step by how much it differs from that of a part that does as it is told.
     """
     rng = np.random.default_rng(seed)
     found = []
     for run in range(count):
         c, memory = rng.uniform(0.0, 0.5) * LENGTH, {"run": run, "rng": rng}
+        plant(c, 0.0, 0, asked := {"run": run, "rng": np.random.default_rng(0)})
+        memory |= {name: asked[name] for name in ("read", "end") if name in asked}  # also for the first row
         believed, goal = c, rng.uniform(0.1, 0.95) * LENGTH
         z, u = np.zeros(rows), np.zeros(rows)
         for k in range(rows):
             z[k] = memory.get("read", lambda value, _: value)(c, k) + noise * rng.standard_normal()
             if abs(goal - believed) < STEP:
                 goal = rng.uniform(-0.05, 1.05) * LENGTH
-                if beyond is not None:
-                    goal = np.clip(rng.uniform(-beyond, 1.0 + beyond), -0.039, 1.039) * LENGTH
+                if goals is not None:
+                    goal = np.clip(rng.uniform(*goals), -0.039, 1.039) * LENGTH
             u[k] = np.clip(goal - believed, -STEP, STEP) * rng.uniform(0.3, 1.0)
             believed = np.clip(believed + u[k], 0.0, LENGTH)
             told, before = min(max(c + u[k], 0.0), LENGTH) - c, memory.get("read", lambda value, _: value)(c, k)
@@ -43,21 +45,24 @@ def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None):
     """Poses of a handle 0.3 m from a vertical hinge, and chords of the commanded turns as actions.
 
     Args:
-        across: std of a measured position across the motion [m], in both directions.
+        across: std of a measured position across the motion [m], in both directions; orientations then have noise of
+            their own, as much at the handle.
         shape: (K,) angles to (K, 3) true places of the handle; a circle if None.
         turn: rotation matrix by which actions are turned before they are written.
     """
     rng = np.random.default_rng(seed)
     columns = {name: [] for name in ("time", "position", "quaternion", "action", "run")}
     for number, (z, u) in enumerate(runs, start=1):
-        action = _point(z + u) - _point(z)
+        place = _point if shape is None else shape
+        action = place(z + u) - place(z)
         action = action if turn is None else action @ turn.T
         action[-1] = np.nan
         beside = across * rng.standard_normal((len(z), 2))
         away = np.stack([beside[:, 0] * np.cos(z), beside[:, 0] * np.sin(z), beside[:, 1]], axis=1)
         columns["time"].append(PERIOD * np.arange(len(z)))
-        columns["position"].append((_point if shape is None else shape)(z) + away)
-        columns["quaternion"].append(np.stack([0 * z, 0 * z, np.sin(z / 2), np.cos(z / 2)], axis=1))
+        columns["position"].append(place(z) + away)
+        half = 0.5 * (z + across / RADIUS * rng.standard_normal(len(z)))
+        columns["quaternion"].append(np.stack([0 * z, 0 * z, np.sin(half), np.cos(half)], axis=1))
         columns["action"].append(action)
         columns["run"].append(np.full(len(z), number))
     return Recording(**{name: np.concatenate(parts) for name, parts in columns.items()}, has_run=True)

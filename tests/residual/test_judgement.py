@@ -29,8 +29,8 @@ def door():
     return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", tuple(segments)),)))
 
 
-def judged(door, plant, *, runs=10, rows=50, seed=0, beyond=None):
-    moved = plants.runs_of(plant, runs, rows, seed, noise=NOISE, disturbance=MOVED, beyond=beyond)
+def judged(door, plant, *, runs=10, rows=50, seed=0, goals=None):
+    moved = plants.runs_of(plant, runs, rows, seed, noise=NOISE, disturbance=MOVED, goals=goals)
     recording = plants.door_recording(moved, across=plants.RADIUS * NOISE, seed=seed)
     predicted = predict_recording(door, recording)
     return judge(door, predicted), predicted
@@ -72,7 +72,7 @@ def test_few_rows_give_no_floor(door) -> None:
 
 
 def test_mode_changes_are_paired_and_timed(door) -> None:
-    found, _ = judged(door, plants.honest, beyond=1.0)
+    found, _ = judged(door, plants.honest, goals=(-1.0, 2.0))
     paired = [c for c in found.changes if c.measured is not None and c.predicted is not None]
     assert {c.mode for c in paired} == {"revolute", "rigid"}
     assert np.median([abs(c.measured - c.predicted) for c in paired]) <= 2 * plants.PERIOD
