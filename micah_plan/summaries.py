@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from micah_plan.planning.explain import Explanation
     from micah_plan.residual.calibrate import Calibration, FoundEffect
     from micah_plan.residual.judgement import Floor
+    from micah_plan.residual.missing_mode import MissingMode
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.residual.trace import LaneTrace
     from micah_plan.workflow import Learned
@@ -318,6 +319,7 @@ def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
             "noise_floor": found.noise_floor,
         },
         "unexplained_fraction": found.unexplained_fraction,
+        "missing_modes": [_missing_mode(mode) for one in found.traces for mode in one.missing_modes],
         "coordinates": [_coordinate(one) for one in found.traces],
         "notes": list(found.notes),
         "next_experiment": found.experiment,
@@ -342,6 +344,17 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "separating_experiment": found.experiment or None,
         "sentence": found.sentence,
         "source": found.source,
+    }
+
+
+def _missing_mode(mode: MissingMode) -> dict[str, Any]:
+    ends = {
+        "from": mode.low if math.isfinite(mode.low) else None,
+        "to": mode.high if math.isfinite(mode.high) else None,
+    }
+    return {"coordinate": mode.coordinate, "unit": mode.unit, **ends, "gain": mode.gain, "bias": mode.bias} | {
+        "evidence": mode.evidence,
+        "sentence": str(mode),
     }
 
 

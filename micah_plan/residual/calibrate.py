@@ -277,6 +277,7 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         low, high = lane.visited
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
+        notes += [f"{mode} ({mode.evidence:.0f} nats over any gradual change)" for mode in one.missing_modes]
         left_out = [finding.part.name for finding in one.findings if not finding.is_added]
         if left_out:
             notes.append(
@@ -293,6 +294,8 @@ def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) 
         if effect.experiment:
             return effect.experiment
     for one in traces:
+        for mode in one.missing_modes:
+            return experiments.for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
         if one.verdict in ("partly", "unexplained"):
             low, high = one.lane.visited
             return experiments.for_unexplained(f"between {low:.3g} and {high:.3g} {one.lane.unit}")

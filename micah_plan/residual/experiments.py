@@ -41,6 +41,11 @@ def for_unexplained(where: str) -> str:
     return f"repeat slow and fast motions in both directions {where}, with rests in between"
 
 
+def for_missing_mode(place: float, unit: str) -> str:
+    """The experiment for a mode that the automaton lacks."""
+    return f"record slow motion through {place:.3g} {unit} in both directions and learn the model again, with that mode"
+
+
 def for_nothing(rows: int, moved: float, unit: str) -> str:
     """The experiment where nothing was found."""
     return (

@@ -18,6 +18,7 @@ from micah_plan.residual.candidates import Candidate, candidates, indistinguisha
 from micah_plan.residual.growth import (
     LEAST_EVIDENCE,
     TIE,
+    Growth,
     Progress,
     grow,
     is_worth,
@@ -26,6 +27,7 @@ from micah_plan.residual.growth import (
     shortens,
 )
 from micah_plan.residual.lane import Lane
+from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.verdict import Verdict, verdict
@@ -75,6 +77,7 @@ class LaneTrace:
         correlation, white_probability: largest autocorrelation of the innovations that remain, and how probable it were
             if they were white.
         longer: by how much what was found but not added would make the roll-out longer, as a factor; 1 if nothing was.
+        missing_modes: that the automaton lacks; the new one has a correction without a name in their place.
         final: what a new automaton should have: the chosen model, with the correction if it is worth it.
     """
 
@@ -91,6 +94,7 @@ class LaneTrace:
     correlation: float
     white_probability: float
     longer: float = 1.0
+    missing_modes: tuple[MissingMode, ...] = ()
 
 
 def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
@@ -106,8 +110,17 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     able = [one for one in singles if not one.is_idle]
     growth = grow(search, library, able, told)
     chosen = growth.chosen
+    is_enough = search.leaves_nothing(chosen)
+    modes: tuple[MissingMode, ...] = ()
+    if not is_enough:
+        rival = max(one.over(search.nominal)[0] for one in (chosen, loose))
+        modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rival)
+    if modes:
+        # Effects that act everywhere only imitate what a mode of its own does in one place.
+        growth = Growth(search.nominal, growth.alternatives)
+        chosen = search.nominal
     told(f"{lane.coordinate}: what remains", 0.9)
-    remaining = chosen if search.leaves_nothing(chosen) else _smoothed(search, chosen)
+    remaining = chosen if is_enough else _smoothed(search, chosen)
     correlation, chance = search.whiteness(chosen)
     size = float(np.sqrt(chosen.squared / lane.counted.sum()))
     is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
@@ -115,8 +128,9 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     # Several effects together that predict worse than a correction without a name only imitate it.
     is_outdone = len(chosen.parts) > 1 and loose.over(chosen)[0] > LEAST_EVIDENCE
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
+    is_suspect = is_wandering or is_outdone or named is not chosen or bool(modes)
     findings = _findings(search, named, growth.alternatives)
-    fraction = _fraction_left(search.nominal, named, [loose, remaining])
+    fraction = 0.0 if modes else _fraction_left(search.nominal, named, [loose, remaining])
     final = remaining if is_left and shortens(search, remaining, chosen) else chosen
     return LaneTrace(
         lane=lane,
@@ -127,7 +141,8 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         final=final,
         findings=tuple(replace(finding, is_added=named is chosen) for finding in findings),
         ranking=tuple(ranking),
-        verdict=verdict(len(named.parts), is_left, is_wandering or is_outdone or named is not chosen, fraction),
+        missing_modes=modes,
+        verdict=verdict(len(named.parts) + len(modes), is_left, is_suspect, fraction),
         unexplained_fraction=fraction if named.parts or is_left else float(is_wandering),
         correlation=correlation,
         white_probability=chance,

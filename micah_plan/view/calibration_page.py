@@ -49,6 +49,7 @@ def calibration_page(found: Calibration, title: str) -> str:
         '<p class="note">calibration: measured motion against the model</p>',
         f'<p class="badge {found.verdict}">{found.verdict}</p> {escape(_SENTENCES[found.verdict])}',
         *(f'<p class="note">{escape(note)}</p>' for note in found.notes),
+        *_missing_modes(found),
         *_effects(found),
         *_errors(found),
     ]
@@ -69,6 +70,17 @@ def calibration_page(found: Calibration, title: str) -> str:
             "",
         ]
     )
+
+
+def _missing_modes(found: Calibration) -> list[str]:
+    modes = [mode for one in found.traces for mode in one.missing_modes]
+    if not modes:
+        return []
+    told = [
+        f"<p>{escape(_capital(str(mode)))}. Evidence over any gradual change: {mode.evidence:.0f} nats.</p>"
+        for mode in modes
+    ]
+    return ["<h2>Modes that are missing</h2>", *told]
 
 
 def _effects(found: Calibration) -> list[str]:

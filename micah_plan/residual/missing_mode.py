@@ -1,0 +1,193 @@
+"""A mode that the automaton lacks: changepoints of the residual along the configuration, found as those of poses are.
+
+Rows in order of their configuration are the stream of the changepoint recursion. In each piece the innovation is either
+noise, as the model says, or noise about a line in the command (other motion than modelled: a gain and a drift), whose
+coefficients are integrated out. What changes gradually is no mode, so the pieces must predict held-out rows better than
+a smooth function of the configuration does, and better than the effects that were found.
+
+Sources: MICAH, CHAMP recursion (`learn.segmenting.changepoints`); Bishop, Pattern Recognition and Machine Learning,
+section 3.5 (evidence of a linear model).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.learn.segmenting.changepoints import most_probable
+from micah_plan.learn.segmenting.evidence import EvidenceColumn
+from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.residual.lane import Lane
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Rows that the recursion reads, evenly over the configuration; starts that it keeps.
+_MOST_ROWS = 800
+_STARTS = 150
+_FEWEST_ROWS = 40
+_BUMPS = 12
+# Evidence by which the pieces must be ahead [nats], and rows and share of the range that a piece must have.
+_CLEARLY = 10.0
+_FEWEST_IN_PIECE = 8
+_NARROWEST = 0.05
+_OUTLIER = 4.0
+_AS_THE_MODEL, _OTHERWISE = 0, 1
+
+
+@dataclass(frozen=True)
+class MissingMode:
+    """A range of the configuration in which the part moves otherwise than everywhere else.
+
+    Attributes:
+        coordinate, unit: that was measured.
+        low, high: of the range [rad or m]; infinite where the range has no end in what was seen.
+        gain: what is carried out of a command there; bias: what is added to each step [rad or m].
+        evidence: by how much held-out rows are predicted better than by a smooth change [nats].
+    """
+
+    coordinate: str
+    unit: str
+    low: float
+    high: float
+    gain: float
+    bias: float
+    evidence: float
+
+    def __str__(self) -> str:
+        ends = [f"from {self.low:.3g} {self.unit} on"] if np.isfinite(self.low) else []
+        ends += [f"up to {self.high:.3g} {self.unit}"] if np.isfinite(self.high) else []
+        moves = f"{100 * self.gain:.0f} % of a command is carried out"
+        moves += (
+            f" and {self.bias:+.2g} {self.unit} added to each step" if abs(self.bias) > 1e-3 * abs(self.gain) else ""
+        )
+        return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}"
+
+
+def missing_modes(lane: Lane, innovations: Floats, fold: Ints, rival: float) -> tuple[MissingMode, ...]:
+    """Ranges in which a lane moves otherwise, where changepoints say more than anything gradual.
+
+    Args:
+        innovations: (S, T) of the model as it is; fold: (S,) that each stretch is held out with.
+        rival: evidence of the best other explanation over the model as it is [nats].
+    """
+    starts = lane.counted_starts
+    place = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)[starts]
+    v, e = lane.u[starts], np.roll(innovations, -1, axis=1)[starts]
+    held = np.repeat(fold[:, None], lane.z.shape[1], axis=1)[starts]
+    low, high = float(place.min()), float(place.max())
+    if len(e) < _FEWEST_ROWS or high - low < 1e-9:
+        return ()
+    smooth = _smooth(place, v, low, high)
+    noise = _scatter(e - smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0])
+    e = np.clip(e / noise, -_OUTLIER * 3.0, _OUTLIER * 3.0)
+    scaled = v / lane.command_size
+    cuts, otherwise = _pieces(place, scaled, e, low, high)
+    if not cuts.size or not any(otherwise):
+        return ()
+    piecewise = _by_piece(place, scaled, cuts, otherwise)
+    gains = [_predicted(e, design, held) for design in (piecewise, smooth)]
+    evidence = gains[0] - max(gains[1], rival, 0.0)
+    if evidence < _CLEARLY:
+        return ()
+    edges = np.concatenate([[-np.inf], cuts, [np.inf]])
+    solution = np.linalg.lstsq(piecewise, e, rcond=1e-8)[0] * noise
+    found, at = [], 0
+    for k, differs in enumerate(otherwise):
+        if differs:
+            bias, slope = (float(value) for value in solution[at : at + 2])
+            gain = 1.0 + slope / lane.command_size
+            at += 2
+            ends = float(edges[k]), float(edges[k + 1])
+            found.append(MissingMode(lane.coordinate, lane.unit, *ends, gain, bias, evidence))
+    return tuple(found)
+
+
+def _scatter(values: Floats) -> float:
+    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), 1e-9)
+
+
+def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
+    """(N, k) gradual functions of the configuration, alone and times the command."""
+    spacing = (high - low) / (_BUMPS - 1)
+    at = low + spacing * np.arange(_BUMPS)
+    bumps = np.exp(-0.5 * ((place[:, None] - at) / spacing) ** 2)
+    return np.hstack([bumps, bumps * v[:, None] / max(float(np.std(v)), 1e-12)])
+
+
+def _pieces(place: Floats, v: Floats, e: Floats, low: float, high: float) -> tuple[Floats, list[bool]]:
+    """Configurations between pieces, and whether each piece moves otherwise than the model says."""
+    order = np.argsort(place, kind="stable")
+    order = order[np.unique(np.linspace(0, len(order) - 1, _MOST_ROWS).astype(int))]
+    stream = _Lines(v[order], e[order])
+    prior = LengthPrior(0.5 * len(order), 2.0)
+    found = most_probable(stream, prior, np.random.default_rng(0), _STARTS).pieces
+    c = place[order]
+    kept: list[tuple[float, bool]] = []
+    for piece in found:
+        end = high if piece.end == len(c) - 1 else 0.5 * float(c[piece.end] + c[piece.end + 1])
+        width, rows = float(c[piece.end] - c[piece.start]), piece.end - piece.start + 1
+        is_short = rows < _FEWEST_IN_PIECE or width < _NARROWEST * (high - low)
+        differs = piece.hypothesis == _OTHERWISE
+        if kept and (is_short or (not differs and not kept[-1][1])):
+            kept[-1] = end, kept[-1][1]
+        elif not is_short or not kept:
+            kept.append((end, differs and not is_short))
+    return np.array([end for end, _ in kept[:-1]]), [differs for _, differs in kept]
+
+
+def _by_piece(place: Floats, v: Floats, cuts: Floats, otherwise: list[bool]) -> Floats:
+    """(N, k) a constant and the command, in each piece that moves otherwise."""
+    number = np.searchsorted(cuts, place)
+    inside = [(number == k).astype(float) for k, differs in enumerate(otherwise) if differs]
+    return np.stack([column for own in inside for column in (own, own * v)], axis=1)
+
+
+def _predicted(e: Floats, design: Floats, held: Ints) -> float:
+    """Log likelihood of held-out residuals (unit noise) over that of the model as it is [nats]."""
+    gain = 0.0
+    for fold in np.unique(held):
+        test = held == fold
+        a, b = design[~test], e[~test]
+        beta = np.linalg.solve(a.T @ a + 1e-3 * np.eye(a.shape[1]), a.T @ b)
+        left = np.clip(e[test] - design[test] @ beta, -_OUTLIER, _OUTLIER)
+        gain += 0.5 * float((np.clip(e[test], -_OUTLIER, _OUTLIER) ** 2).sum() - (left**2).sum())
+    return gain
+
+
+class _Lines:
+    """Stream of evidence: each row is noise, or noise about a line in the command whose coefficients are unknown."""
+
+    def __init__(self, v: Floats, e: Floats) -> None:
+        self._rows = np.stack([np.ones_like(v), v, v * v, e, v * e, e * e], axis=1)
+        self._at = 0
+        self._starts: Ints = np.zeros(0, dtype=np.int64)
+        self._sums: Floats = np.zeros((0, 6))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def advance(self) -> EvidenceColumn:
+        """Take the next row into all open segments and one that starts with it."""
+        self._starts = np.append(self._starts, self._at)
+        self._sums = np.vstack([self._sums, np.zeros((1, 6))]) + self._rows[self._at]
+        self._at += 1
+        n, sv, svv, se, sve, see = self._sums.T
+        # Prior of both coefficients: as large as ten standard deviations of the noise.
+        one, two = n + 0.01, svv + 0.01
+        determinant = one * two - sv**2
+        fitted = (two * se**2 - 2.0 * sv * se * sve + one * sve**2) / determinant
+        noise = -0.5 * see
+        line = noise + 0.5 * fitted - 0.5 * np.log(determinant / 1e-4)
+        return EvidenceColumn(self._starts, np.stack([noise, line], axis=1), _kind)
+
+    def keep(self, index: Ints) -> None:
+        """Forget all starts but these."""
+        self._starts, self._sums = self._starts[index], self._sums[index]
+
+
+def _kind(row: int, kind: int) -> int:
+    del row
+    return kind

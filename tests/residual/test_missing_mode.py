@@ -1,0 +1,69 @@
+"""A mode that the automaton lacks is named with its place; what changes gradually is not taken for one."""
+
+from __future__ import annotations
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute
+from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.lane import lanes
+from micah_plan.residual.missing_mode import missing_modes
+from micah_plan.summaries import calibrated
+from micah_plan.view.calibration_page import calibration_page
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+END = plants.LENGTH
+
+
+@pytest.fixture(scope="module")
+def door():
+    """Swings from 0 to 1.2 rad, in one mode."""
+    only = Segment(SWING, 0, 0, 99, 0.0, END, (0.0, END), 0.001, 0.003, 0.0, 1.0)
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (only,)),)))
+
+
+def recorded(plant, seed, runs=8):
+    moved = plants.runs_of(plant, runs, 50, seed, noise=0.002, disturbance=0.0007)
+    return plants.door_recording(moved)
+
+
+def told(door, plant, seed):
+    """What the changepoints say of one-step errors, as if nothing else explained anything."""
+    (lane,) = lanes(door, tracks(door, recorded(plant, seed)))
+    errors = np.zeros_like(lane.z)
+    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, END)[:, :-1]
+    return missing_modes(lane, errors, np.arange(len(lane.run)) % 4, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_motion_that_changes_at_a_place_is_a_mode(door, seed) -> None:
+    (mode,) = told(door, plants.short_far_out, seed)
+    assert mode.low == pytest.approx(0.5 * END, abs=0.05)
+    assert mode.high == np.inf
+    assert mode.gain == pytest.approx(0.75, abs=0.03)
+    assert mode.evidence > 10
+
+
+@pytest.mark.parametrize("plant", ["honest", "sprung", "rippled", "late"])
+def test_what_changes_gradually_or_everywhere_is_none(door, plant) -> None:
+    assert told(door, getattr(plants, plant), 1) == ()
+
+
+def test_calibration_names_it_with_its_place_and_what_to_do(door) -> None:
+    found = calibrate(door, recorded(plants.short_far_out, 5))
+    assert found.verdict == "partly"
+    assert found.effects == ()
+    summary = calibrated(found, 0.0)
+    (mode,) = summary["missing_modes"]
+    assert mode["from"] == pytest.approx(0.6, abs=0.05)
+    assert mode["to"] is None
+    assert "has a mode that the model lacks" in mode["sentence"]
+    assert any("mode that the model lacks" in note for note in found.notes)
+    assert "learn the model again" in found.experiment
+    assert "Modes that are missing" in calibration_page(found, "door")
+    assert found.after.one_step < 0.8 * found.before.one_step
