@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 _LONGEST_VALUE = 60
+_LONGEST_LINE = 1000
 
 
 class MicahError(Exception):
@@ -49,6 +50,7 @@ class InputError(MicahError):
         if further:
             text += f" (and {len(further)} more error{'s' if len(further) > 1 else ''})"
         line = f"{text}; {remedy}" if remedy else text
+        line = line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 3]}..."
         super().__init__("".join(c if c.isprintable() else "?" for c in line))  # a path may hold a line break
 
     def located(self, source: str | Path, where: str | None = None) -> InputError:

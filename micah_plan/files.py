@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import stat
 from pathlib import Path
 
 from micah_plan.errors import InputError
@@ -15,10 +16,13 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
     """The content of a file of at most `limit` bytes.
 
     Raises:
-        InputError: if the file is missing, a directory, not readable or larger.
+        InputError: if the file is missing, a directory, a pipe or device, not readable or larger.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open(path, "rb", opener=_open_at_once) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                problem = "expected a file, found a pipe or device"
+                raise InputError(problem, source=path, remedy="write the content to a file")
             data = file.read(limit + 1)
     except FileNotFoundError:
         raise InputError("the file does not exist", source=path, remedy="check the path") from None
@@ -31,6 +35,11 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
         problem = f"expected at most {limit // 1024 // 1024} MiB, found a larger file"
         raise InputError(problem, source=path, remedy="split it into several files")
     return data
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open without waiting for somebody to write into a pipe."""
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def require_directory(path: str | Path) -> None:

@@ -28,6 +28,7 @@ from micah_plan.robot.xml_text import LARGEST_XML_BYTES, Element, parse_xml
 PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
 OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
 MODE = "moves"
+MOST_JOINTS = 100
 _HERE = RigidTransform.identity()
 
 
@@ -98,6 +99,9 @@ class _Tree:
                 limits.append(_limits(joint))
                 bodies.append(child)
                 waiting.append(child)
+        if len(links) > MOST_JOINTS:
+            problem = f"expected at most {MOST_JOINTS} joints that move, found {len(links)}"
+            raise InputError(problem, remedy="leave out the robot around the object")
         if not links:
             raise InputError("expected a joint that moves, found none", remedy="a rigid object needs no model")
         return _automaton(names, links, joints, limits, [self._part(body) for body in bodies]), tuple(self._notes)

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 Place = Callable[[int, str], str]
 """How a message names row i (0-based) and column c, e.g. "line 7, column 'x'"."""
 
+MOST_PARTS = 1000
 NORM_TOLERANCE = 0.01 + 1e-12  # a norm of 0.99 is within 1 %, though 1 - 0.99 rounds to more than 0.01
 # Quaternions this close to unit norm are left as they are, so that reading what was written changes no bit.
 _EXACT = 1e-12
@@ -76,6 +77,9 @@ def _check_texts(recording: Recording, place: Place) -> None:
             row = next(i for i, text in enumerate(texts) if _UNSTORABLE.search(text))
             problem = f"expected text on one line, found {shown(texts[row])}"
             raise InputError(problem, where=place(row, name), remedy="remove its line breaks and NUL characters")
+    if len(recording.parts) > MOST_PARTS:
+        problem = f"expected at most {MOST_PARTS} parts, found {len(recording.parts)}"
+        raise InputError(problem, remedy="name the parts, not the rows")
     empty = next((i for i, part in enumerate(recording.part) if not part.strip()), None)
     if empty is not None:
         raise InputError("the name of the part is empty", where=place(empty, "part"), remedy="name the part")

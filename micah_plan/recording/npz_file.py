@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import lzma
+import tokenize
 import warnings
 import zipfile
 import zlib
@@ -40,6 +41,7 @@ _BROKEN = (
     TypeError,
     OverflowError,
     SyntaxError,
+    tokenize.TokenError,
     MemoryError,
     Warning,
 )  # what zipfile and NumPy are seen to raise on damaged archives

@@ -17,6 +17,8 @@ from micah_plan.robot.xml_text import Element, write_xml
 from micah_plan.scene.contained_path import contained
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed")
+# Pinocchio descends from link to link by recursion: a chain of thousands ends in a crash.
+MOST_LINKS = 1000
 _PACKAGE = "package://"
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -47,6 +49,8 @@ class _Checker:
         joints = {self._name(joint): joint for joint in root.all("joint")}
         if not links or len(links) < len(root.all("link")) or len(joints) < len(root.all("joint")):
             raise self._error(root, "expected links and joints with names of their own")
+        if len(links) > MOST_LINKS:
+            raise self._error(root, f"expected at most {MOST_LINKS} links, found {len(links)}", "leave out what is far")
         for material in root.all("material"):
             self._remember(material)
         children = [self._joint(joint, links) for joint in joints.values()]

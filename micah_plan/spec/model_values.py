@@ -51,6 +51,10 @@ _UNUSED: Mapping[str, tuple[str, ...]] = {
 }
 
 
+# A model is square matrices of its coordinates, in each mode and transition: what a file may ask for is bounded.
+MOST_ENTRIES = 10_000_000
+
+
 def automaton_of(document: ModelDocument, located: Located) -> HybridAutomaton:
     """The automaton that a model file describes.
 
@@ -61,6 +65,10 @@ def automaton_of(document: ModelDocument, located: Located) -> HybridAutomaton:
     Raises:
         InputError: if names, sizes or values do not agree with each other.
     """
+    entries = len(document.coordinates) ** 2 * (len(document.modes) + len(document.transitions))
+    if entries > MOST_ENTRIES:
+        problem = f"its matrices have {entries} entries, more than {MOST_ENTRIES}"
+        raise located.error((), problem, "use fewer coordinates, modes or transitions")
     return _Builder(document, located).automaton()
 
 

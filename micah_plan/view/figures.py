@@ -5,6 +5,7 @@ Figures are made without pyplot, so nothing global is opened or left open.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from scipy.stats import norm
 from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
+from micah_plan.files import replace_file
 from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
@@ -117,8 +119,14 @@ def executed_configurations(problem: Problem, runs: Recording) -> list[Floats]:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a PNG at 150 dpi; the same figure gives the same bytes."""
-    figure.savefig(Path(path), dpi=_DPI, format="png", metadata={"Software": None})
+    """Write a PNG at 150 dpi, at once or not at all; the same figure gives the same bytes.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=_DPI, format="png", metadata={"Software": None})
+    replace_file(path, buffer.getvalue())
 
 
 def _figure(size: tuple[float, float]) -> Figure:
