@@ -1,0 +1,32 @@
+"""The version is one everywhere, what a release needs is there, and the wheel says that it is typed."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import micah_plan
+from micah_plan.spec.yaml_lines import read_yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_one_version_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = read_yaml((ROOT / "CITATION.cff").read_bytes(), "CITATION.cff").data
+    assert project["version"] == citation["version"] == micah_plan.__version__
+    assert f"## {micah_plan.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+    assert project["license"] == citation["license"] == "BSD-3-Clause"
+
+
+def test_the_citation_says_what_it_must() -> None:
+    citation = read_yaml((ROOT / "CITATION.cff").read_bytes(), "CITATION.cff").data
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()  # required by the format 1.2.0
+    (paper,) = citation["references"]
+    assert {"type", "title", "authors", "year", "conference"} <= paper.keys()
+
+
+def test_templates_and_the_marker_of_types_are_package_data() -> None:
+    package = Path(micah_plan.__file__).parent
+    assert (package / "py.typed").read_bytes() == b""
+    assert {path.name for path in (package / "templates").glob("*.*")} >= {"model.yaml", "problem.yaml", "robot.urdf"}
