@@ -168,11 +168,11 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
 
 def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path):
     drawer = load_model(repository / "models" / "drawer.yaml")
-    dump_model(drawer.with_effect(Effect("drift", "drawer", (("rate", 1e-4),))), tmp_path / "drifts.yaml")
-    solved = micah("solve", "problems/drawer_open.yaml", "--model", tmp_path / "drifts.yaml", "--json",
-                   "-o", tmp_path / "plan.json")  # fmt: skip
+    dump_model(drawer.with_effect(Effect("lag", "drawer", (("steps", 0.3),))), tmp_path / "lags.yaml")
+    solved = micah("solve", "problems/drawer_open.yaml", "--model", tmp_path / "lags.yaml", "--json",
+                   "--planner", "direct", "-o", tmp_path / "plan.json")  # fmt: skip
     (told,) = only_json(solved)["warnings"]
-    assert "leave out the drift of drawer" in told
+    assert "leave out the lag of drawer" in told
     assert json.loads((tmp_path / "plan.json").read_text())["warnings"] == [told]
     executed = micah("execute", tmp_path / "plan.json", "-o", tmp_path / "runs.csv", "--json")
     assert solved.stderr == executed.stderr == f"warning: {told}\n"

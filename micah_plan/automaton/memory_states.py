@@ -14,6 +14,7 @@ import numpy as np
 
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.register import Register
@@ -131,16 +132,15 @@ def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...
     Args:
         memory: whether those with a memory are left out even where it can be a state.
     """
-    reasons = {
-        "memory": "it depends on earlier inputs",
-        "sensor": "measurements are taken as they are",
-        "frame": "commands are given in the base frame",
-    }
+    carried = [automaton.coordinates[link.coordinate].name for link in automaton.links if link.parent != BASE]
     told = []
     for effect in automaton.effects:
-        layer = form(effect.name).layer
-        known = layer == "memory" and not memory and remembering_input(automaton, effect) is not None
-        if layer in reasons and not known:
+        layer, why = form(effect.name).layer, ""
+        if layer == "memory" and (memory or remembering_input(automaton, effect) is None):
+            why = "it depends on earlier inputs"
+        elif layer == "frame" and effect.coordinate in carried:
+            why = "commands are given in the base frame"
+        if why:
             named = f"the {effect.name} of {effect.coordinate}"
-            told.append(f"planner, filter and nominal plant leave out {named}: {reasons[layer]}")
+            told.append(f"planner, filter and nominal plant leave out {named}: {why}")
     return tuple(told)

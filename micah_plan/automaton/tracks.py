@@ -106,7 +106,7 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
     position = np.stack([r.position for r in relative], axis=1)
     quaternions = [r.quaternion for r in relative if r.quaternion is not None]
     quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
-    x = _read_by_sensors(automaton, configurations(automaton, position, quaternion), time)
+    x = read_by_sensors(automaton, configurations(automaton, position, quaternion), time - time[:1])
     u = actions = None
     if all(part.action is not None for part in by_link):
         actions = _relative_actions(automaton, by_link, relative, x)
@@ -114,17 +114,17 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
     return Track(run, time, position, quaternion, x, u, actions)
 
 
-def _read_by_sensors(automaton: HybridAutomaton, x: Floats, time: Floats) -> Floats:
-    """Configurations (T, n) of which the automaton's effects on sensors are taken out; they are affine."""
+def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Floats:
+    """Measured configurations (T, n), `since` (T,) s after the start, without the automaton's effects on sensors."""
+    read = np.array(x)
     for effect in automaton.effects:
         own = form(effect.name)
-        if own.layer == "sensor":
+        if own.layer == "sensor":  # these are affine
             i = automaton.index(effect.coordinate)
-            since = time - time[:1]
             zero = own.measured(np, 0.0 * since, since, effect.values)
             slope = own.measured(np, 1.0 + 0.0 * since, since, effect.values) - zero
-            x[:, i] = (x[:, i] - zero) / slope
-    return x
+            read[:, i] = (read[:, i] - zero) / slope
+    return read
 
 
 def _relative(parts: dict[str, Recording], link: Link) -> Recording:
@@ -193,7 +193,7 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     u = np.zeros((len(action), automaton.m))
     for number, link in measuring_links(automaton):
         joint, c = moving_joint(automaton, number), x[: len(action), link.coordinate]
-        meant = _in_base_frame(automaton, link.coordinate, action[:, number])
+        meant = in_base_frame(automaton, link.coordinate, action[:, number])
         u[:, link.coordinate] = commanded(joint, c, meant)
     return u
 
@@ -221,7 +221,7 @@ def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
     return np.asarray(np.where(lever > _NO_LEVER, angle, 0.0))
 
 
-def _in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
+def in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
     """Actions (k, 3) of which the automaton's effects on their frame are taken out."""
     for effect in automaton.effects:
         if form(effect.name).layer == "frame" and automaton.index(effect.coordinate) == coordinate:

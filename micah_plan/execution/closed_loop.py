@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.follower import Advice, PlanFollower
@@ -195,6 +196,7 @@ def _updated(problem: Problem, known: Problem, belief: HybridBelief, measurement
     automaton, number = problem.automaton, belief.most_likely
     poses = measurement.position, measurement.quaternion
     z = configuration(automaton, automaton.modes[number].name, *poses, belief.means[number, : automaton.n])
+    z = read_by_sensors(automaton, z[None], np.array([measurement.time]))[0]
     unseen = np.full(known.automaton.n - automaton.n, np.nan)
     return update(known.automaton, belief, np.concatenate([z, unseen]))
 

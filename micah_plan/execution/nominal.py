@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.effects.channel import InputChannel
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.gain import drawn_gains, with_gains
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, jacobian
@@ -31,8 +32,8 @@ class NominalPlant:
     Thresholds and gains are drawn at every reset, as well as the model knows them.
 
     Pose noise is white in position and rotation, in the ratio in which the inverse kinematics weighs them, and of such
-    a size that the configuration found from it has the std that the model states for the true mode and place. The pose
-    of a part that another one carries is measured relative to that one.
+    a size that the configuration found from it, effects of sensors taken out, has the std that the model states for the
+    true mode and place. The pose of a part that another one carries is measured relative to that one.
     """
 
     def __init__(self, automaton: HybridAutomaton, start: Start, control_period: float = 0.5) -> None:
@@ -83,14 +84,25 @@ class NominalPlant:
     def _poses(self) -> tuple[Floats, Floats]:
         return components(chain(self.automaton, moving_joints(self.automaton, self._mode), self._x))
 
+    def _shown(self) -> tuple[Floats, Floats]:
+        """(n,) what the sensors make of the configuration now, and by how much of each rad or m they change."""
+        shown, slope = self._x.copy(), np.ones(self.automaton.n)
+        for effect in self.automaton.effects:
+            i, own, here = self.automaton.index(effect.coordinate), form(effect.name), shown.copy()
+            if own.layer == "sensor":
+                shown[i] = own.measured(np, here[i], self._time, effect.values)
+                slope[i] *= own.measured(np, here[i] + 1.0, self._time, effect.values) - shown[i]
+        return shown, np.abs(slope)
+
     def _measure(self, elapsed: float) -> Measurement:
         if self._tracker is None:  # reset creates it before measuring
             raise RuntimeError("measure before reset")
         automaton = self.automaton
         joints = moving_joints(automaton, self._mode)
-        relative = [forward(j, self._x[link.coordinate])[0] for j, link in zip(joints, automaton.links, strict=True)]
+        shown, slope = self._shown()
+        relative = [forward(j, shown[link.coordinate])[0] for j, link in zip(joints, automaton.links, strict=True)]
         sensing = automaton.sensing(automaton.mode(self._mode))
-        noise = pose_noise(automaton, sensing.std_at(self._x))
+        noise = pose_noise(automaton, slope * sensing.std_at(self._x))
         position, quaternion = self._tracker.measure(*components(relative), elapsed, noise)
         seen = [
             RigidTransform.from_components(p, Rotation.from_quat(q)) for p, q in zip(position, quaternion, strict=True)

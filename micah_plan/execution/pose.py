@@ -15,7 +15,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse
-from micah_plan.automaton.tracks import measuring_links
+from micah_plan.automaton.tracks import in_base_frame, measuring_links
 from micah_plan.execution.plant import Command
 
 Floats = NDArray[np.float64]
@@ -93,12 +93,20 @@ def input_effect(automaton: HybridAutomaton, mode: str) -> Floats:
 
 
 def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Command:
-    """The command that moves the model's parts from x (n,) by the input u (m,): a = f(x + B u) - f(x)."""
+    """The command that moves the model's parts from x (n,) by the input u (m,): a = f(x + B u) - f(x).
+
+    Where the model knows that commands are taken in a turned frame, they are given in that one.
+    """
     joints = moving_joints(automaton, mode)
     before = chain(automaton, joints, x)
     after = chain(automaton, joints, x + input_effect(automaton, mode) @ u)
     handles = [automaton.part(link.child).handle or (0.0, 0.0, 0.0) for link in automaton.links]
     origin = [b.translation - a.translation for a, b in zip(before, after, strict=True)]
     handle = [b.apply(h) - a.apply(h) for a, b, h in zip(before, after, handles, strict=True)]
-    shape = (len(automaton.links), 3)
-    return Command(np.asarray(u, dtype=float), np.array(origin).reshape(shape), np.array(handle).reshape(shape))
+    given = [np.array(moved).reshape(len(automaton.links), 3) for moved in (origin, handle)]
+    for number, link in enumerate(automaton.links if automaton.effects else ()):
+        if link.parent == BASE:
+            turned = in_base_frame(automaton, link.coordinate, np.eye(3))  # rows: what becomes of each unit vector
+            for moved in given:
+                moved[number] = np.linalg.solve(turned.T, moved[number])
+    return Command(np.asarray(u, dtype=float), *given)

@@ -10,9 +10,11 @@ import pytest
 
 from micah_plan import workflow
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.tracks import displacements
 from micah_plan.execution.closed_loop import execute
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
+from micah_plan.execution.pose import command
 from micah_plan.execution.scoring import goal_error
 from micah_plan.planning.pomdp_hd import continue_plan, replan
 from micah_plan.planning.remembering import coasted, linear_step, remembering, steps_of_memory
@@ -151,3 +153,26 @@ def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> Non
         assert own[:, 1].mean() < nominal[:, 1].mean() - 2
     else:
         assert nominal[:, 0].min() > 0.02
+
+
+@pytest.mark.parametrize(("name", "values"), [("sensor_scale", (0.7,)), ("drift", (0.01,))])
+def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> None:
+    wrong = with_effect(drawer, Effect(name, "drawer", (("scale" if name == "sensor_scale" else "rate", values[0]),)))
+    plan = workflow.solve(drawer)
+    errors = {}
+    for key, problem in (("not known", drawer), ("known", wrong)):
+        plant = NominalPlant(wrong.automaton, replace(drawer.start, mode="prismatic"))
+        results = [execute(problem, plan.trajectory, plant, np.random.default_rng(seed)) for seed in range(3)]
+        errors[key] = max(result.final_error for result in results)
+    assert errors["known"] < 0.01
+    assert errors["not known"] > 0.02
+
+
+def test_commands_in_a_turned_frame_are_read_back_as_the_inputs(drawer) -> None:
+    turn = Effect("frame_rotation", "drawer", (("rotation_1", 0.1), ("rotation_2", -0.4), ("rotation_3", 0.3)))
+    turned = drawer.automaton.with_effect(turn)
+    x, u = np.array([0.1]), np.array([0.02])
+    order, plain = (command(automaton, "prismatic", x, u) for automaton in (turned, drawer.automaton))
+    assert np.linalg.norm(order.handle - plain.handle) > 0.005
+    np.testing.assert_allclose(np.linalg.norm(order.handle), np.linalg.norm(plain.handle))
+    np.testing.assert_allclose(displacements(turned, x[None], order.origin[None])[0], u, atol=1e-12)
