@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.motion import CoordinateMotion, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.problem import Problem
@@ -15,6 +16,7 @@ Floats = NDArray[np.float64]
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
 STEPS_PER_RANGE = 20.0
+_HALVINGS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +24,7 @@ class Limits:
     """What bounds a plan.
 
     Attributes:
-        max_step: (m,) largest |u| per step [rad or m].
+        max_step: (m,) largest |u| per step [rad or m]; none that effects on the command cut off.
         lower, upper: (n,) range in which the search looks for states [rad or m]; finite.
         speed: (n,) farthest that each coordinate moves in one step; 1 where no input moves it.
     """
@@ -41,6 +43,8 @@ def limits_of(problem: Problem) -> Limits:
         max_step = np.array(problem.settings.max_step, dtype=float)
     else:
         max_step = np.array([_default_step(automaton, j, upper - lower) for j in range(automaton.m)])
+    if automaton.effects:
+        max_step = np.array([_useful_step(automaton, j, float(most)) for j, most in enumerate(max_step)])
     gains = np.max([np.abs(mode.B) for mode in automaton.modes], axis=0)
     speed = gains @ max_step
     return Limits(max_step, lower, upper, np.where(speed > 0, speed, 1.0))
@@ -87,6 +91,32 @@ def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> floa
     gains = np.max([np.abs(mode.B[:, index]) for mode in automaton.modes], axis=0)
     steps = [width[i] / STEPS_PER_RANGE / gain for i, gain in enumerate(gains) if gain > 0 and width[i] > 0]
     return float(min(steps, default=1.0 / STEPS_PER_RANGE))
+
+
+def _useful_step(automaton: HybridAutomaton, index: int, largest: float) -> float:
+    """The smallest input that moves everything as far as the largest one does: beyond a saturation, more does nothing.
+
+    An optimiser that starts beyond would see no slope, and a search would count with steps that are never made.
+    """
+    names, useful = [coordinate.name for coordinate in automaton.coordinates], 0.0
+    for mode in automaton.modes:
+        acting = motions(automaton.effects, names, mode.name)
+        for i in np.flatnonzero(mode.B[:, index]):
+            if i not in acting:
+                return largest
+            for sign in (1.0, -1.0):
+                useful = max(useful, _reach(acting[int(i)], sign * float(mode.B[i, index]), largest))
+    return useful or largest
+
+
+def _reach(motion: CoordinateMotion, gain: float, largest: float) -> float:
+    """The smallest input whose command, `gain` of it, arrives as large as that of the largest one; by bisection."""
+    full = abs(motion.commanded(np, gain * largest))
+    low, high = 0.0, largest
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if abs(motion.commanded(np, gain * middle)) >= full else (middle, high)
+    return high
 
 
 def _is_on(half_space: HalfSpace, i: int) -> bool:

@@ -71,10 +71,11 @@ def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory
     """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
 
     Modes and numbers of steps stay those of the trajectory: there is no search, and the end comes no later, however
-    often it is continued. None where the steps left do not suffice, or the belief is in another mode.
+    often it is continued. None where the steps left do not suffice, the belief is in another mode, or the trajectory is
+    of a planner that knows nothing of a memory of inputs.
     """
     here, clock = believed_problem(remembering(problem), belief), _Clock()
-    if here.start.mode != trajectory.modes[knot]:
+    if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
         return None
     limits, compiled = limits_of(here), compile_automaton(here.automaton)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)

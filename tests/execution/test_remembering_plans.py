@@ -16,6 +16,7 @@ from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.execution.scoring import goal_error
+from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import continue_plan, replan
 from micah_plan.planning.remembering import coasted, linear_step, remembering, steps_of_memory
 from micah_plan.planning.roll_outs import draw_chances, roll_out
@@ -176,3 +177,12 @@ def test_commands_in_a_turned_frame_are_read_back_as_the_inputs(drawer) -> None:
     assert np.linalg.norm(order.handle - plain.handle) > 0.005
     np.testing.assert_allclose(np.linalg.norm(order.handle), np.linalg.norm(plain.handle))
     np.testing.assert_allclose(displacements(turned, x[None], order.origin[None])[0], u, atol=1e-12)
+
+
+def test_no_more_is_commanded_than_a_saturation_lets_through(drawer) -> None:
+    weak = with_effect(drawer, Effect("saturation", "drawer", (("largest", 0.013),)))
+    assert limits_of(weak).max_step[0] == pytest.approx(0.013, abs=1e-9)
+    assert limits_of(with_effect(drawer, Effect("gain", "drawer", (("gain", 0.5),)))).max_step[0] == 0.03
+    plan = workflow.solve(weak)
+    assert plan.outcome == "solved"
+    assert len(plan.trajectory.inputs) > 0.22 / 0.013

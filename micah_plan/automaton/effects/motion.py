@@ -33,10 +33,15 @@ class CoordinateMotion:
     commands: tuple[tuple[EffectForm, tuple[float, ...]], ...]
     forces: tuple[tuple[EffectForm, tuple[float, ...]], ...]
 
-    def displacement(self, ops: Operations, c: Value, v: Value) -> Value:
-        """Displacement at configuration c under the command v = (B u) of the mode."""
+    def commanded(self, ops: Operations, v: Value) -> Value:
+        """What of the command v = (B u) of the mode reaches the joint."""
         for own, p in self.commands:
             v = own.command(ops, v, p)
+        return v
+
+    def displacement(self, ops: Operations, c: Value, v: Value) -> Value:
+        """Displacement at configuration c under the command v."""
+        v = self.commanded(ops, v)
         added = v
         for own, p in self.forces:
             added = added + own.force(ops, c, v, p)
