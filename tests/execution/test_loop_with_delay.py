@@ -1,0 +1,60 @@
+"""The whole loop in physics: a delay that nobody declared is found in the logs, and the next plan counts with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from micah_plan import workflow
+from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.log import concatenated
+from micah_plan.execution.mujoco_plant import MujocoPlant
+from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.plant import Command
+from micah_plan.execution.scoring import goal_error
+from micah_plan.spec.problem_file import load_problem
+
+pytest.importorskip("mujoco")
+LATE = 2
+
+
+class LatePlant(MujocoPlant):
+    """Whose hand carries out what it was told two steps before."""
+
+    def reset(self, rng):
+        self._queue = [np.zeros((1, 3))] * LATE
+        return super().reset(rng)
+
+    def apply(self, order):
+        self._queue.append(order.handle)
+        return super().apply(replace(order, handle=self._queue.pop(0)))
+
+
+def executed(problem, plan, seeds):
+    """(log, errors when everything commanded has arrived) of one run per seed."""
+    plant = LatePlant(problem.automaton, problem.start, PhysicalParameters.from_mapping(problem.plant))
+    logs, errors = [], []
+    for run, seed in enumerate(seeds):
+        logs.append(execute(problem, plan.trajectory, plant, np.random.default_rng(seed), run=run).recording)
+        for _ in range(LATE + 1):
+            plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
+        errors.append(goal_error(problem.goal, plant.truth().x))
+    plant.close()
+    return concatenated(logs), np.array(errors)
+
+
+@pytest.mark.slow
+def test_a_delay_is_found_and_planned_with(repository) -> None:
+    problem = load_problem(repository / "problems" / "drawer_open.yaml")
+    logs, before = executed(problem, workflow.solve(problem), range(4))
+    found = workflow.calibrate(problem.automaton, logs)
+    (effect,) = found.automaton.effects
+    assert effect.name == "delay"
+    assert effect.values[0] == pytest.approx(LATE, abs=0.2)
+    improved = replace(problem, automaton=found.automaton)
+    _, after = executed(improved, workflow.solve(improved), range(10, 14))
+    assert before.min() > 0.02
+    assert after.max() < 0.01
+    assert after.mean() < 0.2 * before.mean()
