@@ -8,6 +8,7 @@ when they acted.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
@@ -23,26 +24,27 @@ _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes noth
 
 
 def learn_acted_run(
-    track: PartTrack, settings: LearnSettings, rng: np.random.Generator
+    track: PartTrack, settings: LearnSettings, rng: np.random.Generator, inlier: NDArray[np.bool_] | None = None
 ) -> tuple[LearnedRun, ActionChannel | None]:
     """What a run tells, with its actions, and the channel that they came through.
 
     Args:
         track: with or without actions.
         rng: for MLESAC.
+        inlier: (n,) rows that are no outliers; None: to be found.
 
     Returns:
         the run, whose track has the actions where they acted if that explains it better; None where there are no
         actions or they say nothing.
     """
-    learned = learn_run(track, settings, True, rng)
+    learned = learn_run(track, settings, True, rng, inlier=inlier)
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = track.duration / settings.resolution
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
-        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng, learned)
+        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng, learned, inlier)
         if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
             return again, _channel(again, track) or channel
     return learned, channel

@@ -25,9 +25,10 @@ from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segmenting.coarsening import LEAST_TRUST, trust_in
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise
-from micah_plan.learn.segmenting.steps import is_long, steps_of
+from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learn.short_runs import cut_into_runs, one_after_another
 from micah_plan.learn.track import PartTrack, part_track
 from micah_plan.recording.value import Recording
 
@@ -44,8 +45,9 @@ def learn_graph(
     """Segment a recording and fit the joints of its segments.
 
     Every part hangs on the base or on another part, whichever explains the poses best (see `learn.tree`). Every run is
-    segmented on its own; the first one defines the configuration coordinate, the segments of the others are counted
-    along it and follow in the order of the runs. A run in which a part moves to and fro more often than is learned at
+    segmented on its own, but short ones together, as they show little alone (see `learn.short_runs`). The first one
+    defines the configuration coordinate, the segments of the others are counted along it and follow in the order of
+    the runs. A run in which a part moves to and fro more often than is learned at
     once is learned as `OnlineLearner` would.
 
     Args:
@@ -83,12 +85,15 @@ def _common_trust(recording: Recording, settings: LearnSettings) -> float:
 def learn_edge(recording: Recording, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:
     """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate."""
     part = recording.parts[0]
+    tracks = [part_track(recording, run, part) for run in recording.runs]
+    lengths = [len(track) for track in tracks]
+    if len(tracks) > 1 and max(lengths) < settings.resolution / 2 and sum(lengths) <= settings.resolution * MOST_SWEEPS:
+        return _edge_of_short_runs(recording, tracks, method, settings, seed)
     segments: list[Segment] = []
     reference: Joint | None = None
     edges: list[EdgeCertainty | None] = []
-    for i, run in enumerate(recording.runs):
+    for i, (run, track) in enumerate(zip(recording.runs, tracks, strict=True)):
         rng = np.random.default_rng([seed, i])
-        track = part_track(recording, run, part)
         if is_long(track, find_inliers(track)):
             learner = OnlineLearner(settings, method, seed, part=part, run=run)
             learner.take(track)
@@ -101,13 +106,8 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             segments += own
             edges.append(learner.edge().certainty)
             continue
-        if method == "act-champ":
-            one, channel = learn_acted_run(track, settings, rng)
-        else:
-            one, channel = learn_run(track, settings, False, rng), None
-        posterior = one.posterior
-        counts = tuple(float(p) for p in posterior.counts)
-        edges.append(EdgeCertainty(posterior.log_evidence, (counts,), channel, one.trace))
+        one, sure_of_edge = _learned(track, method, settings, rng)
+        edges.append(sure_of_edge)
         chain = list(one.pieces)
         longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)
         if reference is not None:
@@ -119,6 +119,50 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             for piece, sure in zip(chain, one.certainties, strict=True)
         ]
     return KinematicEdge(BASE, part, tuple(segments), _together([one for one in edges if one is not None]))
+
+
+def _learned(
+    track: PartTrack,
+    method: Method,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+    inlier: NDArray[np.bool_] | None = None,
+) -> tuple[LearnedRun, EdgeCertainty]:
+    """What one track tells, and how sure that is of all of its segments."""
+    if method == "act-champ":
+        one, channel = learn_acted_run(track, settings, rng, inlier)
+    else:
+        one, channel = learn_run(track, settings, False, rng, inlier=inlier), None
+    counts = tuple(float(p) for p in one.posterior.counts)
+    return one, EdgeCertainty(one.posterior.log_evidence, (counts,), channel, one.trace)
+
+
+def _edge_of_short_runs(
+    recording: Recording, tracks: list[PartTrack], method: Method, settings: LearnSettings, seed: int
+) -> KinematicEdge:
+    """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
+    together = one_after_another(tracks)
+    # Every row is a step, and segments are as long as those of one run.
+    own = replace(settings, resolution=max(settings.resolution, len(together)))
+    if settings.mean_length is None:
+        own = replace(own, mean_length=0.5 * together.duration / len(tracks))
+    # Where a run of few rows begins, a motion cannot be told from an outlier.
+    every = np.ones(len(together), dtype=bool)
+    one, sure_of_edge = _learned(together, method, own, np.random.default_rng([seed, 0]), every)
+    lengths = [len(track) for track in tracks]
+    cut = cut_into_runs(one.pieces, one.certainties, lengths)
+
+    def segments_of(chain: list[FittedPiece]) -> list[Segment]:
+        return [
+            to_segment(piece, chain, sure, recording.runs[run], one.track, one.inlier, one.noise)
+            for piece, (_, sure, run) in zip(chain, cut, strict=True)
+        ]
+
+    chain = [piece for piece, _, _ in cut]
+    # The chain is at 0 where a line through the first rows is; few rows of a fast motion are not on it.
+    first = segments_of(chain)[0].configuration_start
+    segments = segments_of([replace(piece, joint=_counted_along(piece.joint, False, -first)) for piece in chain])
+    return KinematicEdge(BASE, recording.parts[0], tuple(segments), replace(sure_of_edge, changepoint_counts=()))
 
 
 def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:

@@ -73,13 +73,15 @@ def learn_run(
     use_actions: bool,
     rng: np.random.Generator,
     known: LearnedRun | None = None,
+    inlier: Bools | None = None,
 ) -> LearnedRun:
     """Segment a track and fit the joints of its segments to all of their rows.
 
     Args:
+        inlier: (n,) rows that are no outliers; None: to be found.
         known: what was learned from the same poses with other actions, to start from.
     """
-    inlier = find_inliers(track)
+    inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings.resolution)
     before = None if known is None else known.segmented
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)

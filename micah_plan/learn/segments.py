@@ -22,6 +22,7 @@ Ints = NDArray[np.int64]
 
 _SMOOTHED_ROWS = 5
 _PROJECTIONS = 10
+_CUT_SHORT = 2.0  # stds of a measurement by which smoothing may move rows
 _DECIMALS = 12
 _FINEST_STEP = 0.1  # of the measurement noise; the rows of one recording cannot tell a smaller process noise from 0
 _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
@@ -120,12 +121,15 @@ def to_segment(
         limits = (joint.held, joint.held)
         process = 0.0
     else:
+        observed = _observation_std(joint, joint, used, track, noise)
         smooth = _smoothed(c)
+        if float(np.sqrt(np.mean((smooth - c) ** 2))) > _CUT_SHORT * observed:
+            smooth = c  # the part moves far within few rows: smoothing would make its way shorter
         # Rounded so that the first row of a chain is at 0 and not at what is left of adding and subtracting.
         smooth = np.round(smooth, _DECIMALS) + 0.0
         start, end = float(smooth[0]), float(smooth[-1])
         limits = (float(min(smooth.min(), start)), float(max(smooth.max(), end)))
-        process = _process_std(one, c, used, track, _observation_std(joint, joint, used, track, noise))
+        process = _process_std(one, c, used, track, observed)
     measured_by = _last_moving(chain[: chain.index(one) + 1]) or _first_moving(chain) or joint
     return Segment(
         joint=joint,
