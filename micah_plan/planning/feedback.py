@@ -54,8 +54,8 @@ def belief_lqr(
             A = matrix_after(automaton, edge)
             value = tracking + A.T @ value @ A
             continue
-        place = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
-        A, B = linear_step(automaton, modes[k], *place)
+        x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
+        A, B = linear_step(automaton, modes[k], x, u, limits.max_step)
         gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value @ A)
         gains[k] = gain * _is_free(problem, modes[k])
         closed = A + B @ gain

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.motion import CoordinateMotion, motions
+from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.problem import Problem
@@ -45,9 +45,22 @@ def limits_of(problem: Problem) -> Limits:
         max_step = np.array([_default_step(automaton, j, upper - lower) for j in range(automaton.m)])
     if automaton.effects:
         max_step = np.array([_useful_step(automaton, j, float(most)) for j, most in enumerate(max_step)])
-    gains = np.max([np.abs(mode.B) for mode in automaton.modes], axis=0)
+    gains = np.max([np.abs(motion_per_input(automaton, mode.name, max_step)) for mode in automaton.modes], axis=0)
     speed = gains @ max_step
     return Limits(max_step, lower, upper, np.where(speed > 0, speed, 1.0))
+
+
+def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> Floats:
+    """(n, m) B of a mode's flow, with what effects on the command leave of it between the largest inputs (m,) and back.
+
+    So larger corrections still count where a dead zone or a saturation has no slope.
+    """
+    B = automaton.mode(mode).B
+    if not automaton.effects:
+        return B
+    inputs = np.concatenate([np.diag(largest), -np.diag(largest)])
+    moved = displaced(automaton, automaton.mode(mode), np.zeros((len(inputs), automaton.n)), inputs)[0]
+    return np.asarray((moved[: automaton.m] - moved[automaton.m :]).T / (2.0 * largest))
 
 
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:

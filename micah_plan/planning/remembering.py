@@ -16,6 +16,7 @@ from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.memory_states import memory_at_rest, with_memory_states, without_memory_states
 from micah_plan.automaton.register import passed_arrays
+from micah_plan.planning.limits import motion_per_input
 from micah_plan.planning.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -77,14 +78,19 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
     return felt, gone
 
 
-def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """A (n, n) and B (n, m) of a mode's step x⁺ near (x, u), effects without a memory left out: it is x + B u there."""
+def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, largest: Floats) -> tuple[Floats, Floats]:
+    """A (n, n) and B (n, m) of a mode's step x⁺ near (x, u): of its flow, with what the registers make of the input.
+
+    Effects on the command change B by what they leave of the largest inputs (m,): where a dead zone or a saturation has
+    no slope, larger corrections still count.
+    """
     n, m = automaton.n, automaton.m
+    B = motion_per_input(automaton, mode, largest)
     if not automaton.registers:
-        return np.eye(n), automaton.mode(mode).B
+        return np.eye(n), B
     steps = _DIFFERENCE * np.eye(n + m)
     around = np.concatenate([np.concatenate([x, u]) + steps, np.concatenate([x, u]) - steps])
     given, kept = passed_arrays(automaton.registers, mode, around[:, :n], around[:, n:])
-    after = automaton.mode(mode).flow(kept, given)
+    after = kept + given @ B.T
     slopes = (after[: n + m] - after[n + m :]).T / (2 * _DIFFERENCE)
     return slopes[:, :n], slopes[:, n:]

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.limits import Limits
+from micah_plan.planning.limits import Limits, motion_per_input
 from micah_plan.planning.mode_search import ModeSequence
 from micah_plan.planning.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
 from micah_plan.planning.polytope import mode_states
@@ -97,7 +97,7 @@ def guess_again(
 
 def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
     """Least number of steps (not rounded) of one mode's waypoints."""
-    B = problem.automaton.mode(sequence.modes[phase]).B
+    B = motion_per_input(problem.automaton, sequence.modes[phase], limits.max_step)
     return _input_length(sequence.waypoints[phase], B, limits.max_step)
 
 
@@ -161,15 +161,16 @@ def _roll(
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
         mode, count = compiled.modes[name], steps[p]
-        slopes = linear_step(problem.automaton, name, mean, limits.max_step)
+        slopes = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
             _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, slopes, spread, factors, gains[first_knot:])[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
-        needed.append(_input_length(path, mode.mode.B, limits.max_step))
-        inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(mode.mode.B).T
+        B = motion_per_input(problem.automaton, name, limits.max_step)
+        needed.append(_input_length(path, B, limits.max_step))
+        inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
         if edge is not None and problem.automaton.registers and not mode.mode.B.any():
             inputs[:] = _pull(problem.automaton, edge, limits)
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)

@@ -93,7 +93,7 @@ def test_steps_of_memory(drawer) -> None:
 
 def test_a_linear_step_is_the_step(drawer) -> None:
     whole = remembering(with_effect(drawer, EFFECTS["delay"], EFFECTS["lag"])).automaton
-    A, B = linear_step(whole, "prismatic", np.zeros(whole.n), np.zeros(1))
+    A, B = linear_step(whole, "prismatic", np.zeros(whole.n), np.zeros(1), np.array([0.03]))
     kept = np.exp(-0.5)
     expected = [[1, 0, 1 - kept, kept], [0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1 - kept, kept]]
     np.testing.assert_allclose(A, expected, atol=1e-9)
@@ -186,3 +186,16 @@ def test_no_more_is_commanded_than_a_saturation_lets_through(drawer) -> None:
     plan = workflow.solve(weak)
     assert plan.outcome == "solved"
     assert len(plan.trajectory.inputs) > 0.22 / 0.013
+
+
+def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
+    weak = with_effect(drawer, Effect("gain", "drawer", (("gain", 0.5),)))
+    plain, slow = (workflow.solve(problem).trajectory for problem in (drawer, weak))
+    assert len(slow.inputs) > 1.8 * len(plain.inputs)
+    assert slow.gains[0, 0, 0] < 1.1 * plain.gains[0, 0, 0] < 0.0
+    place, largest = np.zeros(3), np.array([0.03])
+    late = remembering(with_effect(weak, EFFECTS["delay"])).automaton
+    np.testing.assert_allclose(linear_step(weak.automaton, "prismatic", place[:1], place[:1], largest)[1], [[0.5]])
+    A, B = linear_step(late, "prismatic", place, place[:1], largest)
+    np.testing.assert_allclose(A[0], [1.0, 0.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(B, [[0.0], [1.0], [0.0]], atol=1e-9)
