@@ -17,6 +17,7 @@ from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
+from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
 from micah_plan.learn.segmenting.segmentation import (
     Segmented,
@@ -209,12 +210,17 @@ def unless_free(
     if log_odds <= 0:
         return segmented, log_odds, None
     single = best_single(segmented, settings, use_actions)
-    misfit = _misfit(single, track, inlier, noise, log_odds)
+    misfit = _misfit(single, track, inlier, noise, settings, log_odds)
     return (segmented if misfit is None else single), log_odds, misfit
 
 
 def _misfit(
-    segmented: Segmented, track: PartTrack, inlier: Bools, noise: MeasurementNoise, log_odds: float
+    segmented: Segmented,
+    track: PartTrack,
+    inlier: Bools,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    log_odds: float,
 ) -> Misfit | None:
     """How far the single joint of a segment misses its rows; None if not further than their noise lets them scatter."""
     if inlier.sum() < _FEWEST_TO_DOUBT:
@@ -224,7 +230,10 @@ def _misfit(
     error = seen.error[0, inlier]
     turned = track.quaternion is not None
     missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
-    scatter = np.sqrt(3) * np.array([noise.position_white, noise.rotation_white])
+    # How far rows are from their neighbours is no motion either: few rows leave open how much of it the noise is.
+    rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
+    whites = [[noise.position_white, rough.position_white], [noise.rotation_white, rough.rotation_white]]
+    scatter = np.sqrt(3) * np.max(whites, axis=1)
     if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
         return None
     return Misfit(

@@ -89,3 +89,10 @@ def test_shared_recordings_fit_a_joint(shared_data, folder: str) -> None:
     assert files
     for file in files:
         assert misfit_of(read_recording(file)) is None, file.name
+
+
+@pytest.mark.parametrize(("rows", "scatter"), [(20, Noise(1e-4, 5e-3)), (36, Noise(3e-4, 1e-3))])
+def test_few_rows_of_a_part_at_rest_are_rigid(rows: int, scatter: Noise) -> None:
+    recording = recorded([(JOINTS["prismatic"], np.zeros(rows))], np.random.default_rng(0), scatter)
+    segments = learn_graph(recording).edges[0].segments
+    assert [(one.joint.kind, one.certainty.misfit) for one in segments] == [("rigid", None)]
