@@ -10,6 +10,7 @@ import typer
 
 from micah_plan import __version__
 from micah_plan.cli.checking import check
+from micah_plan.cli.comparing import diff
 from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, err, out
 from micah_plan.cli.environment import doctor
 from micah_plan.cli.exchange import convert
@@ -21,7 +22,7 @@ from micah_plan.cli.schemas import schema
 from micah_plan.cli.templates import new
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, show, convert, check, schema, doctor)
+COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, diff, show, convert, check, schema, doctor)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

@@ -48,6 +48,7 @@ def calibrate(
 ) -> None:
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
     from micah_plan import workflow
+    from micah_plan.spec.model_difference import differences
     from micah_plan.spec.model_file import dump_model, load_model
 
     check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
@@ -65,7 +66,9 @@ def calibrate(
         from micah_plan.view.page import calibration_page
 
         replace_file(report, calibration_page(found, title=recording.stem).encode())
+    changes = differences(automaton, found.automaton)
     summary = summaries.calibrated(found, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: tables.print_calibrated(summary, (output, report)))
+    summary["changes"] = [{"place": d.place, "before": d.before, "after": d.after} for d in changes]
+    print_summary(as_json, summary, lambda: tables.print_calibrated(summary, changes, (output, report)))
     if found.verdict == "unexplained":
         raise typer.Exit(HONEST_NEGATIVE)

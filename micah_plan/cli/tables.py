@@ -85,12 +85,12 @@ def _three(values: dict[str, float | None]) -> tuple[str, ...]:
     return tuple("not measured" if (value := values[name]) is None else f"{value:.4g}" for name in names)
 
 
-def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
+def print_calibrated(summary: dict[str, Any], changes: Sequence[object], files: tuple[Path | None, ...]) -> None:
     """Verdict, effects and errors of a calibration."""
     table = Table("effect", "parameters", "evidence \\[nats]", "tied with", box=SIMPLE)
     for effect in summary["effects"]:
         units, where = effect["units"], effect["coordinate"]
-        values = ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in effect["parameters"].items())
+        values = ", ".join(f"{name} {value:.4g} {units[name]}".removesuffix(" 1") for name, value in effect["parameters"].items())
         name = f"{effect['name']} ({where})" + ("" if effect["is_added"] else ", not added")
         table.add_row(name, values, f"{effect['evidence']:.1f}", ", ".join(effect["tied_with"]))
     out.print(f"verdict: {summary['verdict']}", markup=False)
@@ -104,6 +104,8 @@ def print_calibrated(summary: dict[str, Any], files: tuple[Path | None, ...]) ->
     for note in summary["notes"]:
         out.print(f"  note: {note}", markup=False)
     out.print(f"  next: {summary['next_experiment']}", markup=False)
+    out.print("changes of the model:" if changes else "the model stays as it is", markup=False)
+    print_lines(tuple(f"  {change}" for change in changes))
     print_files(files)
 
 
