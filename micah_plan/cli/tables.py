@@ -90,7 +90,9 @@ def print_calibrated(summary: dict[str, Any], changes: Sequence[object], files: 
     table = Table("effect", "parameters", "evidence \\[nats]", "tied with", box=SIMPLE)
     for effect in summary["effects"]:
         units, where = effect["units"], effect["coordinate"]
-        values = ", ".join(f"{name} {value:.4g} {units[name]}".removesuffix(" 1") for name, value in effect["parameters"].items())
+        values = ", ".join(
+            f"{name} {value:.4g} {units[name]}".removesuffix(" 1") for name, value in effect["parameters"].items()
+        )
         name = f"{effect['name']} ({where})" + ("" if effect["is_added"] else ", not added")
         table.add_row(name, values, f"{effect['evidence']:.1f}", ", ".join(effect["tied_with"]))
     out.print(f"verdict: {summary['verdict']}", markup=False)

@@ -18,6 +18,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.geometry import geometry_findings, scatter_across
+from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.simulation import GATES, Kind
@@ -272,8 +273,13 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         moving = u[np.abs(u) > 0.05 * lane.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if int(lane.counted.sum()) < 40:
-            notes.append(f"{name}: {int(lane.counted.sum())} steps only; smaller effects cannot be told from noise")
+        if one.verdict == "none":
+            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
+            share = 100 * least / lane.command_size
+            notes.append(
+                f"{name}: {least:.2g} {lane.unit} more per step, or {share:.2g} % more of each command would have been "
+                "seen; smaller effects are not excluded"
+            )
         low, high = lane.visited
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")

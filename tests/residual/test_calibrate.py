@@ -104,7 +104,7 @@ def test_ten_rows_give_no_confident_answer(door) -> None:
     found, _ = found_in(door, plants.honest, runs=1, rows=10)
     assert found.verdict == "none"
     assert any("one run only" in note for note in found.notes)
-    assert any("steps only" in note for note in found.notes)
+    assert any("smaller effects are not excluded" in note for note in found.notes)
 
 
 def test_perfect_measurements_are_no_trouble(door) -> None:
