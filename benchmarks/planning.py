@@ -1,7 +1,7 @@
 """Planning over all problems by all planners: times, cost, the true state at the end, success predicted and observed.
 
     python benchmarks/planning.py [PROBLEM.yaml ...] [--planners pomdp-hd direct rrt] [--trials 1000] [--executions 0]
-                                  [--seed 0] [--json FILE]
+                                  [--seed 0] [--jobs 1] [--json FILE]
 
 `cost` is what POMDP-HD minimises (goal error, final variance, effort), computed alike for all planners.
 
@@ -9,7 +9,10 @@
 roll-outs with other seeds whose true state ends in the goal; goal error and std are of the true state in them.
 `believed` is the mean probability of the goal in the filters' last beliefs, which do not see the truth: if the belief
 is calibrated, it is what is observed. `executed` is the share in closed loop with poses, the stop rule and replanning
-on the nominal plant; it may exceed the others, because it goes on until the goal is believed reached.
+on the nominal plant; it may exceed the others, because it goes on until the goal is believed reached. `at stop` is the
+mean probability of the goal that these executions believed in when they stopped. Held objects have no nominal plant.
+
+Jobs are processes; each solves a small problem first, so that loading libraries is not counted.
 """
 
 from __future__ import annotations
@@ -17,7 +20,9 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import get_args
@@ -59,12 +64,19 @@ class Row:
     observed: float | None = None
     believed: float | None = None
     executed: float | None = None
+    at_stop: float | None = None
     roll_out_seconds: float | None = None
     reason: str = ""
 
     @property
     def difference(self) -> float | None:
         return None if self.predicted is None or self.observed is None else self.observed - self.predicted
+
+
+def warm_up() -> None:
+    """Load what planners load when they are first used."""
+    for planner in get_args(Method):
+        solve(load_problem(ROOT / "problems" / "drawer_open.yaml", {"planner.method": planner}))
 
 
 def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -> Row:
@@ -89,6 +101,7 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
     ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
     spent = perf_counter() - begin
     error, std = goal_statistics(problem, ends)
+    executed, at_stop = executed_success(problem, plan, executions, FRESH + seed)
     return replace(
         basis,
         cost=cost_of(problem, limits_of(problem), plan.trajectory),
@@ -97,7 +110,8 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
         predicted=plan.success_probability,
         observed=float(are_in_goal(problem, ends).mean()),
         believed=believed_success(problem, ends),
-        executed=executed_success(problem, plan, executions, FRESH + seed),
+        executed=executed,
+        at_stop=at_stop,
         roll_out_seconds=spent,
     )
 
@@ -117,18 +131,20 @@ def believed_success(problem: Problem, ends: RollOuts) -> float:
     return float(np.mean([goal_probability(problem.automaton, problem.goal, HybridBelief(*one)) for one in beliefs]))
 
 
-def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> float | None:
-    """Share of closed-loop executions on the nominal plant that end in the goal; None if there are none."""
-    if trials < 1 or plan.outcome != "solved":
-        return None
-    return execute(problem, plan, trials=trials, seed=seed).successes / trials
+def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> tuple[float | None, float | None]:
+    """Share of closed-loop executions on the nominal plant that end in the goal, and what they believe it to be."""
+    if trials < 1 or plan.outcome != "solved" or problem.hold is not None:
+        return None, None
+    found = execute(problem, plan, trials=trials, seed=seed)
+    return found.successes / trials, float(np.mean([result.confidence for result in found.results]))
 
 
 def table(rows: Sequence[Row]) -> str:
     """All problems, one line each."""
     header = (
-        f"{'problem':18} {'planner':9} {'outcome':13} {'search':>7} {'build':>7} {'optim.':>7} {'verify':>7} "
-        f"{'cost':>8} {'error':>8} {'std':>8} {'predicted':>10} {'observed':>9} {'believed':>9} {'executed':>9}"
+        f"{'problem':22} {'planner':9} {'outcome':13} {'search':>7} {'build':>7} {'optim.':>7} {'verify':>7} "
+        f"{'cost':>8} {'error':>8} {'std':>8} {'predicted':>10} {'observed':>9} {'believed':>9} "
+        f"{'executed':>9} {'at stop':>8}"
     )
     lines = [header]
     for row in rows:
@@ -136,9 +152,10 @@ def table(rows: Sequence[Row]) -> str:
         shares = f"{_text(row.predicted, 10, 3)} {_text(row.observed, 9, 3)} {_text(row.believed, 9, 3)}"
         numbers = f"{_text(row.cost, 8, 3)} {_text(row.goal_error, 8, 4)} {_text(row.goal_std, 8, 4)}"
         lines.append(
-            f"{row.problem:18} {row.planner:9} {row.outcome:13} {times} {numbers} {shares} {_text(row.executed, 9, 3)}"
+            f"{row.problem:22} {row.planner:9} {row.outcome:13} {times} {numbers} {shares} "
+            f"{_text(row.executed, 9, 3)} {_text(row.at_stop, 8, 3)}"
         )
-        lines += [f"{'':18} {row.reason}"] if row.reason else []
+        lines += [f"{'':22} {row.reason}"] if row.reason else []
     differences = [abs(row.difference) for row in rows if row.difference is not None]
     if differences:
         lines.append(f"largest difference of predicted and observed success: {max(differences):.3f}")
@@ -155,16 +172,16 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=1000, help="fresh roll-outs per problem")
     parser.add_argument("--executions", type=int, default=0, help="closed-loop executions per problem")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--json", type=Path, help="also write the rows to this file")
     planners = list(get_args(Method))
     parser.add_argument("--planners", nargs="*", choices=planners, default=planners)
     options = parser.parse_args()
     paths = options.problems or sorted((ROOT / "problems").glob("*.yaml"))
-    rows = [
-        measure(path, planner, options.trials, options.executions, options.seed)
-        for path in paths
-        for planner in options.planners
-    ]
+    cases = [(path, planner) for path in paths for planner in options.planners]
+    one = partial(measure, trials=options.trials, executions=options.executions, seed=options.seed)
+    with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
+        rows = list(pool.map(one, *zip(*cases, strict=True)))
     print(table(rows))
     if options.json is not None:
         content = [{**asdict(row), "difference": row.difference} for row in rows]

@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.planning.deadline import Deadline, TimeLimitError
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.nominal import nominal_start, plan_along
 from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
@@ -27,12 +28,16 @@ _PACE = 0.6
 _SPARE_STEPS = 5
 # Rotations per step from which building the programme would take minutes.
 _LARGEST = 20_000
-_SHORTEST_S = 1e-3
 
 
-def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Plan:
+def plan(
+    problem: Problem,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+    deadline: Deadline | None = None,
+) -> Plan:
     """The cheapest local optimum of the mixture's programme over a few starts, or the reason why there is none."""
-    began = perf_counter()
+    began, deadline = perf_counter(), deadline or Deadline(problem.settings.solve_time_limit_s)
     timings = {"search": 0.0, "build": 0.0, "optimise": 0.0}
 
     def failed(reason: str) -> Plan:
@@ -58,16 +63,19 @@ def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None]
     for number in range(_STARTS):
         if progress is not None:
             progress(f"optimising from start {number + 1}", number / _STARTS)
-        left = problem.settings.solve_time_limit_s - (perf_counter() - began)
-        if left <= 0:
+        if deadline.is_over():
             break
         noise = _DISTURBANCE * limits.max_step * rng.standard_normal(straight.shape) if number else 0.0
         start = np.clip(straight + noise, -limits.max_step, limits.max_step)
-        found.append(programme.solve(start, max(_SHORTEST_S, min(left, problem.settings.time_limit_s))))
+        found.append(programme.solve(start, min(deadline.left_s, problem.settings.time_limit_s)))
     timings["optimise"] = perf_counter() - began - timings["build"]
     usable = [path for path in found if path.feasible]
     if not usable:
-        statuses = ", ".join(sorted({path.status.replace("_", " ").lower() for path in found})) or "no time was left"
+        statuses = ", ".join(sorted({path.status.replace("_", " ").lower() for path in found})) or "none"
+        try:
+            deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({statuses})")
+        except TimeLimitError as over:
+            return failed(over.reason)
         return failed(f"none of {len(found)} starts of the direct optimisation led to the goal ({statuses})")
     best = min(usable, key=lambda path: path.cost)
     timings["total"] = perf_counter() - began

@@ -17,6 +17,7 @@ from ompl import control as oc
 from ompl import util as ou
 
 from micah_plan.automaton.transition import step
+from micah_plan.planning.deadline import Deadline
 from micah_plan.planning.limits import Limits, limited_input, limits_of
 from micah_plan.planning.mode_samples import goal_states
 from micah_plan.planning.nominal import nominal_start, plan_along
@@ -37,7 +38,12 @@ _LONGEST_CONTROL = 5
 _TOLERANCE = 1e-9
 
 
-def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Plan:
+def plan(
+    problem: Problem,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+    deadline: Deadline | None = None,
+) -> Plan:
     """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
@@ -45,7 +51,7 @@ def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None]
     if progress is not None:
         progress("growing a tree", 0.0)
     began, limits = perf_counter(), limits_of(problem)
-    inputs, reason = _grow(problem, limits, mode, seed, began + problem.settings.solve_time_limit_s)
+    inputs, reason = _grow(problem, limits, mode, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     spent = perf_counter() - began
     timings = {"search": spent, "build": 0.0, "optimise": 0.0, "total": spent}
     if inputs is None:
@@ -54,7 +60,7 @@ def plan(problem: Problem, seed: int = 0, progress: Callable[[str, float], None]
     return plan_along(problem, limits, mode, inputs, f"found by RRT in {len(inputs)} steps", seed, timings)
 
 
-def _grow(problem: Problem, limits: Limits, mode: str, seed: int, deadline: float) -> tuple[Floats | None, str]:
+def _grow(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Deadline) -> tuple[Floats | None, str]:
     """(T, m) inputs of a path to the goal, or None with the reason."""
     # OMPL complains that generators exist already; those made from here on follow the seed, and no other is used.
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -78,7 +84,7 @@ def _grow(problem: Problem, limits: Limits, mode: str, seed: int, deadline: floa
     def is_over() -> bool:
         nonlocal asked
         asked += 1
-        return asked > _MOST_EXTENSIONS or perf_counter() > deadline
+        return asked > _MOST_EXTENSIONS or deadline.is_over()
 
     planner.solve(ob.PlannerTerminationCondition(is_over))
     if not definition.hasExactSolution():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from micah_plan.planning.deadline import NEVER, Deadline
 from micah_plan.planning.mode_paths import JoinedRoadmap, VertexPath, joined_graph
 from micah_plan.planning.path_beliefs import PathBeliefs
 
@@ -78,8 +79,8 @@ class _Front:
 class LocalisingSearch:
     """Searches one joined roadmap."""
 
-    def __init__(self, roadmap: JoinedRoadmap, beliefs: PathBeliefs, revisits: int) -> None:
-        self.roadmap, self.beliefs = roadmap, beliefs
+    def __init__(self, roadmap: JoinedRoadmap, beliefs: PathBeliefs, revisits: int, deadline: Deadline = NEVER) -> None:
+        self.roadmap, self.beliefs, self.deadline = roadmap, beliefs, deadline
         self.most_visits = 1 + revisits
         self.graph: csr_array = joined_graph(roadmap)
         self.size = self.graph.shape[0] - 1
@@ -88,7 +89,11 @@ class LocalisingSearch:
         self.to_go, self.following = to_go[: self.size] - 1.0, following[: self.size]
 
     def paths(self) -> list[ScoredPath]:
-        """The best path through each vertex that leads to the goal, with up to two stops; the best first."""
+        """The best path through each vertex that leads to the goal, with up to two stops; the best first.
+
+        Raises:
+            TimeLimitError: if the deadline passes.
+        """
         first = self._first()
         found: dict[tuple[int, ...], ScoredPath] = {}
         beam, best = [first], np.inf
@@ -187,6 +192,7 @@ class LocalisingSearch:
 
     def _advance(self, front: _Front, origin: Ints, end: Ints, into: Ints, out_of: Ints | None = None) -> None:
         """Hop from vertices to neighbours; rows `out_of` of the front (those of the origins) become rows `into`."""
+        self.deadline.check("search", "detours that localise were not compared", "samples_per_mode")
         rows = origin if out_of is None else out_of
         variance, overshoot, steps = self.beliefs.hop(front.variance[rows], origin, end)
         front.variance[into] = variance

@@ -1,14 +1,20 @@
-"""The states from which the roadmaps are built: start, goal, guards with their resets, and random states."""
+"""The states from which the roadmaps are built: start, goal, guards with their resets, and random states.
+
+States on the faces of guards line narrow corridors, where random ones rarely fall (Amato and Wu, "A randomized roadmap
+method for path and manipulation planning", ICRA 1996, for samples on the faces of obstacles).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Edge, Mode
-from micah_plan.planning.bridge_samples import bridge_samples, in_any
+from micah_plan.automaton.region import Region
+from micah_plan.planning.deadline import NEVER, Deadline
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_motion import obstacles_on_state
 from micah_plan.planning.polytope import TOLERANCE, Polytope, mode_states
@@ -23,8 +29,6 @@ _LANDMARK_SHARE = 0.3
 _FEWEST_GUARD_STATES = 4
 # Least share of samples_per_mode that are random states, however many states guards have.
 _FREE_SHARE = 0.5
-# Share of a mode's random states that come from bridges, where guards are in the way.
-_BRIDGE_SHARE = 0.5
 # Arrivals in modes that hold coordinates are carried on at most so often.
 _MOST_CARRIED = 200
 
@@ -64,8 +68,14 @@ class Samples:
     goals: dict[str, Ints]
 
 
-def sample_modes(problem: Problem, limits: Limits, start_mode: str, rng: np.random.Generator) -> Samples:
-    """Draw the states of every mode. The same generator state gives the same samples."""
+def sample_modes(
+    problem: Problem, limits: Limits, start_mode: str, rng: np.random.Generator, deadline: Deadline = NEVER
+) -> Samples:
+    """Draw the states of every mode. The same generator state gives the same samples.
+
+    Raises:
+        TimeLimitError: if the deadline passes.
+    """
     automaton = problem.automaton
     modes = {
         mode.name: ModeStates(mode_states(mode, limits.lower, limits.upper, limits.max_step))
@@ -87,24 +97,22 @@ def sample_modes(problem: Problem, limits: Limits, start_mode: str, rng: np.rand
         ]
         for point in points:
             modes[name].add(point)
-    exits = {
-        index: taken
-        for index, edge in enumerate(automaton.edges)
-        if len(taken := _sample_guard(problem, limits, modes, edge, landmarks, target, rng))
-    }
-    _carry_held(problem, limits, modes, goal_sets, exits, start_mode, target)
-    for mode in automaton.modes:
+    exits: dict[int, Ints] = {}
+    for index, edge in enumerate(automaton.edges):
+        deadline.check("search", f"{index} of {len(automaton.edges)} guards had states", "samples_per_mode")
+        if len(taken := _sample_guard(problem, limits, modes, edge, landmarks, target, rng)):
+            exits[index] = taken
+    _carry_held(problem, limits, modes, goal_sets, exits, start_mode, target, deadline)
+    for number, mode in enumerate(automaton.modes):
+        deadline.check("search", f"{number} of {len(automaton.modes)} modes had states", "samples_per_mode")
         chosen = modes[mode.name]
         # Many guards must not leave the space between them without states.
         wanted = problem.settings.samples_per_mode
         missing = max(wanted - len(chosen.points), int(_FREE_SHARE * wanted))
         if not chosen.states.is_empty:
             obstacles = obstacles_on_state(automaton, mode.name)
-            # Only where more than one coordinate moves can there be a corridor.
-            is_wide = mode.B.any(axis=1).sum() > 1 and not _held(mode).any()
-            bridges = bridge_samples(chosen.states, obstacles, rng, int(_BRIDGE_SHARE * missing) if is_wide else 0)
-            random = _draw(chosen.states, mode, landmarks, rng, missing - len(bridges))
-            for point in (*bridges, *random[~in_any(obstacles, random, 0.0)]):
+            random = _draw(chosen.states, mode, landmarks, rng, missing)
+            for point in random[~_in_any(obstacles, random)]:
                 chosen.add(point)
     goals = {name: np.flatnonzero(states.contains(np.array(modes[name].points))) for name, states in goal_sets.items()}
     return Samples(modes, exits, start, goals)
@@ -150,6 +158,15 @@ def _sample_guard(
     return np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
 
 
+def _in_any(regions: Sequence[Region], points: Floats) -> Booleans:
+    """(k,) whether points (k, n) lie inside of any region."""
+    inside = np.zeros(len(points), dtype=bool)
+    for region in regions:
+        u = np.zeros((len(points), len(region.half_spaces[0].b)))
+        inside |= (region.margins(points, u) > 0.0).all(axis=1)
+    return inside
+
+
 def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
     """The state moved to the closest boundary of the guard within the mode: where a motion takes the transition.
 
@@ -174,6 +191,7 @@ def _carry_held(
     exits: dict[int, Ints],
     start_mode: str,
     target: Floats,
+    deadline: Deadline,
 ) -> None:
     """Add the states to which arrivals in modes that hold coordinates can go on: to the goal, to guards, and beyond.
 
@@ -184,6 +202,7 @@ def _carry_held(
     arrivals = [(start_mode, modes[start_mode].points[0])]
     arrivals += [(name, modes[name].points[k]) for index, name in targets.items() for k in exits[index][:, 1]]
     for name, x in arrivals:
+        deadline.check("search", f"{len(arrivals)} arrivals were carried on", "samples_per_mode")
         held = _held(automaton.mode(name))
         if not held.any() or len(arrivals) > _MOST_CARRIED:
             continue

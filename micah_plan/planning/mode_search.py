@@ -8,7 +8,8 @@ NumPy batch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -20,6 +21,7 @@ from ompl import geometric as og
 from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 
+from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.localising_paths import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.mode_motion import ModeMotion, motions_of
@@ -70,16 +72,19 @@ class SearchResult:
 
 
 def search_modes(
-    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, is_over: Callable[[], bool] = lambda: False
+    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, deadline: Deadline = NEVER
 ) -> SearchResult:
     """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
 
     The shortest sequences compete with detours that localise (`localising_paths`) by length and predicted uncertainty.
 
     Args:
-        is_over: asked between the modes' roadmaps and between sequences; once it says so the search ends.
+        deadline: of the search; detours are left out where it passes while they are compared.
+
+    Raises:
+        TimeLimitError: if it passes before there is a mode sequence.
     """
-    samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed))
+    samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
     reason = why_unreachable(problem, limits, samples, start_mode)
     if reason:
         return SearchResult((), reason)
@@ -87,24 +92,24 @@ def search_modes(
     points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
     graphs: dict[str, csr_array] = {}
     for name in points:
-        if is_over():
-            return SearchResult((), _out_of_time(problem, f"{len(graphs)} of {len(points)} modes had a roadmap"))
-        graphs[name] = _graph(points[name], limits.speed, motions[name])
+        deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
+        graphs[name] = _graph(points[name], limits.speed, motions[name], deadline)
     edges = problem.automaton.edges
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
     roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
-    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=is_over)
-    if not shortest and is_over():
-        return SearchResult((), _out_of_time(problem, "no mode sequence was complete"))
+    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
     if not shortest:
-        in_the_way = _guards_in_the_way(problem, limits, roadmap, points)
+        deadline.check("search", "no mode sequence was complete", "samples_per_mode")
+        in_the_way = _guards_in_the_way(problem, limits, roadmap, points, deadline)
         return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, points)
-    localising = LocalisingSearch(roadmap, beliefs, revisits)
+    localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     best: dict[tuple[int, ...], ScoredPath] = {}
-    detours = () if is_over() else localising.paths()
+    detours: list[ScoredPath] = []
+    with suppress(TimeLimitError):
+        detours = localising.paths()
     for path in [*map(localising.score, shortest), *detours]:
         taken = _edges(path, beliefs)
         # A detour through the same modes must be worth it: rounding is no reason.
@@ -112,14 +117,6 @@ def search_modes(
             best[taken] = path
     chosen = sorted(best.values(), key=lambda path: path.cost)[:candidates]
     return SearchResult(tuple(_mode_sequence(path, beliefs, motions) for path in chosen))
-
-
-def _out_of_time(problem: Problem, state: str) -> str:
-    limit = problem.settings.solve_time_limit_s
-    return (
-        f"the time limit of {limit:g} s (solve_time_limit_s) was reached in the search: {state}; "
-        f"raise solve_time_limit_s or lower samples_per_mode"
-    )
 
 
 def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:
@@ -153,7 +150,7 @@ def _goal_costs(problem: Problem, points: Floats) -> Floats:
 
 
 def _guards_in_the_way(
-    problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats]
+    problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
 ) -> tuple[str, ...]:
     """The guards on states without any one of which, in all modes, the same samples would connect start and goal."""
     automaton, found = problem.automaton, []
@@ -163,22 +160,24 @@ def _guards_in_the_way(
     for name in dict.fromkeys(edge.guard.name for edge in changes):
         kept = tuple(edge for edge in automaton.edges if edge.guard.name != name)
         motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)
+        if deadline.is_over():  # that nothing connects them is known; what is in the way is not
+            return ()
         graphs = {mode: _graph(points[mode], limits.speed, motions[mode]) for mode in points}
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
             found.append(name)
     return tuple(found)
 
 
-def _graph(points: Floats, speed: Floats, motion: ModeMotion) -> csr_array:
+def _graph(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
     """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
-    pairs = _prm_connections(points / speed)
+    pairs = _prm_connections(points / speed, deadline)
     steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
     allowed = np.isfinite(steps)
     pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
     return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
 
 
-def _prm_connections(points: Floats) -> Ints:
+def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
     """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
     free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
     if not len(free):
@@ -188,13 +187,13 @@ def _prm_connections(points: Floats) -> Ints:
     numbers: dict[bytes, int] = {}
     for number, state in enumerate(states):
         numbers.setdefault((state + 0.0).tobytes(), number)
-    grown, links = _grow_prm(states[list(numbers.values())] + 0.0)
+    grown, links = _grow_prm(states[list(numbers.values())] + 0.0, deadline)
     vertices = [numbers[state.tobytes()] for state in grown]
     pairs = {(vertices[i], vertices[j]) for i, j in links}
     return np.array(sorted(pairs | {(j, i) for i, j in pairs}), dtype=np.int64).reshape(-1, 2)
 
 
-def _grow_prm(states: Floats) -> tuple[Floats, list[tuple[int, int]]]:
+def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[int, int]]]:
     """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     space = ob.RealVectorStateSpace(states.shape[1])
@@ -215,8 +214,9 @@ def _grow_prm(states: Floats) -> tuple[Floats, list[tuple[int, int]]]:
     planner = og.PRMstar(information)
     planner.setProblemDefinition(ob.ProblemDefinition(information))
     planner.setup()
-    done = ob.PlannerTerminationCondition(lambda: any(s.used >= len(states) for s in samplers))
-    planner.growRoadmapPtc(done)
+    is_done = lambda: any(s.used >= len(states) for s in samplers) or deadline.is_over()  # noqa: E731
+    planner.growRoadmapPtc(ob.PlannerTerminationCondition(is_done))
+    deadline.check("search", "a roadmap was being grown", "samples_per_mode")
     data = ob.PlannerData(information)
     planner.getPlannerData(data)
     # The data points into the planner's memory: copy it while the planner lives.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from micah_plan.automaton.ranges import coordinate_ranges, mode_interval
+from micah_plan.automaton.turning import turn_of
+from micah_plan.planning.amounts import percent, quantity
 from micah_plan.planning.plan import Level, Obstacle
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.start_state import LIMIT_ROOM, start_mode
-from micah_plan.planning.transcription_rows import Shortfall
+from micah_plan.planning.transcription_rows import Row, Shortfall
 
 _LEAST_CONFIDENCE = 0.5
-_SHORT_M = 1.0
 
 
 def endpoint_obstacles(problem: Problem) -> tuple[Obstacle, ...]:
@@ -50,9 +52,11 @@ def obstacle_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) 
     row = shortfall.row
     room = need = None
     if shortfall.std is not None:
-        k = float(ndtri(problem.settings.confidence))
-        need = k * shortfall.std * (1 if shortfall.width is None else 2)
-        room = need - shortfall.amount if shortfall.width is None else shortfall.width
+        need = float(ndtri(problem.settings.confidence)) * shortfall.std
+        if shortfall.width is not None and shortfall.width < 2.0 * need:
+            room, need = shortfall.width, 2.0 * need
+        else:  # there would be room for the belief between the boundaries, but not where the path leads
+            room, shortfall = need - shortfall.amount, replace(shortfall, width=None)
     return Obstacle(
         level="optimisation",
         sentence=_sentence(problem, shortfall, room, need),
@@ -68,19 +72,20 @@ def obstacle_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) 
     )
 
 
-def quantity(value: float, unit: str) -> str:
-    """A length below a metre in mm, anything else in its unit, with three digits."""
-    return f"{1e3 * value:.3g} mm" if unit == "m" and abs(value) < _SHORT_M else f"{value:.3g} {unit}".rstrip()
-
-
 def _sentence(problem: Problem, shortfall: Shortfall, room: float | None, need: float | None) -> str:
-    row, confidence = shortfall.row, f"{problem.settings.confidence:.0%}"
+    row, confidence = shortfall.row, percent(problem.settings.confidence)
     if room is None or need is None or row.half_space is None:
         if not np.isfinite(shortfall.amount):
             return f"{row.name} is not a number"
         return f"{row.name} is missed by {quantity(shortfall.amount, row.unit)}"
     needs = f"the belief needs {quantity(need, row.unit)} at {confidence}"
     name = row.half_space.name
+    if (turned := _turned_by(problem, row)) is not None:
+        before = f"{quantity(room, row.unit)} before it" if room >= 0 else f"{quantity(-room, row.unit)} behind it"
+        return (
+            f"behind '{name}' the same input moves the other way ('{row.mode}' against '{turned}'), so one step must "
+            f"surely lead across: it starts {before}, {needs}"
+        )
     if shortfall.width is not None:
         return f"the corridor at '{name}' is {quantity(room, row.unit)} wide, {needs}"
     if row.kind == "guard":
@@ -93,6 +98,8 @@ def _remedy(problem: Problem, shortfall: Shortfall, room: float | None, need: fl
     row = shortfall.row
     if room is None or need is None:
         return _plain_remedy(problem, shortfall)
+    if _turned_by(problem, row) is not None:
+        return "raise max_step, or lower the start's std or the noise"
     ways = ["lower the start's std or the noise"]
     contact = [
         edge.target
@@ -107,6 +114,15 @@ def _remedy(problem: Problem, shortfall: Shortfall, room: float | None, need: fl
         f"lower `confidence` to {possible:.2f}" if lower else "make more room (no confidence above 0.5 suffices)"
     )
     return ", ".join(ways[:-1]) + f", or {ways[-1]}"
+
+
+def _turned_by(problem: Problem, row: Row) -> str | None:
+    """The mode behind a boundary that one step is to cross, because that mode moves the other way; None elsewhere."""
+    for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
+        turn = turn_of(problem.automaton, edge)
+        if turn is not None and turn.half_space == row.half_space:
+            return edge.target
+    return None
 
 
 def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.deadline import Deadline, TimeLimitError
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.mode_search import ModeSequence, search_modes
+from micah_plan.planning.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason, obstacle_of_status, obstacles_of
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
@@ -35,17 +35,16 @@ Progress = Callable[[str, float], None]
 _STRETCHES = (1.0, 2.0, 4.0)
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
 _INPUT_ROUNDING = 1e-6
-# What the solver is given at least, so that it can say that the time is over.
-_SHORTEST_S = 1e-3
 
 
-def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> Plan:
-    """Plan from the start belief to the goal. Deterministic but for the wall-clock limit of the optimisation.
+def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
+    """Plan from the start belief to the goal. Deterministic but for the wall-clock limits.
 
     Args:
         problem: what to solve.
         seed: of the search.
         progress: called with one line of text and the fraction done whenever a stage begins.
+        deadline: when to end; None: as the settings say, from now on.
 
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
@@ -53,7 +52,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None) -> P
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
         return Plan("no_plan", reason, seed=seed, timings=_Clock().timings(), obstacles=endpoint_obstacles(problem))
-    return _plan_from(remembering(problem), mode, seed, progress or _silent)
+    return _plan_from(remembering(problem), mode, seed, progress or _silent, deadline or _deadline_of(problem))
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
@@ -63,7 +62,11 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
     """
     here = believed_problem(remembering(problem), belief)
     mode = problem.automaton.modes[belief.most_likely].name
-    found = verified_plan(here, lambda task: _plan_from(task, mode, seed, _silent), seed)
+
+    def planner(task: Problem, *, deadline: Deadline) -> Plan:
+        return _plan_from(task, mode, seed, _silent, deadline)
+
+    found = verified_plan(here, planner, seed)
     return found.trajectory if found.outcome == "solved" else None
 
 
@@ -74,13 +77,13 @@ def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory
     often it is continued. None where the steps left do not suffice, the belief is in another mode, or the trajectory is
     of a planner that knows nothing of a memory of inputs.
     """
-    here, clock = believed_problem(remembering(problem), belief), _Clock()
+    here, clock, deadline = believed_problem(remembering(problem), belief), _Clock(), _deadline_of(problem)
     if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
         return None
     limits, compiled = limits_of(here), compile_automaton(here.automaton)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
     start = guess_again(here, limits, compiled, sequence, steps)
-    path = solve(transcribe(here, limits, compiled, start), _with_time_left(here, clock))
+    path = solve(transcribe(here, limits, compiled, start), _with_time_left(here, deadline))
     return _solved(here, limits, path, (), 0, clock).trajectory if path.feasible else None
 
 
@@ -88,17 +91,23 @@ def _silent(_text: str, _fraction: float) -> None:
     """Nobody is told."""
 
 
-def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
+def _deadline_of(problem: Problem) -> Deadline:
+    return Deadline(problem.settings.solve_time_limit_s)
+
+
+def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: Deadline) -> Plan:
     """Plan from the start's mean in a mode that is known."""
     clock = _Clock()
     problem = replace(problem, start=replace(problem.start, mode=mode))
     limits = limits_of(problem)
     say("searching mode sequences", 0.0)
-    with clock.stage("search"):
-        plain = forgetting(problem)
-        is_over = partial(_is_over, clock, problem)
-        found = search_modes(plain, limits_of(plain), mode, seed, is_over=is_over)
-        sequences = [with_memory(problem, sequence) for sequence in found.sequences]
+    plain = forgetting(problem)
+    try:
+        with clock.stage("search"):
+            found = search_modes(plain, limits_of(plain), mode, seed, deadline=deadline)
+            sequences = [with_memory(problem, sequence) for sequence in found.sequences]
+    except TimeLimitError as over:
+        found = SearchResult((), over.reason)
     if not found.sequences:
         obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", found.reason),)
         return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), obstacles=obstacles)
@@ -109,7 +118,11 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
     best: tuple[BeliefPath, ModeSequence] | None = None
     for number, sequence in enumerate(sequences, start=1):
         say(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
-        path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock)
+        try:
+            path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock, deadline)
+        except TimeLimitError as over:
+            in_the_way = [obstacle_of_reason("optimisation", over.reason, sequence.modes)]
+            path, message = None, over.reason
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
         candidates.append(Candidate(sequence.modes, sequence.total, cost, message))
@@ -127,13 +140,17 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress) -> Plan:
 
 
 def _optimise(
-    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, clock: _Clock
+    problem: Problem,
+    limits: Limits,
+    compiled: CompiledAutomaton,
+    sequence: ModeSequence,
+    clock: _Clock,
+    deadline: Deadline,
 ) -> tuple[BeliefPath | None, str, list[Obstacle]]:
     """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
-    knots, said = -1, "not tried"
+    name, knots = " -> ".join(sequence.modes), -1
     for stretch in _STRETCHES:
-        if clock.seconds >= problem.settings.solve_time_limit_s:
-            return None, *_out_of_time(problem, sequence, said)
+        deadline.check("optimisation", f"{name} was not tried {'' if knots < 0 else 'with more knots '}", "candidates")
         with clock.stage("build"):
             start = guess(problem, limits, compiled, sequence, stretch)
             if start.reason:
@@ -144,36 +161,25 @@ def _optimise(
             knots = longer
             nlp = transcribe(problem, limits, compiled, start.phases)
         with clock.stage("optimise"):
-            path = solve(nlp, _with_time_left(problem, clock))
+            path = solve(nlp, _with_time_left(problem, deadline))
         if path.feasible:
             return path, path.message, []
-        said = path.message
-    if clock.seconds >= problem.settings.solve_time_limit_s:
-        return path, *_out_of_time(problem, sequence, said)
+        deadline.check(
+            "optimisation", f"{name} was at {sum(phase.steps for phase in start.phases)} steps", "candidates"
+        )
     if "time limit" in path.message:  # what it had reached by then says nothing of what is possible
         return path, path.message, [obstacle_of_status(sequence.modes, path.message)]
     with clock.stage("optimise"):
-        missed = unmet(nlp, _with_time_left(problem, clock))
+        missed = unmet(nlp, _with_time_left(problem, deadline))
     message = "; ".join([path.message, *(shortfall.sentence for shortfall in missed)])
     obstacles = obstacles_of(problem, sequence.modes, missed)
     return path, message, obstacles or [obstacle_of_status(sequence.modes, path.message)]
 
 
-def _is_over(clock: _Clock, problem: Problem) -> bool:
-    return clock.seconds >= problem.settings.solve_time_limit_s
-
-
-def _with_time_left(problem: Problem, clock: _Clock) -> Problem:
+def _with_time_left(problem: Problem, deadline: Deadline) -> Problem:
     """The problem with the time that an optimisation may take now."""
     settings = problem.settings
-    left = max(_SHORTEST_S, settings.solve_time_limit_s - clock.seconds)
-    return replace(problem, settings=replace(settings, time_limit_s=min(settings.time_limit_s, left)))
-
-
-def _out_of_time(problem: Problem, sequence: ModeSequence, said: str) -> tuple[str, list[Obstacle]]:
-    limit = f"the time limit of {problem.settings.solve_time_limit_s:g} s (solve_time_limit_s) was reached; {said}"
-    reason = f"{limit}; raise solve_time_limit_s or lower candidates"
-    return limit, [obstacle_of_reason("optimisation", reason, sequence.modes)]
+    return replace(problem, settings=replace(settings, time_limit_s=min(settings.time_limit_s, deadline.left_s)))
 
 
 def _solved(

@@ -18,6 +18,7 @@ from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
 from micah_plan.belief.filter import initial_belief
+from micah_plan.planning.deadline import NEVER, Deadline
 from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
@@ -78,8 +79,12 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     return Chances(objects, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
 
 
-def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> RollOuts:
-    """Carry a trajectory out once per row of chances, and wait until all that was commanded has arrived."""
+def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadline: Deadline = NEVER) -> RollOuts:
+    """Carry a trajectory out once per row of chances, and wait until all that was commanded has arrived.
+
+    Raises:
+        TimeLimitError: if the deadline passes.
+    """
     known, problem = remembering(problem), forgetting(problem)
     automaton, whole, limits = problem.automaton, known.automaton, limits_of(problem)
     memory = {r.effect: known.start.mean[r.first : r.first + r.size] for r in whole.registers}
@@ -90,7 +95,9 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances) -> Roll
     modes, x = np.full(trials, index), chances.starts
     start = initial_belief(whole, known.start.mean, known.start.std, trajectory.modes[0])
     beliefs = repeated(whole, start, trials)
-    for step, knot in enumerate(time_knots(trajectory)):
+    knots = time_knots(trajectory)
+    for step, knot in enumerate(knots):
+        deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]
         u = feedback_input(trajectory, int(knot), estimate)

@@ -8,15 +8,22 @@ overshot further, boundaries kept further away and more measurements made before
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
+from typing import Protocol
 
+from micah_plan.planning.deadline import Deadline
 from micah_plan.planning.plan import Plan
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.verification import verify
 
-Planner = Callable[[Problem], Plan]
+
+class Planner(Protocol):
+    """What finds a plan for a problem before a deadline."""
+
+    def __call__(self, problem: Problem, /, *, deadline: Deadline) -> Plan:
+        """The plan, or one without a trajectory."""
+
 
 # Each round allows at most this share of the failures that the round before allowed.
 _SLOWEST = 0.3
@@ -26,7 +33,13 @@ _FEWEST_FAILURES = 1e-4
 _SEED_STRIDE = 7_919
 
 
-def verified_plan(problem: Problem, planner: Planner, seed: int = 0, rounds: int | None = None) -> Plan:
+def verified_plan(
+    problem: Problem,
+    planner: Planner,
+    seed: int = 0,
+    rounds: int | None = None,
+    deadline: Deadline | None = None,
+) -> Plan:
     """Plan, verify, and plan again with a higher confidence while the roll-outs succeed too rarely.
 
     At most `rounds` times, while each round succeeds more often than the best before and within
@@ -38,23 +51,24 @@ def verified_plan(problem: Problem, planner: Planner, seed: int = 0, rounds: int
         planner: gives a plan for a problem; called again with other settings.
         seed: of the roll-outs.
         rounds: None: from the settings.
+        deadline: of planning and verification together; None: as the settings say, from now on.
 
     Returns:
         The first plan that is confirmed, else the one that succeeds most often, as ``"not_verified"``.
     """
-    began, settings = perf_counter(), problem.settings
-    best = _verified(problem, planner(problem), seed)
+    settings = problem.settings
+    deadline = deadline or Deadline(settings.solve_time_limit_s)
+    best = _verified(problem, planner(problem, deadline=deadline), seed, deadline)
     timings = dict(best.timings)
     confidence = settings.confidence
     most = settings.tightening_rounds if rounds is None else rounds
     for number in range(1, most + 1):
-        left = settings.solve_time_limit_s - (perf_counter() - began)
-        if best.outcome != "not_verified" or left <= 0.0:
+        if best.outcome != "not_verified" or deadline.is_over():
             break
         confidence = tightened(confidence, settings.confidence, 1.0 - (best.success_probability or 0.0))
-        closer = replace(settings, confidence=confidence, solve_time_limit_s=left)
-        again = planner(replace(problem, settings=closer))
-        answer = _confirmed(problem, again, seed + number * _SEED_STRIDE)
+        closer = replace(settings, confidence=confidence)
+        again = planner(replace(problem, settings=closer), deadline=deadline)
+        answer = _confirmed(problem, again, seed + number * _SEED_STRIDE, deadline)
         timings = {key: timings.get(key, 0.0) + spent for key, spent in answer.timings.items()}
         if answer.trajectory is None or not _is_better(answer, best):
             break
@@ -74,21 +88,22 @@ def tightened(planned: float, asked: float, failing: float) -> float:
     return max(planned, 1.0 - max(_FEWEST_FAILURES, (1.0 - planned) * fewer))
 
 
-def _verified(problem: Problem, plan: Plan, seed: int) -> Plan:
+def _verified(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
     """The plan verified, with the time that it took; one without a trajectory as it is."""
     if plan.trajectory is None:
         return plan
     begin = perf_counter()
-    answer = verify(problem, plan, seed=seed)
+    answer = verify(problem, plan, seed=seed, deadline=deadline)
     spent = perf_counter() - begin
     timings = {**answer.timings, "verify": answer.timings.get("verify", 0.0) + spent}
     return replace(answer, timings={**timings, "total": answer.timings.get("total", 0.0) + spent})
 
 
-def _confirmed(problem: Problem, plan: Plan, seed: int) -> Plan:
+def _confirmed(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
     """The plan verified twice: its share of successes is of roll-outs that did not choose it."""
-    once = _verified(problem, plan, seed)
-    return once if once.outcome != "solved" else _verified(problem, replace(plan, timings=once.timings), seed + 1)
+    once = _verified(problem, plan, seed, deadline)
+    again = replace(plan, timings=once.timings)
+    return once if once.outcome != "solved" else _verified(problem, again, seed + 1, deadline)
 
 
 def _is_better(answer: Plan, best: Plan) -> bool:

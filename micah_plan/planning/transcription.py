@@ -21,6 +21,7 @@ from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.amounts import percent
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.remembering import steps_of_memory
@@ -219,7 +220,9 @@ def _require_corridor(nlp: Transcription, problem: Problem, guess: PhaseGuess, p
     if uncertain:
         spreads = ca.DM([phase.corridor[i].spread for i in uncertain])
         soft = margins[uncertain].T - k * _total_std(stds[uncertain].T, spreads) + scales * phase.slacks
-        nlp.require(soft, [named(i, f" at {settings.confidence:.0%}", phase.corridor[i].spread) for i in uncertain])
+        nlp.require(
+            soft, [named(i, f" at {percent(settings.confidence)}", phase.corridor[i].spread) for i in uncertain]
+        )
         nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
 
 
@@ -262,7 +265,7 @@ def _join(
         scale = float(np.abs(half_space.a) @ limits.speed + np.abs(half_space.b) @ limits.max_step)
         low = STRICT_SHARE * scale if half_space.strict else 0.0
         name = f"the guard '{half_space.name}' of '{edge.edge.name}'"
-        name += "" if certain else f" at {problem.settings.confidence:.0%}"
+        name += "" if certain else f" at {percent(problem.settings.confidence)}"
         unit = row_unit(automaton, half_space)
         a = np.array(half_space.a)
         spread = float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.amounts import quantity
 
 Floats = NDArray[np.float64]
 Kind = Literal["dynamics", "input", "boundary", "guard", "goal"]
@@ -56,7 +57,7 @@ class Row:
         place = f"at knot {self.knot} in mode '{self.mode}'"
         if np.isnan(value):
             return f"{self.name} is not a number {place}"
-        return f"{self.name} is missed by {self.violation(value):.3g} {self.unit}".rstrip() + f" {place}"
+        return f"{self.name} is missed by {quantity(self.violation(value), self.unit)} {place}"
 
 
 @dataclass

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.planning.amounts import percent
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.transcription import Transcription
 from micah_plan.planning.transcription_rows import Row, Shortfall
@@ -165,7 +166,7 @@ def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[
     """For each boundary that does not hold at k-sigma somewhere: where it is missed most."""
     worst: dict[tuple[str, str], tuple[float, Row, float]] = {}
     named = {(row.mode, row.knot, row.name): row for row in nlp.rows.rows if row.spread is not None}
-    suffix = f" at {problem.settings.confidence:.0%}"
+    suffix = f" at {percent(problem.settings.confidence)}"
     for phase, guess, (_, _, slacks) in zip(nlp.phases, nlp.guess, _blocks(nlp, values), strict=True):
         uncertain = [row for row in phase.corridor if row.uncertain]
         for row, slack in zip(uncertain, slacks.ravel(), strict=True):
@@ -177,7 +178,7 @@ def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[
 
 
 def _in_part_text(shortfall: Shortfall, problem: Problem) -> str:
-    row, confidence = shortfall.row, f"{problem.settings.confidence:.0%}"
+    row, confidence = shortfall.row, percent(problem.settings.confidence)
     name = row.name.removesuffix(f" at {confidence}")
     return f"{name} holds with less than {confidence} around knot {row.knot} in mode '{row.mode}'"
 

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from micah_plan.planning.obstacles import quantity
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.planning.amounts import percent, quantity
+from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.planning.obstacles import obstacle_of_reason
 from micah_plan.planning.plan import Obstacle, Plan
 from micah_plan.planning.problem import Goal, Problem
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
@@ -22,7 +25,7 @@ _STANDARD_ERRORS = 2.0
 INTERVAL = 0.95
 
 
-def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 0) -> Plan:
+def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 0, deadline: Deadline = NEVER) -> Plan:
     """The plan with its success probability; ``"not_verified"`` if that is clearly below the asked confidence.
 
     Args:
@@ -30,11 +33,17 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
         plan: as `pomdp_hd.plan` returned it; without a trajectory it is returned unchanged.
         trials: number of roll-outs; None: from the settings. 0 verifies nothing.
         seed: of the roll-outs.
+        deadline: if it passes before they end, the plan is not verified.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
-    ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, count, seed))
+    try:
+        ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, count, seed), deadline)
+    except TimeLimitError as over:
+        obstacle = obstacle_of_reason("verification", over.reason, plan.mode_sequence)
+        reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
+        return replace(plan, outcome="not_verified", reason=reason, obstacles=(obstacle, *plan.obstacles))
     successes = int(are_in_goal(problem, ends).sum())
     share = successes / count
     answer = replace(
@@ -47,7 +56,8 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
         return answer
     reason = (
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {count} roll-outs ({share:.0%}) end in the goal, "
-        f"fewer than the confidence {confidence:.0%} asks for; widen the tolerance, lower the confidence or the noise"
+        f"fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence or "
+        f"the noise"
     )
     seen = _obstacles(problem, plan.mode_sequence, ends)
     return replace(answer, outcome="not_verified", reason=reason, obstacles=(*plan.obstacles, *seen))
@@ -67,16 +77,22 @@ def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list
         found.append((share, Obstacle("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
     for index, value, tolerance in goal.target:
         coordinate, distance = automaton.coordinates[index], np.abs(ends.states[:, index] - value)
-        share = float((distance > tolerance).mean())
+        missed = distance > tolerance
+        share = float(missed.mean())
         need = float(np.quantile(distance, confidence))
         if need <= tolerance:
             continue
+        elsewhere = _elsewhere(names, missed, modes)
         text, has = quantity(need, coordinate.unit), quantity(tolerance, coordinate.unit)
         sentence = (
-            f"{share:.0%} of the roll-outs end outside of the goal for '{coordinate.name}': {confidence:.0%} of them "
-            f"need {text}, its tolerance is {has}"
+            f"{share:.0%} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
+            f"{percent(confidence)} of all need {text}, its tolerance is {has}"
         )
         remedy = f"widen the tolerance of '{coordinate.name}' to {text}, lower the noise, or lower `confidence`"
+        if elsewhere:
+            remedy = "lower the noise or the start's std, so that the transitions are surer"
+        if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
+            remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
         obstacle = Obstacle(
             "verification",
             sentence,
@@ -90,6 +106,23 @@ def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list
         )
         found.append((share, obstacle))
     return [obstacle for _, obstacle in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _elsewhere(names: list[str], missed: NDArray[np.bool_], modes: tuple[str, ...]) -> str:
+    """Where most of those that missed ended, if it is not the plan's last mode."""
+    ends = [name for name, out in zip(names, missed, strict=True) if out]
+    other = max(sorted(set(ends)), key=ends.count, default=modes[-1])
+    return "" if other == modes[-1] else f", most of them in mode '{other}'"
+
+
+def _localising(automaton: HybridAutomaton, last: str, index: int) -> str:
+    """A mode that pins a coordinate or senses it better than the last one; empty if there is none."""
+    worst = automaton.sensing(automaton.mode(last)).std[index]
+    for mode in automaton.modes:
+        pinned = any(pin.coordinate == index for pin in mode.pins)
+        if mode.name != last and (pinned or automaton.sensing(mode).std[index] < worst):
+            return mode.name
+    return ""
 
 
 def wilson_interval(successes: int, trials: int, coverage: float = INTERVAL) -> tuple[float, float]:

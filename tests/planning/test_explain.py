@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
-from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem, with_settings
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimensional, planar_problem, with_settings
 
+from micah_plan.automaton.hybrid import Noise
+from micah_plan.automaton.region import above
+from micah_plan.planning.amounts import quantity
 from micah_plan.planning.explain import explain
-from micah_plan.planning.obstacles import quantity
+from micah_plan.planning.obstacles import obstacle_of
 from micah_plan.planning.plan import Obstacle, Plan
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal, Problem
+from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.planning.transcription_rows import Row, Shortfall
 from micah_plan.planning.verification import verify
 from micah_plan.spec.problem_file import load_problem
+from micah_plan.workflow import solve
 
 
 def first(problem: Problem) -> Obstacle:
@@ -116,3 +123,42 @@ def test_short_lengths_are_in_millimetres() -> None:
     assert [quantity(0.012, "m"), quantity(1.5, "m"), quantity(0.3, "rad"), quantity(2.0, "")] == [
         "12 mm", "1.5 m", "0.3 rad", "2"
     ]  # fmt: skip
+
+
+def turned(step: float, process: float = 0.001) -> Problem:
+    """Behind the threshold the same input leads back."""
+    automaton = one_dimensional(0.0, 0.5, 1.0)
+    first, second = automaton.modes
+    noise = Noise((process,), (0.003,))
+    automaton = replace(automaton, modes=(first, replace(second, input_matrix=((-1.0,),))), noise=noise)
+    settings = PlannerSettings(samples_per_mode=40, max_step=(step,), max_knots=300, tightening_rounds=0)
+    return Problem(automaton, Start((0.4,), (0.004,)), Goal(((0, 0.6, 0.05),)), settings)
+
+
+def test_a_step_too_short_for_a_boundary_that_turns_is_named_and_a_longer_one_helps() -> None:
+    short = turned(0.006)
+    told = explain(short, solve(short))
+    obstacle = next(one for one in told.obstacles if one.level == "optimisation")
+    assert "moves the other way ('first' against 'second')" in obstacle.sentence
+    assert obstacle.remedy.startswith("raise max_step")
+    assert obstacle.room < obstacle.need
+    assert solve(turned(0.02)).outcome == "solved"
+
+
+def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
+    """The belief does not keep its distance from one boundary; the one that faces it is far away."""
+    boundary = above(0, 0.0, 1, 1, name="c")
+    shortfall = Shortfall(
+        Row("first", 3, "'c >= 0'", "m", 0.0, np.inf, "boundary", boundary, 1.0, 0.0), 0.002, 0.004, 0.5
+    )
+    obstacle = obstacle_of(turned(0.02), ("first",), shortfall)
+    assert obstacle.need == pytest.approx(1.645 * 0.004, rel=1e-3)
+    assert obstacle.room == pytest.approx(obstacle.need - 0.002)
+    assert "wide" not in obstacle.sentence
+
+
+def test_a_plan_that_could_find_out_where_it_is_is_told_to_come_back() -> None:
+    walls = load_problem(Path(__file__).resolve().parents[2] / "problems" / "walled_domain.yaml")
+    blunt = with_settings(walls, revisits=0, verification_trials=100, tightening_rounds=0)
+    obstacle = explain(blunt, solve(blunt)).obstacles[0]
+    assert "raise `revisits`" in obstacle.remedy

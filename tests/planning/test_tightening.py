@@ -8,6 +8,7 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem, with_settings
 
 from micah_plan.automaton.hybrid import Noise
+from micah_plan.planning.deadline import Deadline
 from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.problem import Problem
@@ -36,9 +37,9 @@ class Counted:
     def __init__(self) -> None:
         self.asked: list[float] = []
 
-    def __call__(self, problem: Problem) -> Plan:
+    def __call__(self, problem: Problem, *, deadline: Deadline) -> Plan:
         self.asked.append(problem.settings.confidence)
-        return plan(problem)
+        return plan(problem, deadline=deadline)
 
 
 def test_more_room_makes_a_plan_that_holds() -> None:

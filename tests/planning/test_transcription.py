@@ -27,7 +27,7 @@ from micah_plan.planning.transcription_state import factor_pattern, pack, unpack
 from micah_plan.symbolic.compiled import compile_automaton
 
 GUARD_MESSAGE = (
-    r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95% is missed by ([0-9.]+) m at knot \d+ in mode 'left'"
+    r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95% is missed by ([0-9.]+) mm at knot \d+ in mode 'left'"
 )
 
 
@@ -189,7 +189,7 @@ def test_a_gate_too_narrow_for_the_belief_is_named_with_the_amount() -> None:
     std = np.sqrt((phase.factors[-1] @ phase.factors[-1].T + phase.spreads[-1])[1, 1])
     missed = [re.fullmatch(GUARD_MESSAGE, sentence) for sentence in (missed.sentence for missed in unmet(nlp, problem))]
     assert all(missed)
-    assert sum(float(m.group(1)) for m in missed if m) == pytest.approx(2 * k * std - 0.01, rel=2e-2)
+    assert sum(float(m.group(1)) for m in missed if m) == pytest.approx(1e3 * (2 * k * std - 0.01), rel=2e-2)
 
 
 def test_a_start_point_that_is_not_a_number_is_found_before_the_solver_runs() -> None:
@@ -271,7 +271,7 @@ def test_rows_say_what_is_wrong_worst_first() -> None:
     rows = RowNames([Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)])
     assert rows.worst(np.array([-0.25, 0.4])) == [
         "the goal is missed by 0.3 rad at knot 1 in mode 'q'",
-        "the guard 'x >= 1' is missed by 0.25 m at knot 3 in mode 'q'",
+        "the guard 'x >= 1' is missed by 250 mm at knot 3 in mode 'q'",
     ]
     assert rows.worst(np.array([0.0, 0.1])) == []
     assert rows.largest_violation(np.array([0.0, np.nan])) == np.inf
