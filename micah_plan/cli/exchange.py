@@ -17,7 +17,8 @@ def convert(
     source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML) or URDF.")],
     target: Annotated[Path, typer.Argument(help="File to write; its ending says what.")],
     topic: Annotated[
-        list[str] | None, typer.Option(help="Topic or child frame of an MCAP file to read; default: all with poses.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Topic or child frame of an MCAP file to read; default: all with poses."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

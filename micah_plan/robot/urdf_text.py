@@ -21,6 +21,8 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed")
 MOST_LINKS = 1000
 _PACKAGE = "package://"
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+# Attributes that hold numbers. Python reads "0.05 " and "1_0" as numbers; the parser of URDF leaves such a shape out.
+_NUMBERS = {"xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", *_INERTIA}
 
 
 def check_urdf(root: Element, source: str, folder: str, packages: Mapping[str, str]) -> CheckedRobot:
@@ -58,6 +60,10 @@ class _Checker:
         bodies = [self._link(link) for link in links.values()]
         colors = {name: self._colors(link) for name, link in links.items()}
         clean = Element("robot", {"name": root.attributes.get("name", "robot")}, root.line, [*bodies, *children])
+        for element in clean.walk():
+            element.attributes.update(
+                {key: _plain(text) for key, text in element.attributes.items() if key in _NUMBERS}
+            )
         mimics = frozenset(name for name, joint in joints.items() if joint.first("mimic") is not None)
         return CheckedRobot("urdf", write_xml(clean), colors, mimics)
 
@@ -226,3 +232,8 @@ class _Checker:
                 self._remember(material)
                 found.append(self._materials.get(material.attributes.get("name", ""), ""))
         return tuple(color for color in found if color)
+
+
+def _plain(text: str) -> str:
+    """Numbers as every parser reads them."""
+    return " ".join(repr(float(word)) for word in text.split())

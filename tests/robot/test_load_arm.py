@@ -202,3 +202,12 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(data: st.DataObject) -> N
     except InputError as error:
         joints, message = 0, str(error)
     assert joints >= 1 or "\n" not in message
+
+
+def test_numbers_that_only_python_reads_lose_no_shape(capfd: pytest.CaptureFixture[str]) -> None:
+    """With a blank behind a radius, the parser of URDF would say so on stderr and leave the shape out."""
+    good = ARM7.read_text()
+    changed = good.replace('radius="0.05"', 'radius="0.0_5 "')
+    assert changed != good
+    assert load_arm(described(changed, "tool")).geometry.ngeoms == load_arm(described(good, "tool")).geometry.ngeoms
+    assert capfd.readouterr() == ("", "")
