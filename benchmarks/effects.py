@@ -29,12 +29,14 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, revolute, rigid
-from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward
 from micah_plan.residual.calibrate import calibrate
 
 _ANGLE = 0.6
 _TURN = np.array([[np.cos(_ANGLE), np.sin(_ANGLE), 0.0], [-np.sin(_ANGLE), np.cos(_ANGLE), 0.0], [0.0, 0.0, 1.0]])
 DISTURBANCE = 1.0 / 3.0
+# What the configuration is read with: the position's noise, and a share of the orientation's (`kinematics.inverse`).
+READ = float(np.hypot(1.0, ROTATION_LENGTH**2 / (ROTATION_LENGTH**2 + plants.RADIUS**2)))
 
 
 @dataclass(frozen=True)
@@ -143,12 +145,13 @@ def trial(name: str, size: float, runs: int, seed: int) -> Trial:
     across = plants.RADIUS * noise
     recording = plants.door_recording(moved, across=across, seed=seed, shape=planted.shape, turn=planted.turn)
     found = calibrate(door(halves=planted.halves), recording)
-    floor = noise * np.sqrt(2.0 + DISTURBANCE**2)
+    floor = noise * np.sqrt(2.0 * READ**2 + DISTURBANCE**2)
     if any(effect.effect.name in ("screw_pitch", "axis_offset") for effect in found.effects):
         floor = plants.RADIUS * np.hypot(floor, noise * np.sqrt(2.0))
     first = found.effects[0] if found.effects else None
     said = [first.effect.name, *first.tied] if first is not None else []
     others = {one.effect.name for one in found.effects[1:]}
+    modes = [mode for one in found.traces for mode in one.missing_modes]
     hits = [truth for truth in planted.truth if truth in said]
     is_right = bool(hits) and all(truth in others or truth in hits for truth in planted.truth)
     if not planted.truth:
@@ -164,7 +167,7 @@ def trial(name: str, size: float, runs: int, seed: int) -> Trial:
         verdict=found.verdict,
         is_right=is_right,
         is_tied=is_right and bool(said) and said[0] not in planted.truth,
-        said=" + ".join(_described(one) for one in found.effects) or "nothing",
+        said=" + ".join(_described(one) for one in found.effects) or "; ".join(map(str, modes)) or "nothing",
         error=error,
         is_covered=is_covered,
         over_floor=found.after.one_step / floor,

@@ -11,10 +11,12 @@ section 3.5 (evidence of a linear model).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
@@ -29,11 +31,15 @@ _MOST_ROWS = 800
 _STARTS = 150
 _FEWEST_ROWS = 40
 _BUMPS = 12
-# Evidence by which the pieces must be ahead [nats], and rows and share of the range that a piece must have.
+# Evidence by which the pieces must be ahead [nats], how many cuts there may be, and rows and share of the range that a
+# piece must have.
 _CLEARLY = 10.0
+_MOST_CUTS = 4
 _FEWEST_IN_PIECE = 8
 _NARROWEST = 0.05
-_OUTLIER = 4.0
+_OUTLIER = 12.0
+# Degrees of freedom of a residual's distribution, and rounds for its scale.
+_FREEDOM, _ROUNDS = 4.0, 20
 _AS_THE_MODEL, _OTHERWISE = 0, 1
 
 
@@ -66,12 +72,14 @@ class MissingMode:
         return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}"
 
 
-def missing_modes(lane: Lane, innovations: Floats, fold: Ints, rival: float) -> tuple[MissingMode, ...]:
+def missing_modes(
+    lane: Lane, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = ()
+) -> tuple[MissingMode, ...]:
     """Ranges in which a lane moves otherwise, where changepoints say more than anything gradual.
 
     Args:
         innovations: (S, T) of the model as it is; fold: (S,) that each stretch is held out with.
-        rival: evidence of the best other explanation over the model as it is [nats].
+        rivals: (S, T) held-out innovations of other explanations.
     """
     starts = lane.counted_starts
     place = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)[starts]
@@ -82,14 +90,15 @@ def missing_modes(lane: Lane, innovations: Floats, fold: Ints, rival: float) -> 
         return ()
     smooth = _smooth(place, v, low, high)
     noise = _scatter(e - smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0])
-    e = np.clip(e / noise, -_OUTLIER * 3.0, _OUTLIER * 3.0)
+    e = np.clip(e / noise, -_OUTLIER, _OUTLIER)
     scaled = v / lane.command_size
     cuts, otherwise = _pieces(place, scaled, e, low, high)
-    if not cuts.size or not any(otherwise):
+    if not 0 < cuts.size <= _MOST_CUTS or not any(otherwise):
         return ()
     piecewise = _by_piece(place, scaled, cuts, otherwise)
-    gains = [_predicted(e, design, held) for design in (piecewise, smooth)]
-    evidence = gains[0] - max(gains[1], rival, 0.0)
+    others = [np.roll(rival, -1, axis=1)[starts] / noise for rival in rivals]
+    best = max(_log_density(left) for left in (e, _held_out(e, smooth, held), *others))
+    evidence = _log_density(_held_out(e, piecewise, held)) - best
     if evidence < _CLEARLY:
         return ()
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -145,16 +154,23 @@ def _by_piece(place: Floats, v: Floats, cuts: Floats, otherwise: list[bool]) -> 
     return np.stack([column for own in inside for column in (own, own * v)], axis=1)
 
 
-def _predicted(e: Floats, design: Floats, held: Ints) -> float:
-    """Log likelihood of held-out residuals (unit noise) over that of the model as it is [nats]."""
-    gain = 0.0
+def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
+    """(N,) what a regression on the other folds leaves of each."""
+    left = np.empty_like(e)
     for fold in np.unique(held):
         test = held == fold
         a, b = design[~test], e[~test]
-        beta = np.linalg.solve(a.T @ a + 1e-3 * np.eye(a.shape[1]), a.T @ b)
-        left = np.clip(e[test] - design[test] @ beta, -_OUTLIER, _OUTLIER)
-        gain += 0.5 * float((np.clip(e[test], -_OUTLIER, _OUTLIER) ** 2).sum() - (left**2).sum())
-    return gain
+        left[test] = e[test] - design[test] @ np.linalg.solve(a.T @ a + 1e-3 * np.eye(a.shape[1]), a.T @ b)
+    return left
+
+
+def _log_density(left: Floats) -> float:
+    """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
+    scale2 = max(float(np.mean(left**2)), 1e-18)
+    for _ in range(_ROUNDS):
+        weight = (_FREEDOM + 1.0) / (_FREEDOM + left**2 / scale2)
+        scale2 = max(float(np.mean(weight * left**2)), 1e-18)
+    return float(student_t.logpdf(left / np.sqrt(scale2), _FREEDOM).sum() - 0.5 * len(left) * np.log(scale2))
 
 
 class _Lines:

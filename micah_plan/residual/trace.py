@@ -113,8 +113,8 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     is_enough = search.leaves_nothing(chosen)
     modes: tuple[MissingMode, ...] = ()
     if not is_enough:
-        rival = max(one.over(search.nominal)[0] for one in (chosen, loose))
-        modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rival)
+        rivals = [search.innovations(one) for one in (chosen, loose)]
+        modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rivals)
     if modes:
         # Effects that act everywhere only imitate what a mode of its own does in one place.
         growth = Growth(search.nominal, growth.alternatives)

@@ -37,7 +37,7 @@ def told(door, plant, seed):
     (lane,) = lanes(door, tracks(door, recorded(plant, seed)))
     errors = np.zeros_like(lane.z)
     errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, END)[:, :-1]
-    return missing_modes(lane, errors, np.arange(len(lane.run)) % 4, 0.0)
+    return missing_modes(lane, errors, np.arange(len(lane.run)) % 4)
 
 
 @pytest.mark.parametrize("seed", range(3))
