@@ -55,7 +55,8 @@ def compare_arrays(
 
     Args:
         joints: the h joints.
-        position, quaternion: (n, 3) [m] and (n, 4) rows; quaternion None if not measured.
+        position, quaternion: (n, 3) [m] and (n, 4) rows, or (h, n, 3) and (h, n, 4) of each joint its own; quaternion
+            None if not measured.
         rotation_length: what weighs rotation against position in "closest" [m/rad].
     """
     turning, moving = joints.turning, joints.moving
@@ -80,7 +81,7 @@ def compare_arrays(
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
     if len(pitched):
         angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], joints.pitch[pitched, None])
-    if len(position):
+    if angle.size:
         angle = _unwrapped(angle)
     half_sine, half_cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
     sine, versine = 2 * half_sine * half_cosine, 2 * half_sine**2

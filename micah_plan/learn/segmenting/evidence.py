@@ -126,9 +126,10 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
     log_correlation = float(np.log(np.diag(np.linalg.cholesky(noise.correlation))).sum())
     scaling = noise.decorrelation / np.sqrt(noise.left)[:, None]
-    squares = _squares(scaling, noise.predicted_back(error))
+    squares = np.stack([_squares(*one) for one in zip(scaling, noise.predicted_back(error), strict=True)])
     # The direction of motion is not counted here.
-    information = np.where(pool.moving[:, None], _squares(scaling, direction), 1.0)
+    information = np.stack([_squares(one, direction) for one in scaling])
+    information = np.where(pool.moving[:, None], information, 1.0)
     hidden = np.log(np.maximum(information, 1e-12))
     tails = (noise.dof + size) * np.log1p(squares / (noise.dof + size))
     log_volume = np.log(noise.left).sum(axis=1)[:, None, None]
@@ -138,9 +139,9 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
 
 
 def _squares(scaling: Floats, channels: Floats) -> Floats:
-    """(p + 1, h, n) squared lengths of channels (d, h, n) or (p + 1, d, h, n) that matrices (p + 1, d, d) scale."""
-    scaled = scaling @ channels.reshape(*channels.shape[:-2], -1)
-    return np.asarray(np.einsum("pdk,pdk->pk", scaled, scaled).reshape(len(scaled), *channels.shape[-2:]))
+    """(h, n) squared lengths of channels (d, h, n) that a matrix (d, d) scales."""
+    scaled = scaling @ channels.reshape(len(channels), -1)
+    return np.asarray(np.einsum("dk,dk->k", scaled, scaled).reshape(channels.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)

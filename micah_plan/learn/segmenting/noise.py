@@ -8,6 +8,7 @@ between channels (errors of rotation and position are tied by a lever arm) and h
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import lgamma, log, pi
@@ -115,20 +116,19 @@ class NoiseModel:
         left /= np.sqrt(self.left[order])
         return np.asarray(left @ self.decorrelation.T)
 
-    def predicted_back(self, errors: Floats) -> Floats:
-        """(p + 1, d, ..., n) errors (d, ..., n), channels first, less their prediction from 0, 1, ... p rows before.
+    def predicted_back(self, errors: Floats) -> Iterator[Floats]:
+        """Errors (d, ..., n), channels first, less their prediction from 0, 1, ... p rows before.
 
         By the lattice form: a row's error and that of the row before them, both told from the rows between.
         """
-        found = np.empty((len(self.left), *errors.shape))
-        found[0] = behind = errors
+        ahead = behind = errors
+        yield ahead
         for order in range(1, len(self.left)):
             reflection = self.coefficients[order, order - 1].reshape(-1, *(1,) * (errors.ndim - 1))
             delayed = np.zeros_like(behind)
             delayed[..., 1:] = behind[..., :-1]
-            found[order] = found[order - 1] - reflection * delayed
-            behind = delayed - reflection * found[order - 1]
-        return found
+            ahead, behind = ahead - reflection * delayed, delayed - reflection * ahead
+            yield ahead
 
     @cached_property
     def decorrelation(self) -> Floats:

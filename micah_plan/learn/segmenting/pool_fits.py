@@ -33,15 +33,19 @@ def fit_likelihood(
     """
     if not len(joints):
         return joints
-    order = _known_before(used, min(_ORDER, len(noise.left) - 1))
+    # The used rows of each first; as many as any of them has, the others count nothing.
+    index = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
+    order = np.take_along_axis(_known_before(used, min(_ORDER, len(noise.left) - 1)), index, axis=1)
+    used = np.take_along_axis(used, index, axis=1)
+    poses = track.position[index], None if track.quaternion is None else track.quaternion[index]
     # Channels before rows: then one product of matrices per joint makes them independent.
     scale = np.where(used[:, None], 1 / np.sqrt(noise.left.T[:, order]).swapaxes(0, 1), 0.0)
     coefficients = np.ascontiguousarray(noise.coefficients[order, : order.max()].transpose(2, 0, 3, 1))
-    seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
+    seen = compare_arrays(joints, *poses, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
     damping = np.full(len(joints), 1e-6)
     for _ in range(iterations):
-        design = parameter_design(joints, seen, track.position)
+        design = parameter_design(joints, seen, poses[0])
         size = design.shape[1]
         columns = _whitened(design, coefficients[..., None, :], scale[..., None, :])
         columns = noise.decorrelation @ columns.reshape(len(joints), size, -1)
@@ -56,7 +60,7 @@ def fit_likelihood(
         if 0.5 * (step * pull).sum(axis=1).max() < _CONVERGED:
             break
         trial = joints.moved(step)
-        after = compare_arrays(trial, track.position, track.quaternion, noise.rotation_length)
+        after = compare_arrays(trial, *poses, noise.rotation_length)
         trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
         better = trial_cost < cost
         joints, seen = trial.where(better, joints), _chosen(better, after, seen)
