@@ -1,9 +1,11 @@
 """Processor time of learning: recordings as a whole, growth with their rows and sweeps, and online per row.
 
-Usage: python benchmarks/learn_speed.py [--most ROWS]
+Usage: python benchmarks/learn_speed.py [FILE_OR_FOLDER ...] [--most ROWS]
 
-Times are of one process (set OMP_NUM_THREADS=1 for one core), after a first run that is not counted. A sweep is once
-there and back. Memory is the peak that Python's allocations add (tracemalloc, in a run of its own, which is slower).
+Times are of one process (set OMP_NUM_THREADS=1 for one core), after a first run that is not counted: the median of
+five, and the least of them, for a busy machine slows all. A sweep is once there and back. Memory is the peak that
+Python's allocations add (tracemalloc, in a run of its own, which is slower). Recordings are those of the arguments, or
+of ../shared/data/demonstrations (or $MICAH_DATA/demonstrations); left out where there are none.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
+from learn_demonstrations import DATA
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.joint import revolute
@@ -24,6 +28,7 @@ from micah_plan.learn.online import OnlineLearner
 from micah_plan.learn.run import learn_run
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
+from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 
 DOOR = revolute((0.0, 0.0, 1.0), (0.2, 0.3, 0.1), (0.6, 0.3, 0.4))
@@ -62,21 +67,26 @@ def swung(rows: int, sweep: int) -> np.ndarray:
     return OPEN * 0.5 * (1 - np.cos(2 * np.pi * np.arange(rows) / sweep))
 
 
-def seconds(job: Callable[[], object]) -> float:
-    """Median processor time after a first call."""
+def seconds(job: Callable[[], object]) -> tuple[float, float]:
+    """Median and least processor time after a first call."""
     job()
     taken = []
     for _ in range(REPEATS):
         begin = time.process_time()
         job()
         taken.append(time.process_time() - begin)
-    return float(np.median(taken))
+    return float(np.median(taken)), min(taken)
 
 
-def whole_recordings() -> None:
+def whole_recordings(paths: list[Path]) -> None:
     print("Whole recordings, learn_graph, all models fitted")
-    print(f"{'recording':<44}{'method':<11}{'seconds':>8}")
-    cases = [
+    print(f"{'recording':<44}{'method':<11}{'rows':>6}{'seconds':>9}{'least':>7}")
+    files = [file for path in paths for file in (sorted(path.rglob("*.csv")) if path.is_dir() else [path])]
+    if not files:
+        print(f"(no recordings in {', '.join(map(str, paths))})")
+    measured_ones = [(file.stem, read_recording(file)) for file in files]
+    cases = [(name, one, ("champ", "act-champ")[: 1 + one.has_actions]) for name, one in measured_ones]
+    cases += [
         ("150 rows, poses and actions", measured(shut(150), 1, acted=True), ("champ", "act-champ")),
         ("2400 rows, one motion", measured(shut(2400), 1, acted=False), ("champ",)),
         ("2400 rows, one motion, actions", measured(shut(2400), 1, acted=True), ("act-champ",)),
@@ -86,8 +96,8 @@ def whole_recordings() -> None:
     ]
     for name, recording, methods in cases:
         for method in methods:
-            taken = seconds(lambda r=recording, m=method: learn_graph(r, method=m))  # type: ignore[misc]
-            print(f"{name:<44}{method:<11}{taken:>8.2f}", flush=True)
+            taken, least = seconds(lambda r=recording, m=method: learn_graph(r, method=m))  # type: ignore[misc]
+            print(f"{name:<44}{method:<11}{len(recording):>6}{taken:>9.2f}{least:>7.2f}", flush=True)
 
 
 def growth_of_exact() -> None:
@@ -101,7 +111,7 @@ def growth_of_exact() -> None:
         for size, c in tracks:
             track = part_track(measured(c, 1, acted=False), 0, "part")
             job = lambda t=track: learn_run(t, LearnSettings(), False, np.random.default_rng(0))  # noqa: E731
-            found.append((size, seconds(job)))
+            found.append((size, seconds(job)[0]))
         exponents = ["", *(f"{np.log(b[1] / a[1]) / np.log(b[0] / a[0]):.2f}" for a, b in pairwise(found))]
         for (size, taken), exponent in zip(found, exponents, strict=True):
             print(f"{size:>8}{taken:>9.2f}{exponent:>9}", flush=True)
@@ -140,9 +150,10 @@ def _pushed(recording: Recording) -> tuple[OnlineLearner, list[float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", nargs="*", type=Path, default=[DATA / "demonstrations"])
     parser.add_argument("--most", type=int, default=100_000, help="rows of the longest stream")
     options = parser.parse_args()
-    whole_recordings()
+    whole_recordings(options.paths)
     growth_of_exact()
     online(options.most)
 
