@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import linear_step
+from micah_plan.planning.remembering import linear_step, steps_of_memory
 
 Floats = NDArray[np.float64]
 
@@ -42,9 +42,15 @@ def belief_lqr(
     n, m = automaton.n, automaton.m
     tracking = np.diag(_TRACKING_WEIGHT / limits.speed**2)
     effort = np.diag(1.0 / limits.max_step**2)
-    value = tracking.copy()
+    goal = np.zeros((n, n))
     for index, _, tolerance in problem.goal.target:
-        value[index, index] += settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT) / tolerance**2
+        goal[index, index] += settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT) / tolerance**2
+    value = tracking + goal
+    if automaton.registers:  # what still arrives after the last knot counts too, else the last inputs are huge
+        last = np.array(problem.start.mean) if around is None else around[0][-1]
+        A = linear_step(automaton, modes[-1], last, limits.max_step, limits.max_step)[0]
+        rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])
+        value += rest.T @ goal @ rest
     gains = np.zeros((len(is_transition), m, n))
     for k in reversed(range(len(is_transition))):
         value = _without_pinned(problem, modes[k + 1], value)

@@ -199,3 +199,10 @@ def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
     A, B = linear_step(late, "prismatic", place, place[:1], largest)
     np.testing.assert_allclose(A[0], [1.0, 0.0, 0.5], atol=1e-9)
     np.testing.assert_allclose(B, [[0.0], [1.0], [0.0]], atol=1e-9)
+
+
+def test_feedback_counts_with_what_arrives_after_the_last_knot(drawer) -> None:
+    """Of a delay of 0.92 steps nearly all of the last input arrives too late to be seen at the end."""
+    plan = workflow.solve(with_effect(drawer, Effect("delay", "drawer", (("steps", 0.92),))))
+    assert plan.success_probability > 0.97
+    assert np.abs(plan.trajectory.gains[:, 0, 0]).max() < 1.5
