@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
-from micah_plan.learn.segmenting.exact import best_segmentation, length_terms
+from micah_plan.learn.segmenting.exact import best_segmentation
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.settings import LearnSettings
 
@@ -55,8 +55,7 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT
-    gained = _anywhere(found.pieces, table, prior)
-    return Segmentation(merged(found.pieces), found.log_probability + gained - float(cost))
+    return Segmentation(merged(found.pieces), found.log_probability - float(cost))
 
 
 def _fewest(apart: Segmentation, under: Callable[..., Segmentation]) -> Segmentation:
@@ -89,18 +88,3 @@ def merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
             piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
         joined.append(piece)
     return tuple(joined)
-
-
-def _anywhere(pieces: tuple[Piece, ...], table: EvidenceTable, prior: LengthPrior) -> float:
-    """By how much segments are likelier where each changepoint may lie anywhere between those beside it [nats].
-
-    Rows under strong noise leave open where a changepoint is, but not that there is one.
-    """
-    lengths = length_terms(prior, table.log_density.shape[1])
-    gained = 0.0
-    for a, b in pairwise(pieces):
-        starts = np.arange(a.start + 1, b.end + 1)
-        total = table.sums[a.hypothesis, a.start, starts - 1] + lengths[a.start, starts - 1]
-        total = total + table.sums[b.hypothesis, starts, b.end] + lengths[starts, b.end]
-        gained += float(np.logaddexp.reduce(total) - total[b.start - a.start - 1])
-    return gained
