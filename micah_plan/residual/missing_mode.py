@@ -98,7 +98,8 @@ def missing_modes(
     piecewise = _by_piece(place, scaled, cuts, otherwise)
     others = [np.roll(rival, -1, axis=1)[starts] / noise for rival in rivals]
     best = max(_log_density(left) for left in (e, _held_out(e, smooth, held), *others))
-    evidence = _log_density(_held_out(e, piecewise, held)) - best
+    left = _held_out(e, piecewise, held)
+    evidence = _independent_share(left) * (_log_density(left) - best)
     if evidence < _CLEARLY:
         return ()
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -112,6 +113,13 @@ def missing_modes(
             ends = float(edges[k]), float(edges[k + 1])
             found.append(MissingMode(lane.coordinate, lane.unit, *ends, gain, bias, evidence))
     return tuple(found)
+
+
+def _independent_share(left: Floats) -> float:
+    """Which share of rows (N,) in time order counts: (1 - r) / (1 + r), with r from each to the next (Bartlett)."""
+    left = left - left.mean()
+    r = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    return (1.0 - max(r, 0.0)) / (1.0 + max(r, 0.0))
 
 
 def _scatter(values: Floats) -> float:

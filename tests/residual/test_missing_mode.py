@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planted_effects as plants
 import pytest
+from scipy.signal import lfilter
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
@@ -52,6 +53,14 @@ def test_motion_that_changes_at_a_place_is_a_mode(door, seed) -> None:
 @pytest.mark.parametrize("plant", ["honest", "sprung", "rippled", "late"])
 def test_what_changes_gradually_or_everywhere_is_none(door, plant) -> None:
     assert told(door, getattr(plants, plant), 1) == ()
+
+
+@pytest.mark.parametrize("seed", [3, 7])
+def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
+    (lane,) = lanes(door, tracks(door, recorded(plants.honest, 1)))
+    fresh = np.random.default_rng(seed).normal(0.0, 0.001, lane.z.shape)
+    wandering = lfilter([1.0], [1.0, -0.97], fresh, axis=1)
+    assert missing_modes(lane, wandering, np.arange(len(lane.run)) % 4) == ()
 
 
 def test_calibration_names_it_with_its_place_and_what_to_do(door) -> None:
