@@ -281,3 +281,9 @@ def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) 
     assert {
         name for name in top if name not in documented and not any(d.startswith(f"{name}.") for d in documented)
     } == set()
+
+
+def test_no_two_test_files_have_one_name(repository: Path) -> None:
+    """Folders of tests are no packages, so a second file of a name cannot be collected with the first."""
+    names = [path.name for path in (repository / "tests").rglob("*.py") if path.name != "conftest.py"]
+    assert sorted({name for name in names if names.count(name) > 1}) == []

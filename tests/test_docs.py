@@ -29,6 +29,7 @@ COMMANDS = (
     "execute",
     "predict",
     "calibrate",
+    "diff",
     "show",
     "convert",
     "check",
