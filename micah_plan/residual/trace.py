@@ -113,7 +113,8 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     is_enough = search.leaves_nothing(chosen)
     modes: tuple[MissingMode, ...] = ()
     if not is_enough:
-        rivals = [search.innovations(one) for one in (chosen, loose)]
+        # An idle correction predicts as the model without it, which is among them.
+        rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
         modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rivals)
     if modes:
         # Effects that act everywhere only imitate what a mode of its own does in one place.
