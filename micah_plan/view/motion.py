@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
@@ -45,8 +46,15 @@ def poses_over_time(
 ) -> dict[str, RigidTransform]:
     """(k,) poses by part; `offset` (k, n) is added to the states."""
     states = keys.states if offset is None else keys.states + offset
-    single = [part_poses(automaton, automaton.mode(q), x) for q, x in zip(keys.modes, states, strict=True)]
-    return {link.child: transforms([poses[link.child] for poses in single]) for link in automaton.links}
+    matrices = {link.child: np.empty((len(states), 4, 4)) for link in automaton.links}
+    for name in dict.fromkeys(keys.modes):  # all states of a mode at once
+        rows = np.flatnonzero([own == name for own in keys.modes])
+        poses: dict[str, RigidTransform] = {}
+        for link, joint in zip(automaton.links, automaton.mode(name).joints, strict=True):
+            relative = forward(joint, states[rows, link.coordinate])
+            poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
+            matrices[link.child][rows] = poses[link.child].as_matrix()
+    return {child: RigidTransform.from_matrix(found) for child, found in matrices.items()}
 
 
 def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Floats:
