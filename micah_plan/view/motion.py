@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.part_poses import part_poses
+from micah_plan.automaton.part_poses import part_poses, poses_of_states
 from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 from micah_plan.view.scene import Scene, slug, transforms
@@ -49,11 +48,8 @@ def poses_over_time(
     matrices = {link.child: np.empty((len(states), 4, 4)) for link in automaton.links}
     for name in dict.fromkeys(keys.modes):  # all states of a mode at once
         rows = np.flatnonzero([own == name for own in keys.modes])
-        poses: dict[str, RigidTransform] = {}
-        for link, joint in zip(automaton.links, automaton.mode(name).joints, strict=True):
-            relative = forward(joint, states[rows, link.coordinate])
-            poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
-            matrices[link.child][rows] = poses[link.child].as_matrix()
+        for child, poses in poses_of_states(automaton, automaton.mode(name), states[rows]).items():
+            matrices[child][rows] = poses.as_matrix()
     return {child: RigidTransform.from_matrix(found) for child, found in matrices.items()}
 
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.part_poses import poses_of_states
 from micah_plan.automaton.ranges import region_interval, single_bound
 
 Floats = NDArray[np.float64]
@@ -38,11 +37,7 @@ def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str
     """(3, n) derivative of the handle's position by the state, by central differences along the chain of links."""
     steps = _DIFFERENCE * np.eye(automaton.n)
     states = np.concatenate([x + steps, x - steps])
-    poses: dict[str, RigidTransform] = {}
-    for link, joint in zip(automaton.links, mode.joints, strict=True):
-        relative = forward(joint, states[:, link.coordinate])
-        poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
-    handles = poses[part].apply(handle_in_part(automaton, part))
+    handles = poses_of_states(automaton, mode, states)[part].apply(handle_in_part(automaton, part))
     return np.asarray((handles[: automaton.n] - handles[automaton.n :]).T / (2 * _DIFFERENCE))
 
 
