@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from micah_plan import cli, workflow
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.recording.read import read_recording
 from micah_plan.spec.model_file import dump_model, load_model
@@ -168,7 +169,7 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
 
 def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path):
     drawer = load_model(repository / "models" / "drawer.yaml")
-    dump_model(drawer.with_effect(Effect("lag", "drawer", (("steps", 0.3),))), tmp_path / "lags.yaml")
+    dump_model(with_effect(drawer, Effect("lag", "drawer", (("steps", 0.3),))), tmp_path / "lags.yaml")
     solved = micah("solve", "problems/drawer_open.yaml", "--model", tmp_path / "lags.yaml", "--json",
                    "--planner", "direct", "-o", tmp_path / "plan.json")  # fmt: skip
     (told,) = only_json(solved)["warnings"]

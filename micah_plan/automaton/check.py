@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from micah_plan.automaton.consistency import check_connected, check_entry, check_held, check_pin
+from micah_plan.automaton.effects.add import check_effect
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Tie
 from micah_plan.automaton.region import Region
@@ -53,7 +54,7 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
         for k, link in enumerate(automaton.links):
             yield ("modes", mode.name, "joints", link.child, "held"), partial(check_held, automaton, mode, k)
     for i, effect in enumerate(automaton.effects):
-        yield ("effects", i), partial(automaton.check_effect, effect)
+        yield ("effects", i), partial(check_effect, automaton, effect)
     for i, edge in enumerate(automaton.edges):
         yield ("edges", i, "guard"), partial(check_entry, automaton, edge)
     for mode in automaton.modes:

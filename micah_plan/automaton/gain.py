@@ -11,16 +11,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
-
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 
 Floats = NDArray[np.float64]
 

@@ -5,17 +5,15 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.automaton.gain import mode_gains
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Region
@@ -289,71 +287,9 @@ class HybridAutomaton:
             raise InputError(f"unknown coordinate {shown(coordinate)}", remedy=f"choose one of {', '.join(names)}")
         return names.index(coordinate)
 
-    def with_effect(self, *effects: Effect) -> HybridAutomaton:
-        """A new automaton with these effects added, in order; the compiler, transition and filter then have them.
-
-        Raises:
-            InputError: for an unknown effect, coordinate, mode or set of parameters.
-        """
-        automaton = self
-        for effect in effects:
-            automaton.check_effect(effect)
-            rebuilt = form(effect.name).rebuilt(automaton, self.index(effect.coordinate), effect.values)
-            automaton = replace(rebuilt, effects=(*automaton.effects, effect))
-        return automaton
-
-    def check_effect(self, effect: Effect) -> None:
-        """Refuse an effect that does not fit.
-
-        Raises:
-            InputError: see `with_effect`.
-        """
-        own = form(effect.name)
-        self.index(effect.coordinate)
-        for name in effect.modes:
-            self.mode(name)
-        names, known = [name for name, _ in effect.parameters], [p.name for p in own.parameters]
-        if names != known:
-            raise InputError(f"effect {effect.name} must have the parameters {', '.join(known)}. Got {shown(names)}")
-        if effect.std and len(effect.std) != len(known):
-            raise InputError(f"effect {effect.name} must have {len(known)} stds or none. Got {len(effect.std)}")
-        for value, parameter in zip(effect.values, own.parameters, strict=True):
-            if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper):
-                bounds = f"{parameter.lower:g} to {parameter.upper:g}"
-                raise InputError(f"effect {effect.name}: {parameter.name} must be finite, {bounds}. Got {value}")
-
-    def with_clamps(
-        self, modes: Sequence[str], guard: Region, keep: Matrix, offset: tuple[float, ...]
-    ) -> HybridAutomaton:
-        """A new automaton with a clamp x⁺ = keep x + offset behind a guard in each of these modes."""
-        clamps = tuple(Edge(mode, mode, guard, Reset(A=keep, c=offset)) for mode in modes)
-        return replace(self, edges=(*self.edges, *clamps))
-
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
         return tuple(edge for edge in self.edges if edge.source == name)
-
-    def free_process_std(self, mode: Mode) -> tuple[float, ...]:
-        """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that it holds or ties."""
-        held = {pin.coordinate for pin in mode.pins} | {tie.coordinate for tie in mode.ties}
-        return tuple(0.0 if i in held else std for i, std in enumerate(self.noise.process_std))
-
-    def gain_std(self, mode: Mode) -> Floats:
-        """(n,) relative std of how far an input moves each coordinate in a mode (`gain`); 0 for held and tied ones."""
-        known: dict[str, Floats] = self.derived.setdefault("gain_std", {})
-        if mode.name not in known:
-            held = {pin.coordinate for pin in mode.pins} | {tie.coordinate for tie in mode.ties}
-            known[mode.name] = np.zeros(self.n)
-            for i, _, std in mode_gains(self, mode):
-                known[mode.name][i] = 0.0 if i in held else std
-        return known[mode.name]
-
-    def step_noise_std(self, mode: Mode, u: Floats) -> Floats:
-        """(..., n) std of the noise of a step under inputs u (..., m): process noise, and the uncertain gain's."""
-        free, gain = np.array(self.free_process_std(mode)), self.gain_std(mode)
-        if not gain.any():
-            return np.broadcast_to(free, (*u.shape[:-1], self.n))
-        return np.asarray(np.hypot(free, gain * (u @ mode.B.T)))
 
     def sensing(self, mode: Mode) -> Sensing:
         """How a mode measures: what it states itself, and else the model's noise, with its light."""
@@ -362,13 +298,6 @@ class HybridAutomaton:
         for i, own in mode.observation_std:
             std[i], growth[i] = own, 0.0
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
-
-    def process_factor(self, mode: Mode, u: Floats) -> Floats:
-        """(..., n, n) N with N N' the covariance of a step's noise in a mode under u (..., m); ties included."""
-        factor = self.step_noise_std(mode, u)[..., None] * np.eye(self.n)
-        for tie in mode.ties:
-            factor[..., tie.coordinate, :] = np.array(tie.weights) @ factor
-        return factor
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
         """The target's pins on coordinates that the edge's guard constrains: the guard is where they are held."""

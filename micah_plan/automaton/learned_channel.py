@@ -6,6 +6,7 @@ another way. So a model does not have it, and prediction takes it only where it 
 
 from __future__ import annotations
 
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.memory import LONGEST_DELAY
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -35,4 +36,4 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
         found += [Effect("delay", name, (("steps", steps),))]
     if not found:
         raise InputError("the model holds no action channel", remedy="learn it from a recording with actions")
-    return automaton.with_effect(*found)
+    return with_effect(automaton, *found)

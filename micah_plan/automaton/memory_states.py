@@ -3,7 +3,7 @@
 The state is (x, m): m holds, for each such effect, the values that it remembers: the inputs of the last steps for a
 delay, the command that arrives for a lag, the place within the play for a backlash. Inputs are known, so m starts at
 rest, is known exactly, no noise moves it and no sensor shows it. A step of (x, m) is a step of x with the input that
-comes out of the memory (`register.passed_on`). Everything else stays as it is; goals, guards and joints know x only.
+comes out of the memory (`passing.passed_on`). Everything else stays as it is; goals, guards and joints know x only.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
+from micah_plan.automaton.passing import at_rest
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.register import Register
 
@@ -38,7 +39,7 @@ def without_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
 
 def memory_at_rest(automaton: HybridAutomaton) -> tuple[float, ...]:
     """(k,) the values of m before any input; empty where the automaton has none."""
-    return tuple(value for register in automaton.registers for value in register.at_rest)
+    return tuple(value for register in automaton.registers for value in at_rest(register))
 
 
 def remembering_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:

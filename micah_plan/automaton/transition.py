@@ -60,7 +60,7 @@ from micah_plan.automaton.guard_table import (
     next_entry,
 )
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.register import passed_on
+from micah_plan.automaton.passing import passed_on
 from micah_plan.errors import InputError, shown
 
 Floats = NDArray[np.float64]

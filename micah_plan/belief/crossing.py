@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.step_noise import process_factor, step_noise_std
 from micah_plan.belief.gaussian import FAR_STDS, SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
 from micah_plan.belief.truncation import Part, split
 
@@ -63,7 +64,7 @@ def whole_step(
     mode = automaton.mode(mode_name)
     n = mean.size
     displacement, slope = displaced(automaton, mode, mean, u)
-    noise = automaton.process_factor(mode, u)
+    noise = process_factor(automaton, mode, u)
     joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
     for tie in mode.ties:
         weights = np.array(tie.weights)
@@ -252,7 +253,7 @@ def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) ->
         weights, i = np.array(tie.weights), tie.coordinate
         mean[n + i], factor[n + i] = tie.offset + weights @ mean[n:], weights @ factor[n:]
         displacement[i] = weights @ displacement
-    old, new = (automaton.step_noise_std(mode, u) for mode in (source, target))
+    old, new = (step_noise_std(automaton, mode, u) for mode in (source, target))
     noise = np.vstack([np.zeros((n, n)), np.diag(piece.fraction * np.where(old == 0, new, 0.0))])
     factor = lower_factor(np.hstack([factor, noise]))
     mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))

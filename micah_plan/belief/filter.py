@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.register import passed_arrays
+from micah_plan.automaton.passing import passed_arrays
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.belief import gaussian
 from micah_plan.belief.crossing import Piece, cross, whole_step

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.mode_paths import JoinedRoadmap
 from micah_plan.planning.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
@@ -61,8 +62,8 @@ class PathBeliefs:
         sensing = [automaton.sensing(mode) for mode in modes]
         self._modes = _Modes(
             np.array([np.linalg.pinv(mode.B) for mode in modes]),
-            np.square([automaton.free_process_std(mode) for mode in modes]),
-            np.square([automaton.gain_std(mode) for mode in modes]),
+            np.square([free_process_std(automaton, mode) for mode in modes]),
+            np.square([free_gain_std(automaton, mode) for mode in modes]),
             np.array([one.std for one in sensing]),
             np.array([one.growth for one in sensing]),
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.memory_states import memory_at_rest, with_memory_states, without_memory_states
-from micah_plan.automaton.register import passed_arrays
+from micah_plan.automaton.passing import passed_arrays
 from micah_plan.planning.limits import motion_per_input
 from micah_plan.planning.problem import Problem
 

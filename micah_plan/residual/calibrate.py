@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -114,7 +115,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     seen = tracks(automaton, recording)
     _check_same_object(automaton, seen)
     geometry = geometry_findings(automaton, seen)
-    corrected = automaton.with_effect(*(found.effect for found in geometry))
+    corrected = with_effect(automaton, *(found.effect for found in geometry))
     measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
     if sum(len(track.time) for track in measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
@@ -128,7 +129,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     for one in traces:
         found += [_found(one.lane, finding) for finding in one.findings]
     found.sort(key=lambda effect: -effect.evidence)
-    improved = corrected.with_effect(*_to_add(traces))
+    improved = with_effect(corrected, *_to_add(traces))
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
     floor = _together([one.search.noise_floor(one.final) for one in traces], traces)
     if geometry:

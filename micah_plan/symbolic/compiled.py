@@ -22,9 +22,10 @@ import numpy as np
 
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.passing import passed_on
 from micah_plan.automaton.region import Region
-from micah_plan.automaton.register import passed_on
 from micah_plan.automaton.sensing import Sensing
+from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
@@ -236,7 +237,7 @@ def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols, u: ca.SX) -> ca.S
 
 def _step_noise_std(automaton: HybridAutomaton, mode: Mode, u: ca.SX) -> list[float | ca.SX]:
     """`HybridAutomaton.step_noise_std`: numbers where the gain is certain."""
-    free, gains, moved = automaton.free_process_std(mode), automaton.gain_std(mode), ca.mtimes(ca.DM(mode.B), u)
+    free, gains, moved = free_process_std(automaton, mode), free_gain_std(automaton, mode), ca.mtimes(ca.DM(mode.B), u)
     return [
         std if gain == 0.0 else ca.sqrt(max(std, SMALLEST_STD) ** 2 + (gain * moved[i]) ** 2)
         for i, (std, gain) in enumerate(zip(free, gains, strict=True))

@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.conformance import check_form
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.registry import register
@@ -42,7 +43,7 @@ def main() -> None:
     check_form(form)
     print(f"{form.name} conforms")
     plain = load_model("model.yaml")
-    dragged = plain.with_effect(Effect(form.name, "drawer", (("drag", 10.0),)))
+    dragged = with_effect(plain, Effect(form.name, "drawer", (("drag", 10.0),)))
     commands = np.full((5, 1), 0.04)
     for name, automaton in (("without", plain), ("with", dragged)):
         path = simulate(automaton, "slides", np.array([0.05]), commands)

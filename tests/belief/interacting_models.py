@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.step_noise import free_process_std
 
 
 class InteractingModels:
@@ -30,7 +31,7 @@ class InteractingModels:
         parts: list[list[tuple[float, np.ndarray, np.ndarray]]] = [[] for _ in names]
         for i, mode in enumerate(a.modes):
             left = float(self.weights[i])
-            noise = np.diag(np.square(a.free_process_std(mode)))
+            noise = np.diag(np.square(free_process_std(a, mode)))
             ahead, spread = mode.flow(self.means[i], inputs), self.covariances[i] + noise
             for edge in a.edges_from(mode.name):
                 if edge.is_self_transition:
@@ -51,7 +52,7 @@ class InteractingModels:
             if self.weights[j] > 0:
                 self._mix(j, weights / weights.sum(), parts[j])
             self.means[j] = mode.flow(self.means[j], inputs)
-            self.covariances[j] = self.covariances[j] + np.diag(np.square(a.free_process_std(mode)))
+            self.covariances[j] = self.covariances[j] + np.diag(np.square(free_process_std(a, mode)))
             for pin in mode.pins:
                 self.means[j, pin.coordinate] = pin.value
                 self.covariances[j, pin.coordinate] = self.covariances[j, :, pin.coordinate] = 0.0

@@ -8,6 +8,7 @@ import pytest
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.effects.conformance import check_form
 from micah_plan.automaton.effects.form import EffectForm, Parameter
@@ -77,7 +78,7 @@ def test_numpy_and_casadi_read_the_same_formula(name, c, v) -> None:
 
 @pytest.mark.parametrize("name", [name for name in SAMPLES if form(name).layer in ("command", "force")])
 def test_step_batch_filter_and_compiled_functions_move_alike(door, name) -> None:
-    changed = door.with_effect(effect(name))
+    changed = with_effect(door, effect(name))
     c, u = 0.3, 0.08
     expected = c + _displacement(name, c, u)
     assert step(changed, "revolute", [c], [u]).x[0] == pytest.approx(expected, abs=1e-14)
@@ -100,13 +101,13 @@ def _displacement(name, c, u):
 
 
 def test_an_effect_of_one_mode_acts_only_there(door) -> None:
-    changed = door.with_effect(effect("gain", modes=("rigid",)))
+    changed = with_effect(door, effect("gain", modes=("rigid",)))
     assert step(changed, "revolute", [0.3], [0.1]).x[0] == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("name", ["delay", "lag", "backlash"])
 def test_a_channel_with_memory_ends_where_it_was_sent(door, name) -> None:
-    changed = door.with_effect(effect(name))
+    changed = with_effect(door, effect(name))
     channel = InputChannel(changed)
     passed = [channel.pass_on([u])[0] for u in [0.1] * 5 + [0.0] * 40]
     assert sum(passed) == pytest.approx(0.5)
@@ -116,19 +117,19 @@ def test_a_channel_with_memory_ends_where_it_was_sent(door, name) -> None:
 
 
 def test_effects_on_ends_and_geometry_change_the_automaton_itself(door) -> None:
-    shifted = door.with_effect(effect("guard_shift", (-0.1, 1.0)))
+    shifted = with_effect(door, effect("guard_shift", (-0.1, 1.0)))
     assert step(shifted, "revolute", [0.8], [0.3]).x[0] == pytest.approx(0.9)
     assert step(shifted, "revolute", [0.8], [0.3]).mode == "rigid"
     np.testing.assert_allclose(shifted.mode("rigid").joints[0].position, forward(SWING, 0.9)[0].translation)
-    stopped = door.with_effect(effect("limit", (0.2, -1.0)))
+    stopped = with_effect(door, effect("limit", (0.2, -1.0)))
     assert step(stopped, "revolute", [0.3], [-0.3]).x[0] == pytest.approx(0.2)
-    sticky = door.with_effect(effect("guard_hysteresis", (0.05,)))
+    sticky = with_effect(door, effect("guard_hysteresis", (0.05,)))
     assert step(sticky, "rigid", [1.0], [-0.04]).x[0] == 1.0
     assert step(sticky, "rigid", [1.0], [-0.06]).x[0] == pytest.approx(0.94)
-    pitched = door.with_effect(effect("screw_pitch", (0.02,)))
+    pitched = with_effect(door, effect("screw_pitch", (0.02,)))
     assert forward(pitched.mode("revolute").joints[0], 1.0)[0].translation[2] == pytest.approx(0.12)
     assert pitched.mode("rigid").joints[0].position[2] == pytest.approx(0.12)
-    moved = door.with_effect(effect("axis_offset", (0.01, 0.0)))
+    moved = with_effect(door, effect("axis_offset", (0.01, 0.0)))
     assert np.linalg.norm(moved.mode("revolute").joints[0].center[:2]) == pytest.approx(0.01)
     for automaton in (shifted, stopped, sticky, pitched, moved):
         check_automaton(automaton)
@@ -137,13 +138,13 @@ def test_effects_on_ends_and_geometry_change_the_automaton_itself(door) -> None:
 
 def test_a_slide_without_ends_can_get_a_limit() -> None:
     slide = KinematicEdge(BASE, "door", (_segment(prismatic((1.0, 0, 0), (0.0, 0, 0)), 0.0, 0.5, (0, 9)),))
-    limited = build_automaton(KinematicGraph((slide,))).with_effect(effect("limit", (0.3, 1.0)))
+    limited = with_effect(build_automaton(KinematicGraph((slide,))), effect("limit", (0.3, 1.0)))
     run = simulate(limited, limited.modes[0].name, [0.1], [[0.1]] * 4)
     assert run.states[-1, 0] == pytest.approx(0.3)
 
 
 def test_files_keep_effects_with_spread_modes_and_note(door) -> None:
-    automaton = door.with_effect(effect("spring", std=(0.01, 0.02, 0.0), modes=("revolute",), note="since run 3"))
+    automaton = with_effect(door, effect("spring", std=(0.01, 0.02, 0.0), modes=("revolute",), note="since run 3"))
     assert usable_model(model_text(automaton).encode(), "model") == automaton
     bad = model_text(automaton).replace("name: spring", "name: sprung")
     with pytest.raises(InputError, match=r"model, line \d+.*unknown effect 'sprung'.*choose one of gain"):
@@ -154,11 +155,11 @@ def test_files_keep_effects_with_spread_modes_and_note(door) -> None:
 
 def test_effects_that_do_not_fit_are_refused(door) -> None:
     with pytest.raises(InputError, match="must have the parameters gain"):
-        door.with_effect(Effect("gain", "door", (("factor", 1.0),)))
+        with_effect(door, Effect("gain", "door", (("factor", 1.0),)))
     with pytest.raises(InputError, match="unknown coordinate 'lid'"):
-        door.with_effect(Effect("gain", "lid", (("gain", 1.0),)))
+        with_effect(door, Effect("gain", "lid", (("gain", 1.0),)))
     with pytest.raises(InputError, match="width must be finite, 0 to inf"):
-        door.with_effect(effect("dead_zone", (-0.1, 1.0)))
+        with_effect(door, effect("dead_zone", (-0.1, 1.0)))
 
 
 class Creep(EffectForm):
@@ -178,7 +179,7 @@ def test_a_form_of_ones_own_is_checked_and_then_known(door) -> None:
     check_form(own)
     register(own)
     try:
-        moved = step(door.with_effect(effect("creep", (0.05,))), "revolute", [0.3], [0.1])
+        moved = step(with_effect(door, effect("creep", (0.05,))), "revolute", [0.3], [0.1])
         assert moved.x[0] == pytest.approx(0.45)
         with pytest.raises(InputError, match="exists already"):
             register(own)

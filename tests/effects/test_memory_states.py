@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.effects.form import EffectForm, Parameter
 from micah_plan.automaton.effects.registry import form, register, unregister
@@ -20,6 +21,7 @@ from micah_plan.automaton.hybrid import Reset
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.memory_states import left_out, memory_at_rest, with_memory_states, without_memory_states
+from micah_plan.automaton.passing import at_rest
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.belief.batch import filter as batch_filter
 from micah_plan.belief.filter import initial_belief, predict, update
@@ -54,7 +56,7 @@ def remembering(automaton, *names):
     for key in names:
         name, values = EFFECTS[key]
         parameters = tuple(zip([p.name for p in form(name).parameters], values, strict=True))
-        automaton = automaton.with_effect(Effect(name, "door", parameters))
+        automaton = with_effect(automaton, Effect(name, "door", parameters))
     return automaton
 
 
@@ -84,7 +86,7 @@ def test_a_step_of_the_larger_state_is_what_the_devices_do(door, inputs, names, 
 
 def test_an_effect_of_one_mode_remembers_what_was_sent_in_the_other(door) -> None:
     delay = replace(remembering(door, "delay").effects[0], modes=("revolute",))
-    automaton = door.with_effect(delay)
+    automaton = with_effect(door, delay)
     inputs = np.array([0.1, 0.2, -0.05, -0.1, 0.0, -0.1, 0.03])[:, None]
     modes, states = twin(automaton, "revolute", [0.8], inputs)
     run = simulate(with_memory_states(automaton), "revolute", [0.8, 0.0, 0.0], inputs)
@@ -155,7 +157,7 @@ def test_devices_and_forms_pass_on_the_same(door, name, inputs) -> None:
 def test_a_channel_goes_on_from_what_is_remembered(door, name) -> None:
     automaton, inputs = remembering(door, name), np.random.default_rng(4).normal(scale=0.05, size=(12, 1))
     (register,) = with_memory_states(automaton).registers
-    first, memory = InputChannel(automaton), register.at_rest
+    first, memory = InputChannel(automaton), at_rest(register)
     for u in inputs[:6]:
         first.pass_on(u)
         _, memory = form(register.effect.name).remember(np, u[0], memory, register.effect.values)
@@ -165,7 +167,7 @@ def test_a_channel_goes_on_from_what_is_remembered(door, name) -> None:
 
 
 def test_a_channel_of_many_runs_is_many_channels(door) -> None:
-    automaton = door.with_effect(replace(remembering(door, "lag").effects[0], modes=("revolute",)))
+    automaton = with_effect(door, replace(remembering(door, "lag").effects[0], modes=("revolute",)))
     inputs, modes = np.random.default_rng(2).normal(size=(6, 4, 1)), np.random.default_rng(3).integers(0, 2, (6, 4))
     names, together = [mode.name for mode in automaton.modes], InputChannel(automaton)
     alone = [InputChannel(automaton) for _ in range(4)]
@@ -190,7 +192,7 @@ def test_a_users_effect_with_a_memory_becomes_states(door) -> None:
 
     register(Mean())
     try:
-        automaton = door.with_effect(Effect("mean", "door", (("share", 0.5),)))
+        automaton = with_effect(door, Effect("mean", "door", (("share", 0.5),)))
         inputs = np.array([[0.1], [0.0], [0.06]])
         run = simulate(with_memory_states(automaton), "revolute", [0.1, 0.0], inputs)
         np.testing.assert_allclose(run.states[:, 0], [0.1, 0.15, 0.2, 0.23], atol=1e-14)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from micah_plan import workflow
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.tracks import displacements
 from micah_plan.execution.closed_loop import execute
@@ -37,13 +38,13 @@ def drawer(repository):
     return replace(problem, settings=replace(problem.settings, verification_trials=200))
 
 
-def with_effect(problem, *effects):
-    return replace(problem, automaton=problem.automaton.with_effect(*effects))
+def problem_with(problem, *effects):
+    return replace(problem, automaton=with_effect(problem.automaton, *effects))
 
 
 @pytest.fixture(scope="module")
 def plans(drawer):
-    return {name: workflow.solve(with_effect(drawer, effect)) for name, effect in EFFECTS.items()}
+    return {name: workflow.solve(problem_with(drawer, effect)) for name, effect in EFFECTS.items()}
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -51,7 +52,7 @@ def test_plans_are_solved_and_come_to_rest_in_the_goal(drawer, plans, name) -> N
     plan, ((index, target, tolerance),) = plans[name], drawer.goal.target
     assert plan.outcome == "solved"
     assert plan.warnings == ()
-    whole = remembering(with_effect(drawer, EFFECTS[name])).automaton
+    whole = remembering(problem_with(drawer, EFFECTS[name])).automaton
     end = coasted(whole, plan.trajectory.modes[-1], plan.trajectory.means[-1])
     assert abs(end[index] - target) < 0.5 * tolerance
     assert abs(plan.trajectory.means[-1, index] - target) < 0.5 * tolerance
@@ -73,7 +74,7 @@ def test_a_late_start_is_corrected_by_what_is_not_yet_on_its_way(plans) -> None:
 def test_a_held_door_is_pulled_until_the_pull_arrives(repository, name) -> None:
     problem = load_problem(repository / "problems" / "microwave_open.yaml")
     values = (("steps", 2.0),) if name == "delay" else (("width", 0.1), ("side", 1.0))
-    plan = workflow.solve(with_effect(problem, Effect(name, "door", values)))
+    plan = workflow.solve(problem_with(problem, Effect(name, "door", values)))
     assert plan.outcome == "solved"
     assert plan.mode_sequence == ("rigid", "revolute")
     assert plan.trajectory.modes.count("rigid") >= 2
@@ -82,7 +83,7 @@ def test_a_held_door_is_pulled_until_the_pull_arrives(repository, name) -> None:
 
 def test_steps_of_memory(drawer) -> None:
     def steps(name):
-        return steps_of_memory(remembering(with_effect(drawer, EFFECTS[name])).automaton, np.array([0.05]))
+        return steps_of_memory(remembering(problem_with(drawer, EFFECTS[name])).automaton, np.array([0.05]))
 
     assert steps("delay") == (2, 2)
     assert steps("backlash") == (3, 0)  # the third step of 5 cm takes up the last of 15 cm and arrives with the fourth
@@ -92,7 +93,7 @@ def test_steps_of_memory(drawer) -> None:
 
 
 def test_a_linear_step_is_the_step(drawer) -> None:
-    whole = remembering(with_effect(drawer, EFFECTS["delay"], EFFECTS["lag"])).automaton
+    whole = remembering(problem_with(drawer, EFFECTS["delay"], EFFECTS["lag"])).automaton
     A, B = linear_step(whole, "prismatic", np.zeros(whole.n), np.zeros(1), np.array([0.03]))
     kept = np.exp(-0.5)
     expected = [[1, 0, 1 - kept, kept], [0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1 - kept, kept]]
@@ -101,7 +102,7 @@ def test_a_linear_step_is_the_step(drawer) -> None:
 
 
 def test_verification_finds_out_a_plan_that_does_not_know_the_delay(drawer, plans) -> None:
-    late, nominal = with_effect(drawer, EFFECTS["delay"]), workflow.solve(drawer)
+    late, nominal = problem_with(drawer, EFFECTS["delay"]), workflow.solve(drawer)
     ends = {}
     for name, plan in (("nominal", nominal), ("own", plans["delay"])):
         chances = draw_chances(late, plan.trajectory, 100, 0)
@@ -110,7 +111,7 @@ def test_verification_finds_out_a_plan_that_does_not_know_the_delay(drawer, plan
 
 
 def test_a_plan_with_memory_is_written_read_and_shown(drawer, plans, tmp_path) -> None:
-    late = with_effect(drawer, EFFECTS["delay"])
+    late = problem_with(drawer, EFFECTS["delay"])
     write_plan(plans["delay"], late, tmp_path / "plan.json")
     stored = load_plan(tmp_path / "plan.json")
     np.testing.assert_array_equal(stored.plan.trajectory.means, plans["delay"].trajectory.means)
@@ -120,7 +121,7 @@ def test_a_plan_with_memory_is_written_read_and_shown(drawer, plans, tmp_path) -
 
 
 def test_replanning_knows_what_is_on_its_way(drawer, plans) -> None:
-    late = with_effect(drawer, EFFECTS["delay"])
+    late = problem_with(drawer, EFFECTS["delay"])
     plant, rng = NominalPlant(late.automaton, late.start), np.random.default_rng(0)
     result = execute(late, plans["delay"].trajectory, plant, rng, max_steps=6)
     belief = result.beliefs[-1]
@@ -145,9 +146,9 @@ def settled_error(problem, plan, truth, seed):
 @pytest.mark.parametrize("name", EFFECTS)
 def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> None:
     noise = replace(drawer.automaton.noise, process_std=(2e-4,))
-    truth = replace(drawer.automaton, noise=noise).with_effect(EFFECTS[name])
+    truth = with_effect(replace(drawer.automaton, noise=noise), EFFECTS[name])
     nominal = np.array([settled_error(drawer, workflow.solve(drawer), truth, seed) for seed in range(3)])
-    late = with_effect(drawer, EFFECTS[name])
+    late = problem_with(drawer, EFFECTS[name])
     own = np.array([settled_error(late, plans[name], truth, seed) for seed in range(3)])
     assert own[:, 0].max() < 0.01
     if name == "backlash":  # feedback takes the play up, step by step; whoever knows of it does so at once
@@ -158,7 +159,7 @@ def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> Non
 
 @pytest.mark.parametrize(("name", "values"), [("sensor_scale", (0.7,)), ("drift", (0.01,))])
 def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> None:
-    wrong = with_effect(drawer, Effect(name, "drawer", (("scale" if name == "sensor_scale" else "rate", values[0]),)))
+    wrong = problem_with(drawer, Effect(name, "drawer", (("scale" if name == "sensor_scale" else "rate", values[0]),)))
     plan = workflow.solve(drawer)
     errors = {}
     for key, problem in (("not known", drawer), ("known", wrong)):
@@ -171,7 +172,7 @@ def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> 
 
 def test_commands_in_a_turned_frame_are_read_back_as_the_inputs(drawer) -> None:
     turn = Effect("frame_rotation", "drawer", (("rotation_1", 0.1), ("rotation_2", -0.4), ("rotation_3", 0.3)))
-    turned = drawer.automaton.with_effect(turn)
+    turned = with_effect(drawer.automaton, turn)
     x, u = np.array([0.1]), np.array([0.02])
     order, plain = (command(automaton, "prismatic", x, u) for automaton in (turned, drawer.automaton))
     assert np.linalg.norm(order.handle - plain.handle) > 0.005
@@ -180,21 +181,21 @@ def test_commands_in_a_turned_frame_are_read_back_as_the_inputs(drawer) -> None:
 
 
 def test_no_more_is_commanded_than_a_saturation_lets_through(drawer) -> None:
-    weak = with_effect(drawer, Effect("saturation", "drawer", (("largest", 0.013),)))
+    weak = problem_with(drawer, Effect("saturation", "drawer", (("largest", 0.013),)))
     assert limits_of(weak).max_step[0] == pytest.approx(0.013, abs=1e-9)
-    assert limits_of(with_effect(drawer, Effect("gain", "drawer", (("gain", 0.5),)))).max_step[0] == 0.03
+    assert limits_of(problem_with(drawer, Effect("gain", "drawer", (("gain", 0.5),)))).max_step[0] == 0.03
     plan = workflow.solve(weak)
     assert plan.outcome == "solved"
     assert len(plan.trajectory.inputs) > 0.22 / 0.013
 
 
 def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
-    weak = with_effect(drawer, Effect("gain", "drawer", (("gain", 0.5),)))
+    weak = problem_with(drawer, Effect("gain", "drawer", (("gain", 0.5),)))
     plain, slow = (workflow.solve(problem).trajectory for problem in (drawer, weak))
     assert len(slow.inputs) > 1.8 * len(plain.inputs)
     assert slow.gains[0, 0, 0] < 1.1 * plain.gains[0, 0, 0] < 0.0
     place, largest = np.zeros(3), np.array([0.03])
-    late = remembering(with_effect(weak, EFFECTS["delay"])).automaton
+    late = remembering(problem_with(weak, EFFECTS["delay"])).automaton
     np.testing.assert_allclose(linear_step(weak.automaton, "prismatic", place[:1], place[:1], largest)[1], [[0.5]])
     A, B = linear_step(late, "prismatic", place, place[:1], largest)
     np.testing.assert_allclose(A[0], [1.0, 0.0, 0.5], atol=1e-9)
@@ -203,6 +204,6 @@ def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
 
 def test_feedback_counts_with_what_arrives_after_the_last_knot(drawer) -> None:
     """Of a delay of 0.92 steps nearly all of the last input arrives too late to be seen at the end."""
-    plan = workflow.solve(with_effect(drawer, Effect("delay", "drawer", (("steps", 0.92),))))
+    plan = workflow.solve(problem_with(drawer, Effect("delay", "drawer", (("steps", 0.92),))))
     assert plan.success_probability > 0.97
     assert np.abs(plan.trajectory.gains[:, 0, 0]).max() < 1.5

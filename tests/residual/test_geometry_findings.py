@@ -9,6 +9,7 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
@@ -50,7 +51,7 @@ def opened_once(seed, *, rows=100, size=0.004, lift=lambda c: 0.0 * c):
 def found_and_scatter(door, recording):
     """Names found, and the scatter beside the joints before and after they are taken in [m]."""
     found = geometry_findings(door, tracks(door, recording))
-    better = door.with_effect(*(one.effect for one in found))
+    better = with_effect(door, *(one.effect for one in found))
     before, after = (scatter_across(model, tracks(model, recording))[0] for model in (door, better))
     return [one.effect.name for one in found], before, after
 

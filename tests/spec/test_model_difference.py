@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.spec.model_difference import differences
 from micah_plan.spec.model_file import load_model
@@ -24,14 +25,14 @@ def test_a_model_does_not_differ_from_itself(name) -> None:
 
 
 def test_an_effect_that_was_added_is_the_only_difference(microwave) -> None:
-    (found,) = differences(microwave, microwave.with_effect(Effect("gain", "door", (("gain", 0.8),))))
+    (found,) = differences(microwave, with_effect(microwave, Effect("gain", "door", (("gain", 0.8),))))
     assert found.place == "effects"
     assert found.before is None
     assert str(found) == "+ effects: [name gain, coordinate door, parameters gain 0.8]"
 
 
 def test_a_shifted_end_shows_in_guard_and_range_and_both_ways_round(microwave) -> None:
-    shifted = microwave.with_effect(Effect("guard_shift", "door", (("shift", -0.05), ("side", 1.0))))
+    shifted = with_effect(microwave, Effect("guard_shift", "door", (("shift", -0.05), ("side", 1.0))))
     found = {difference.place: difference for difference in differences(microwave, shifted)}
     assert "modes.rigid.pins.door.value" in found
     pin = found["modes.rigid.pins.door.value"]
@@ -43,8 +44,8 @@ def test_a_shifted_end_shows_in_guard_and_range_and_both_ways_round(microwave) -
 
 
 def test_two_effects_of_one_name_are_told_apart(microwave) -> None:
-    one = microwave.with_effect(Effect("gain", "door", (("gain", 0.8),), modes=("revolute",)))
-    two = one.with_effect(Effect("gain", "door", (("gain", 0.5),)))
+    one = with_effect(microwave, Effect("gain", "door", (("gain", 0.8),), modes=("revolute",)))
+    two = with_effect(one, Effect("gain", "door", (("gain", 0.5),)))
     (found,) = differences(one, two)
     assert found.place == "effects.gain (2)"
     assert found.before is None

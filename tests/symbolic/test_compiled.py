@@ -15,6 +15,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
+from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief import gaussian
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
@@ -149,7 +150,7 @@ def test_belief_functions_equal_their_numpy_twins(
     close = {"rtol": 1e-9, "atol": 1e-9 * max(1.0, scale)}
     for mode in automaton.modes:
         functions, sensing = compiled.modes[mode.name], automaton.sensing(mode)
-        predicted = gaussian.predict(mean, factor, mode.B @ u, automaton.step_noise_std(mode, u))
+        predicted = gaussian.predict(mean, factor, mode.B @ u, step_noise_std(automaton, mode, u))
         for ours, twin in zip(call(functions.predict, mean, factor, u), predicted, strict=True):
             assert np.allclose(ours, twin, **close)
         updated = gaussian.update(mean, factor, z, sensing.std_at(mean))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
-
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

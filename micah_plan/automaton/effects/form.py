@@ -20,10 +20,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton
 
 Layer = Literal["frame", "memory", "command", "force", "guard", "sensor", "geometry"]
 LAYERS: tuple[Layer, ...] = ("frame", "memory", "command", "force", "guard", "sensor", "geometry")

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.structure import with_joints
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis, revolute, screw
-
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import HybridAutomaton
 
 _TURN = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
-
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 
 Floats = NDArray[np.float64]
 

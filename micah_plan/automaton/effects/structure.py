@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.joint import Joint, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
-
-if TYPE_CHECKING:
-    from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 
 _SAME = 1e-6
 
@@ -143,9 +140,9 @@ def _renamed(half_space: HalfSpace, old: float, new: float) -> str:
 
 
 def _clamped(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) -> HybridAutomaton:
-    n, m, name = automaton.n, automaton.m, automaton.coordinates[i].name
-    guard = (above if is_upper else below)(i, at, n, m, strict=True, name=name)
-    inside = (below if is_upper else above)(i, at, n, m, name=name)
+    n, m, label = automaton.n, automaton.m, automaton.coordinates[i].name
+    guard = (above if is_upper else below)(i, at, n, m, strict=True, name=label)
+    inside = (below if is_upper else above)(i, at, n, m, name=label)
     keep = tuple(tuple(float(r == k and r != i) for k in range(n)) for r in range(n))
     offset = tuple(at if k == i else 0.0 for k in range(n))
     moving = [mode.name for mode in automaton.modes if any(mode.input_matrix[i])]
@@ -153,4 +150,5 @@ def _clamped(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) -> H
         replace(mode, invariant=Region((*mode.invariant.half_spaces, inside))) if mode.name in moving else mode
         for mode in automaton.modes
     )
-    return replace(automaton, modes=modes).with_clamps(moving, Region((guard,)), keep, offset)
+    clamps = tuple(Edge(name, name, Region((guard,)), Reset(A=keep, c=offset)) for name in moving)
+    return replace(automaton, modes=modes, edges=(*automaton.edges, *clamps))

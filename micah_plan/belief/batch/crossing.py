@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.step_noise import process_factor, step_noise_std
 from micah_plan.belief.batch.gaussian import condition_on_pins, hold_at_pins, lower_factors
 from micah_plan.belief.batch.truncation import Affine, Parts, split
 from micah_plan.belief.filter import NEGLIGIBLE
@@ -107,7 +108,7 @@ def whole_step(
     joint = np.zeros((count, 2 * n, 2 * n))
     joint[:, :n, :n] = factor
     joint[:, n:, :n] = slope[:, :, None] * factor
-    joint[:, n:, n:] = automaton.process_factor(q, u)
+    joint[:, n:, n:] = process_factor(automaton, q, u)
     for tie in q.ties:
         weights = np.array(tie.weights)
         displacement[:, tie.coordinate] = displacement @ weights
@@ -338,7 +339,7 @@ def _entered(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats) 
         weights, i = np.array(tie.weights), tie.coordinate
         mean[:, n + i], factor[:, n + i] = tie.offset + mean[:, n:] @ weights, weights @ factor[:, n:]
         displacement[:, i] = displacement @ weights
-    old, new = (automaton.step_noise_std(mode, u) for mode in (source, target))
+    old, new = (step_noise_std(automaton, mode, u) for mode in (source, target))
     noise = np.zeros((len(pieces), 2 * n, n))
     noise[:, n:] = (pieces.fraction[:, None] * np.where(old == 0, new, 0.0))[:, :, None] * np.eye(n)
     factor = lower_factors(np.concatenate([factor, noise], axis=2))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.register import passed_arrays
+from micah_plan.automaton.passing import passed_arrays
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
 from micah_plan.belief.batch.sliding import slid
