@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -10,45 +12,80 @@ import typer
 
 from micah_plan.cli import tables
 from micah_plan.cli.console import print_summary, progress_bar
-from micah_plan.cli.options import JsonFlag, OutputPath
+from micah_plan.cli.options import JsonFlag
 from micah_plan.errors import InputError
 from micah_plan.outputs import PAGE, Output, check_outputs
 
 
 def show(
     file: Annotated[Path, typer.Argument(help="A recording, a model or a plan.")],
-    output: OutputPath,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write.")] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve the page to this machine's browsers until Ctrl-C.")
+    ] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0 takes any.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a self-contained page of a recording, a model or a plan."""
+    """Write a self-contained page of a recording, a model or a plan; or serve it, made again when the file changes."""
     from micah_plan.files import replace_file
+    from micah_plan.view.live import remade_on_change
 
+    if output is None and not live:
+        raise InputError("there is nowhere to show the page", remedy="name a file with -o, or serve it with --live")
     check_outputs((file,), (Output("-o", output, PAGE),))
     with progress_bar(as_json) as progress:
-        kind, page = _page_of(file, progress)
-    replace_file(output, page.encode())
-    summary = {"kind": kind, "page": str(output), "bytes": len(page.encode())}
-    print_summary(as_json, summary, lambda: tables.print_files((output,)))
+        current = remade_on_change(file, lambda: _page_of(file, progress))
+        page = current().encode()
+    if output is not None:
+        replace_file(output, page)
+    written = {} if output is None else {"page": str(output)}
+    summary: dict[str, str | int] = {"kind": _kind_of(file), **written, "bytes": len(page)}
+    if live:
+        _serve(current, port, as_json, summary, output)
+    else:
+        print_summary(as_json, summary, lambda: tables.print_files((output,)))
 
 
-def _page_of(file: Path, progress: Callable[[str, float], None]) -> tuple[str, str]:
+def _serve(
+    page: Callable[[], str], port: int, as_json: bool, summary: dict[str, str | int], output: Path | None
+) -> None:
+    """Serve a page until the user has seen enough."""
+    from micah_plan.view.live import PageServer
+
+    with PageServer(page, port) as server:
+        summary["url"] = server.url
+        lines = (f"the page is at {server.url} for this machine only; reload it after a change, leave with Ctrl-C",)
+        print_summary(as_json, summary, lambda: tables.print_files((output,)))
+        if not as_json:
+            tables.print_lines(lines)
+        sys.stdout.flush()  # a program that started this waits for the address
+        with suppress(KeyboardInterrupt):  # how one leaves
+            server.serve_forever()
+
+
+def _kind_of(file: Path) -> str:
+    return {".yaml": "model", ".yml": "model", ".json": "plan"}.get(file.suffix.lower(), "recording")
+
+
+def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
     from micah_plan import workflow
     from micah_plan.view import page
 
-    if file.suffix.lower() in (".yaml", ".yml"):
+    kind = _kind_of(file)
+    if kind == "model":
         from micah_plan.spec.model_file import load_model
 
-        return "model", page.model_page(load_model(file), title=file.stem)
-    if file.suffix.lower() == ".json":
+        return page.model_page(load_model(file), title=file.stem)
+    if kind == "plan":
         from micah_plan.spec.plan_file import load_plan
 
         stored = load_plan(file)
-        return "plan", page.plan_page(stored.plan, stored.problem, title=file.stem)
+        return page.plan_page(stored.plan, stored.problem, title=file.stem)
     recording = workflow.read(file)
     if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
-        return "recording", page.recording_page(recording, None, title=file.stem)
+        return page.recording_page(recording, None, title=file.stem)
     try:
         learned = workflow.learn(recording, progress=progress)
     except InputError as error:
         raise error.located(file) from None
-    return "recording", page.recording_page(recording, learned.graph, title=file.stem)
+    return page.recording_page(recording, learned.graph, title=file.stem)

@@ -1,0 +1,114 @@
+"""A page served to the browsers of this machine, and made again whenever its file has changed.
+
+MeshCat's own server listens on all interfaces and takes no address, so the self-contained page is served instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from socketserver import ThreadingTCPServer
+from threading import Lock
+from urllib.parse import urlsplit
+
+from micah_plan.errors import InputError, MicahError
+
+LOOPBACK = "127.0.0.1"
+
+
+class PageServer(ThreadingTCPServer):
+    """Serves one page at ``/``, on the loopback address and on no other.
+
+    Not an `http.server.HTTPServer`: that asks the name service for the machine's name.
+
+    Args:
+        page: makes the HTML; called at every request, one at a time. A `MicahError` becomes its line of text.
+        port: 0 takes any that is free.
+
+    Raises:
+        InputError: if the port cannot be had.
+    """
+
+    allow_reuse_address = True
+    daemon_threads = True
+
+    def __init__(self, page: Callable[[], str], port: int = 0) -> None:
+        self._page = page
+        self._lock = Lock()
+        try:
+            super().__init__((LOOPBACK, port), _Handler)
+        except OSError as error:
+            problem = f"port {port} of {LOOPBACK} cannot be had: {error.strerror}"
+            raise InputError(problem, remedy="choose another --port; 0 takes one that is free") from None
+
+    @property
+    def port(self) -> int:
+        """The port that it listens on."""
+        return int(self.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds the page."""
+        return f"http://{LOOPBACK}:{self.port}/"
+
+    def answer(self, path: str, host: str) -> tuple[int, str, str]:
+        """Status, media type and body of a request.
+
+        A web site may let its own name point to the loopback address, to read what is served there. Its requests
+        still carry that name as their host, and are refused.
+        """
+        if host not in (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}"):
+            return 403, "text/plain", "served to this machine only\n"
+        if urlsplit(path).path != "/":
+            return 404, "text/plain", "the page is at /\n"
+        try:
+            with self._lock:
+                return 200, "text/html", self._page()
+        except MicahError as error:
+            return 500, "text/plain", f"error: {error}\n"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    timeout = 30.0  # browsers open connections in advance and leave them
+    server_version = "micah_plan"
+    sys_version = ""
+
+    def do_GET(self) -> None:
+        status, kind, text = self.server.answer(self.path, self.headers.get("Host", ""))
+        body = text.encode()
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        """Nothing: the terminal is for the address."""
+
+
+def remade_on_change(file: Path, make: Callable[[], str]) -> Callable[[], str]:
+    """The page of a file, made when it is first asked for and whenever the file has changed since.
+
+    Raises:
+        InputError: when called, if the file is gone, or whatever `make` raises.
+    """
+    seen: tuple[int, int] | None = None
+    page = ""
+
+    def current() -> str:
+        nonlocal seen, page
+        try:
+            state = file.stat()
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", source=file, remedy="put it back") from None
+        stamp = state.st_mtime_ns, state.st_size
+        if stamp != seen:
+            page = make()
+            seen = stamp
+        return page
+
+    return current

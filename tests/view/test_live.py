@@ -1,0 +1,122 @@
+"""The served page: only this machine reaches it, and it follows its file."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from micah_plan.errors import InputError
+from micah_plan.view.live import PageServer, remade_on_change
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    place = tmp_path / "page.txt"
+    place.write_text("first")
+    return place
+
+
+@pytest.fixture
+def server(file: Path) -> Iterator[PageServer]:
+    def make() -> str:
+        if file.read_text() == "broken":
+            raise InputError("expected a page", source=file)
+        return file.read_text()
+
+    with PageServer(remade_on_change(file, make)) as served:
+        thread = threading.Thread(target=served.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield served
+        served.shutdown()
+        thread.join()
+
+
+def answer(port: int, path: str = "/", **headers: str) -> tuple[int, str]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path, headers=headers)
+    response = connection.getresponse()
+    text = response.read().decode()
+    connection.close()
+    return response.status, text
+
+
+def test_only_the_loopback_address_is_bound(server: PageServer) -> None:
+    assert server.socket.getsockname()[0] == "127.0.0.1"
+    assert server.url == f"http://127.0.0.1:{server.port}/"
+    for address in ("127.0.0.2", *addresses_of_this_machine()):
+        with pytest.raises(OSError, match=r"refused|unreachable|timed out"):
+            socket.create_connection((address, server.port), timeout=2).close()
+
+
+def addresses_of_this_machine() -> list[str]:
+    """Those by which others would reach it, found without sending anything."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return []  # a machine without any network
+        return [probe.getsockname()[0]]
+
+
+def test_the_page_is_served_and_made_again_when_the_file_changes(server: PageServer, file: Path) -> None:
+    assert answer(server.port) == (200, "first")
+    file.write_text("the second")
+    assert answer(server.port) == (200, "the second")
+    file.write_text("broken")
+    assert answer(server.port) == (500, f"error: {file}: expected a page\n")
+    file.unlink()
+    status, text = answer(server.port)
+    assert status == 500
+    assert "put it back" in text
+    file.write_text("mended")
+    assert answer(server.port) == (200, "mended")
+
+
+def test_an_unchanged_file_is_not_read_twice(file: Path) -> None:
+    made: list[int] = []
+    page = remade_on_change(file, lambda: made.append(1) or "page")
+    assert [page(), page()] == ["page", "page"]
+    assert len(made) == 1
+
+
+def test_other_paths_and_other_names_for_this_machine_are_refused(server: PageServer) -> None:
+    assert answer(server.port, "/../../etc/passwd")[0] == 404
+    assert answer(server.port, Host=f"localhost:{server.port}") == (200, "first")
+    for name in ("evil.example", f"evil.example:{server.port}", "127.0.0.1", ""):
+        assert answer(server.port, Host=name)[0] == 403, name
+
+
+def test_a_port_that_is_taken_is_bad_input(server: PageServer) -> None:
+    with pytest.raises(InputError, match=r"port \d+ of 127\.0\.0\.1 cannot be had.*--port"):
+        PageServer(str, server.port)
+
+
+@pytest.mark.slow
+def test_the_command_serves_until_it_is_interrupted_and_ends_well(repository: Path) -> None:
+    command = [sys.executable, "-W", "error", "-m", "micah_plan", "show", "models/drawer.yaml", "--live", "--json"]
+    with subprocess.Popen(
+        command, cwd=repository, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            told = json.loads(process.stdout.readline())
+            port = int(told["url"].split(":")[2].strip("/"))
+            status, page = answer(port)
+            process.send_signal(signal.SIGINT)
+            rest = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert (status, len(page.encode())) == (200, told["bytes"])
+    assert page.startswith("<!DOCTYPE html>")
+    assert (process.returncode, rest) == (0, ("", ""))
+    with pytest.raises(ConnectionRefusedError):
+        answer(port)
