@@ -23,7 +23,8 @@ from micah_plan.automaton.learned_channel import with_learned_channel
 from micah_plan.automaton.memory_states import left_out
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
-from micah_plan.planning.plan import Obstacle, Plan
+from micah_plan.planning.deadline import Deadline, TimeLimitError
+from micah_plan.planning.plan import ArmTrajectory, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Method as PlanningMethod
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
+    from micah_plan.robot.tool_path import ArmFailure
 
 Method = Literal["act-champ", "champ"]
 PlantKind = Literal["nominal", "mujoco"]
@@ -137,27 +139,39 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     """
     from micah_plan.planning.tightening import verified_plan
 
+    deadline = Deadline(problem.settings.solve_time_limit_s)
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
-    found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds)
-    return replace(_with_arm(problem, found, seed), warnings=left_out(problem.automaton, method != "pomdp-hd"))
+    found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds, deadline)
+    return replace(
+        _with_arm(problem, found, seed, deadline), warnings=left_out(problem.automaton, method != "pomdp-hd")
+    )
 
 
-def _with_arm(problem: Problem, plan: Plan, seed: int) -> Plan:
+def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
     """The plan with the arm's trajectory; one that the arm cannot follow is none to execute."""
-    trajectory = plan.trajectory
-    if problem.robot is None or trajectory is None:
+    if problem.robot is None or plan.trajectory is None:
         return plan
     from micah_plan.robot.along_plan import arm_along
-    from micah_plan.robot.tool_path import ArmFailure
 
-    begin = time.perf_counter()
-    arm = arm_along(problem, trajectory, seed)
+    begin, says = time.perf_counter(), "the arm cannot follow the plan: "
+    arm: ArmTrajectory | Obstacle
+    try:
+        found = arm_along(problem, plan.trajectory, seed, deadline=deadline)
+        arm = found if isinstance(found, ArmTrajectory) else _arm_obstacle(plan, plan.trajectory, found)
+    except TimeLimitError as over:
+        says, (sentence, _, remedy) = "", over.reason.rpartition("; ")
+        arm = Obstacle("arm", sentence, remedy, plan.mode_sequence)
     spent = time.perf_counter() - begin
     plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
-    if not isinstance(arm, ArmFailure):
+    if isinstance(arm, ArmTrajectory):
         return replace(plan, arm=arm)
-    obstacle = Obstacle(
+    reason = f"{says}{arm.sentence}; {arm.remedy}"
+    return replace(plan, outcome="not_verified", reason=reason, obstacles=(arm, *plan.obstacles))
+
+
+def _arm_obstacle(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Obstacle:
+    return Obstacle(
         level="arm",
         sentence=arm.sentence,
         remedy=arm.remedy,
@@ -167,8 +181,6 @@ def _with_arm(problem: Problem, plan: Plan, seed: int) -> Plan:
         constraint=f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind,
         amount=arm.amount,
     )
-    reason = f"the arm cannot follow the plan: {arm.sentence}; {arm.remedy}"
-    return replace(plan, outcome="not_verified", reason=reason, obstacles=(obstacle, *plan.obstacles))
 
 
 def _planner(method: PlanningMethod) -> Callable[..., Plan]:

@@ -26,7 +26,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("recording",),
     ("automaton",),
     ("scene",),
-    ("planning.problem", "planning.plan"),
+    ("planning.problem", "planning.plan", "planning.deadline"),
     ("planning.start_state", "planning.settled"),
     ("spec", "learn", "symbolic"),
     ("robot",),

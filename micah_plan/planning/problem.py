@@ -60,7 +60,7 @@ class PlannerSettings:
         weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
             the squared tolerance) and of the squared inputs (over the squared max_step).
         time_limit_s: wall-clock limit of each optimisation [s].
-        solve_time_limit_s: wall-clock limit of search, optimisations and verification together [s].
+        solve_time_limit_s: wall-clock limit of search, optimisations, verification and the arm together [s].
         verification_trials: roll-outs that check a plan.
         tightening_rounds: how often a plan that roll-outs fail too often is made anew with more room.
         replan_every: steps after which execution plans anew from its belief (receding horizon); 0: only where the

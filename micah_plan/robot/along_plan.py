@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
+from micah_plan.planning.deadline import NEVER, Deadline
 from micah_plan.planning.plan import ArmTrajectory, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.settled import settled_poses, touching_pairs
@@ -24,6 +25,7 @@ def arm_along(
     seed: int = 0,
     settings: PathSettings | None = None,
     touching: Sequence[frozenset[Pair]] | None = None,
+    deadline: Deadline = NEVER,
 ) -> ArmTrajectory | ArmFailure:
     """The arm's trajectory that takes the held part along the means of a plan, or what stands in the way.
 
@@ -33,11 +35,13 @@ def arm_along(
         seed: of the start postures.
         touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: those of the contacts that a
             held object is to make, none for others.
+        deadline: when to end.
 
     Raises:
+        TimeLimitError: if it passes before there is a trajectory.
         InputError: if the problem has no robot or grasp, or its files cannot be used.
     """
-    return follow(problem_clearance(problem), tool_path(problem, trajectory, touching), seed, settings)
+    return follow(problem_clearance(problem), tool_path(problem, trajectory, touching), seed, settings, deadline)
 
 
 def problem_clearance(problem: Problem) -> ClearanceModel:

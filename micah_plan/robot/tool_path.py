@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from micah_plan.errors import InputError
+from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.planning.plan import ArmTrajectory
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
@@ -112,7 +113,11 @@ class ToolPath:
 
 
 def follow(
-    model: ClearanceModel, path: ToolPath, seed: int = 0, settings: PathSettings | None = None
+    model: ClearanceModel,
+    path: ToolPath,
+    seed: int = 0,
+    settings: PathSettings | None = None,
+    deadline: Deadline = NEVER,
 ) -> ArmTrajectory | ArmFailure:
     """A joint trajectory that takes the tool through the poses of a path, or what stands in the way.
 
@@ -121,10 +126,28 @@ def follow(
         path: K knots.
         seed: of the start postures; the same seed gives the same trajectory.
         settings: None: the defaults.
+        deadline: where it passes, the best of the complete trajectories found by then is taken.
+
+    Raises:
+        TimeLimitError: if there is none by then.
     """
-    follower = _Follower(model.fresh(), settings or PathSettings(), seed)
+    follower = _Follower(model.fresh(), settings or PathSettings(), seed, deadline)
     found: list[tuple[float, Floats]] = []
     failures: list[ArmFailure] = []
+    try:
+        _try_starts(follower, path, found, failures)
+    except TimeLimitError:
+        if not found:
+            raise
+    if found:
+        return follower.summary(path, min(found, key=lambda pair: pair[0])[1])
+    return _furthest(failures, len(path.tool) - 1)
+
+
+def _try_starts(
+    follower: _Follower, path: ToolPath, found: list[tuple[float, Floats]], failures: list[ArmFailure]
+) -> None:
+    """Follow the path from its first knot, and only if that fails from its last; add complete ones with their costs."""
     last = len(path.tool) - 1
     for way in (path, path.backwards()) if last else (path,):
         backwards = way is not path
@@ -142,9 +165,7 @@ def follow(
             if len(found) >= follower.settings.enough:
                 break
         if found:
-            best = min(found, key=lambda pair: pair[0])[1]
-            return follower.summary(path, best)
-    return _furthest(failures, last)
+            return
 
 
 def _renumbered(failure: ArmFailure, last: int, backwards: bool) -> ArmFailure:
@@ -164,8 +185,8 @@ def _furthest(failures: Sequence[ArmFailure], last: int) -> ArmFailure:
 class _Follower:
     """The search, with what stays the same over all tries."""
 
-    def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int) -> None:
-        self.model, self.arm, self.settings = model, model.arm, settings
+    def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int, deadline: Deadline) -> None:
+        self.model, self.arm, self.settings, self.deadline = model, model.arm, settings, deadline
         self._generator = np.random.default_rng(seed)
         self._bound: MotionBound = motion_bound(model)
         lower, upper = self.arm.lower + settings.limit_margin, self.arm.upper - settings.limit_margin
@@ -180,7 +201,8 @@ class _Follower:
         found: list[tuple[float, Floats]] = []
         nearest: Reached | None = None
         blocked: list[ArmFailure] = []
-        for seed in seeds:
+        for number, seed in enumerate(seeds):
+            self.deadline.check("arm's motion", f"{number} of {len(seeds)} start postures were sought")
             reached = reach_pose(self.arm, target, np.clip(seed, *self._limits), self._limits)
             if not reached.done:
                 nearer = nearest is None or np.linalg.norm(reached.error) < np.linalg.norm(nearest.error)
@@ -205,6 +227,7 @@ class _Follower:
         """(K, n) configurations along the path from a configuration at its first knot."""
         rows = [start]
         for knot in range(1, len(path.tool)):
+            self.deadline.check("arm's motion", f"{knot} of {len(path.tool)} knots were reached")
             reached = self._step(path, knot, rows[-1])
             failure = self._out_of_reach(knot, reached) if not reached.done else self._standing(path, knot, reached.q)
             failure = failure or self._on_the_way(path, knot, rows[-1], reached.q)

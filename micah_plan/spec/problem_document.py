@@ -86,7 +86,7 @@ class PlannerDocument(Document):
     )
     solve_time_limit_s: Positive = Field(
         default=PlannerSettings.solve_time_limit_s,
-        description="Wall-clock limit of search, optimisations and verification together [s].",
+        description="Wall-clock limit of search, optimisations, verification and the arm together [s].",
     )
     verification_trials: Count = Field(
         default=PlannerSettings.verification_trials, description="Roll-outs that check a plan."

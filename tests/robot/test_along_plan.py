@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +12,12 @@ from robot_examples import ARM7
 
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
+from micah_plan.planning import pomdp_hd
+from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.planning.explain import explain
-from micah_plan.planning.plan import Plan
+from micah_plan.planning.plan import ArmTrajectory, Plan
 from micah_plan.planning.problem import Problem
-from micah_plan.robot.along_plan import carried_parts, problem_clearance
+from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
 from micah_plan.spec.problem_file import load_problem
 from micah_plan.workflow import solve
 
@@ -66,6 +70,38 @@ def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> Non
     told = explain(far, found)
     assert told.level == "arm"
     assert told.obstacles[0].knot is not None
+
+
+def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Problem, plan: Plan) -> None:
+    trajectory = plan.trajectory
+    assert trajectory is not None
+
+    def within(limit: int, ticks: Iterator[int]) -> object:
+        return arm_along(problem, trajectory, deadline=Deadline(limit, lambda: next(ticks)))
+
+    ticks = itertools.count()
+    assert isinstance(within(10**9, ticks), ArmTrajectory)
+    assert isinstance(within(next(ticks) - 3, itertools.count()), ArmTrajectory)  # of one start posture, not two
+    for limit, state in ((10, "9 of 61 start postures were sought"), (65, r"\d+ of \d+ knots were reached")):
+        with pytest.raises(TimeLimitError, match=f"was reached in the arm's motion: {state}"):
+            within(limit, itertools.count())
+
+
+def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
+    monkeypatch.setattr("micah_plan.planning.tightening.verify", lambda _problem, plan, **_: plan)
+    monkeypatch.setattr("micah_plan.workflow._planner", lambda _method: whatever_time)
+    found = solve(hasty)
+    assert found.outcome == "not_verified"
+    assert found.arm is None
+    told = explain(hasty, found)
+    assert told.level == "arm"
+    assert "reached in the arm's motion" in told.obstacles[0].sentence
+    assert told.obstacles[0].remedy == "raise solve_time_limit_s"
+
+
+def whatever_time(problem: Problem, seed: int, **_: object) -> Plan:
+    return pomdp_hd.plan(problem, seed, deadline=NEVER)
 
 
 def test_parts_that_hang_on_the_held_one_are_carried(problem: Problem) -> None:
