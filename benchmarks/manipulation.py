@@ -12,7 +12,6 @@ those of the true pose, as the model reads it. The paper (section "Object Manipu
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,6 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "examples"))
 
 from objects import DOOR_OPEN, drawer, microwave  # noqa: E402
+from saving import add_json, save_json  # noqa: E402
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
 from micah_plan.execution.mujoco_plant import MujocoPlant  # noqa: E402
@@ -199,7 +199,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The paper's manipulation experiment in MuJoCo.")
     parser.add_argument("--trials", type=int, default=20, help="seeds per task")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, help="also write the rows to this file")
+    add_json(parser)
     options = parser.parse_args()
     results = {}
     for subject, tasks in subjects():
@@ -207,8 +207,7 @@ def main() -> None:
         rows = [run_task(subject, model, task, options.trials, options.seed) for task in tasks]
         print(table(subject, rows), end="\n\n")
         results[subject.model.stem] = [asdict(row) for row in rows]
-    if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    save_json(results, options.json)
 
 
 if __name__ == "__main__":

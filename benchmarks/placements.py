@@ -14,7 +14,6 @@ goal's tolerances and nothing was hit (a push on a body that may not be touched,
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,6 +23,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
+
+from saving import add_json, save_json
 
 from micah_plan.execution.trials import PlantKind, run_trials
 from micah_plan.planning.problem import Problem
@@ -152,11 +153,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--solvers", nargs="*", choices=SOLVERS, default=SOLVERS)
-    parser.add_argument("--json", type=Path, help="also write all ends to this file")
+    add_json(parser)
     asked = parser.parse_args()
     rows = table(asked.problems or [ROOT / "problems" / f"{name}.yaml" for name in HELD], asked)
-    if asked.json is not None:
-        asked.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    save_json(rows, asked.json)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ libraries is not counted.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -30,10 +29,11 @@ from time import process_time
 from typing import get_args
 
 import numpy as np
+from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.scoring import goal_probability
-from micah_plan.planning import direct, kinodynamic_rrt, pomdp_hd, tightening
+from micah_plan.planning import clock, tightening
 from micah_plan.planning.explain import explain
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.nominal import cost_of
@@ -80,7 +80,7 @@ class Row:
 
 def warm_up() -> None:
     """Load what planners load when they are first used, and let them time themselves by the processor."""
-    for module in (pomdp_hd, tightening, direct, kinodynamic_rrt):
+    for module in (clock, tightening):
         vars(module)["perf_counter"] = process_time
     for planner in get_args(Method):
         solve(load_problem(ROOT / "problems" / "drawer_open.yaml", {"planner.method": planner}))
@@ -180,7 +180,7 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=0, help="closed-loop executions per problem")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--json", type=Path, help="also write the rows to this file")
+    add_json(parser)
     planners = list(get_args(Method))
     parser.add_argument("--planners", nargs="*", choices=planners, default=planners)
     options = parser.parse_args()
@@ -190,9 +190,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
         rows = list(pool.map(one, *zip(*cases, strict=True)))
     print(table(rows))
-    if options.json is not None:
-        content = [{**asdict(row), "difference": row.difference} for row in rows]
-        options.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    save_json([{**asdict(row), "difference": row.difference} for row in rows], options.json)
 
 
 if __name__ == "__main__":

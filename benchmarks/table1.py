@@ -18,15 +18,14 @@ Measured demonstrations are read from ../shared/data/demonstrations (or $MICAH_D
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 from learn_demonstrations import DATA, table
+from saving import add_json, save_json
 from simulated_demonstrations import HANDLINGS, OBJECTS, Demonstration, Handling, Object, demonstration
 from table1_scoring import EPSILON, Limits, Score, limits, score
 
@@ -152,7 +151,7 @@ def main() -> None:
     parser.add_argument("--method", choices=METHODS, action="append", help="only this one")
     parser.add_argument("--seeds", type=int, default=20, help="per measured demonstration; 0: leave them out")
     parser.add_argument("--epsilon", type=float, default=EPSILON, help="largest error of what is correct [rad and m]")
-    parser.add_argument("--json", type=Path, help="also write every trial to this file")
+    add_json(parser)
     parser.add_argument("--verbose", action="store_true", help="a line per trial")
     options = parser.parse_args()
     cases: list[Case] = []
@@ -165,8 +164,7 @@ def main() -> None:
             for case in found:
                 print("\n".join(lines(case)), flush=True)
             cases += found
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(case) for case in cases], indent=2) + "\n", encoding="utf-8")
+    save_json([asdict(case) for case in cases], options.json)
     files = sorted((DATA / "demonstrations").glob("*.csv"))
     if options.seeds > 0 and files:
         print(f"\nmeasured demonstrations, {options.seeds} seeds")

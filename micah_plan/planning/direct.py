@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.planning.deadline import Deadline, TimeLimitError
-from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.nominal import nominal_start, plan_along
-from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
+from micah_plan.planning.deadline import Deadline
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.nominal import NoWayError, Task, nominal_start, plan_by
 from micah_plan.planning.plan import Plan
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.transcription_mixture import MixturePath, MixtureProgramme, mixture_size
 
 Floats = NDArray[np.float64]
@@ -37,50 +35,42 @@ def plan(
     deadline: Deadline | None = None,
 ) -> Plan:
     """The cheapest local optimum of the mixture's programme over a few starts, or the reason why there is none."""
-    began, deadline = perf_counter(), deadline or Deadline(problem.settings.solve_time_limit_s)
-    timings = {"search": 0.0, "build": 0.0, "optimise": 0.0}
+    return plan_by(partial(_optimised, progress or _silent), "optimisation", problem, seed, deadline)
 
-    def failed(reason: str) -> Plan:
-        obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("optimisation", reason),)
-        spent = {**timings, "total": perf_counter() - began}
-        return Plan("no_plan", reason, seed=seed, timings=spent, obstacles=obstacles)
 
-    mode, reason = start_mode(problem.automaton, problem.start)
-    if mode is None:
-        return failed(reason)
+def _silent(_text: str, _fraction: float) -> None:
+    """Nobody is told."""
+
+
+def _optimised(say: Callable[[str, float], None], task: Task) -> tuple[Floats, str]:
+    """(T, m) inputs of the cheapest local optimum, and what it is."""
+    problem, limits, deadline = task.problem, task.limits, task.deadline
     if mixture_size(problem.automaton) > _LARGEST:
         modes, edges = len(problem.automaton.modes), len(problem.automaton.edges)
-        return failed(
+        raise NoWayError(
             f"the mixture of {modes} modes and {edges} transitions in {problem.automaton.n} dimensions is too large "
             f"for direct planning; use the method pomdp-hd"
         )
-    limits = limits_of(problem)
-    x = nominal_start(problem, limits, mode)
-    straight = _straight(problem, limits, x)
-    programme = MixtureProgramme(problem, limits, mode, x, len(straight))
-    timings["build"] = perf_counter() - began
-    rng, found = np.random.default_rng(seed), list[MixturePath]()
+    with task.clock.stage("build"):
+        x = nominal_start(problem, limits, task.mode)
+        straight = _straight(problem, limits, x)
+        programme = MixtureProgramme(problem, limits, task.mode, x, len(straight))
+    rng, found = np.random.default_rng(task.seed), list[MixturePath]()
     for number in range(_STARTS):
-        if progress is not None:
-            progress(f"optimising from start {number + 1}", number / _STARTS)
+        say(f"optimising from start {number + 1}", number / _STARTS)
         if deadline.is_over():
             break
         noise = _DISTURBANCE * limits.max_step * rng.standard_normal(straight.shape) if number else 0.0
         start = np.clip(straight + noise, -limits.max_step, limits.max_step)
-        found.append(programme.solve(start, min(deadline.left_s, problem.settings.time_limit_s)))
-    timings["optimise"] = perf_counter() - began - timings["build"]
+        with task.clock.stage("optimise"):
+            found.append(programme.solve(start, min(deadline.left_s, problem.settings.time_limit_s)))
     usable = [path for path in found if path.feasible]
     if not usable:
         statuses = ", ".join(sorted({path.status.replace("_", " ").lower() for path in found})) or "none"
-        try:
-            deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({statuses})")
-        except TimeLimitError as over:
-            return failed(over.reason)
-        return failed(f"none of {len(found)} starts of the direct optimisation led to the goal ({statuses})")
+        deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({statuses})")
+        raise NoWayError(f"none of {len(found)} starts of the direct optimisation led to the goal ({statuses})")
     best = min(usable, key=lambda path: path.cost)
-    timings["total"] = perf_counter() - began
-    said = f"cheapest of {len(usable)} local optima of the soft mixture"
-    return plan_along(problem, limits, mode, best.inputs, said, seed, timings)
+    return best.inputs, f"cheapest of {len(usable)} local optima of the soft mixture"
 
 
 def _straight(problem: Problem, limits: Limits, x: Floats) -> Floats:

@@ -7,7 +7,6 @@ fire and nowhere else. Source: LaValle and Kuffner, "Randomized kinodynamic plan
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,11 @@ from ompl import util as ou
 
 from micah_plan.automaton.transition import step
 from micah_plan.planning.deadline import Deadline
-from micah_plan.planning.limits import Limits, limited_input, limits_of
+from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.mode_samples import goal_states
-from micah_plan.planning.nominal import nominal_start, plan_along
-from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
+from micah_plan.planning.nominal import NoWayError, Task, nominal_start, plan_by
 from micah_plan.planning.plan import Plan
 from micah_plan.planning.problem import Problem
-from micah_plan.planning.start_state import start_mode
 
 Floats = NDArray[np.float64]
 
@@ -45,29 +42,26 @@ def plan(
     deadline: Deadline | None = None,
 ) -> Plan:
     """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
-    mode, reason = start_mode(problem.automaton, problem.start)
-    if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings={"total": 0.0}, obstacles=endpoint_obstacles(problem))
     if progress is not None:
         progress("growing a tree", 0.0)
-    began, limits = perf_counter(), limits_of(problem)
-    inputs, reason = _grow(problem, limits, mode, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
-    spent = perf_counter() - began
-    timings = {"search": spent, "build": 0.0, "optimise": 0.0, "total": spent}
-    if inputs is None:
-        obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", reason),)
-        return Plan("no_plan", reason, seed=seed, timings=timings, obstacles=obstacles)
-    return plan_along(problem, limits, mode, inputs, f"found by RRT in {len(inputs)} steps", seed, timings)
+    return plan_by(_grow, "search", problem, seed, deadline)
 
 
-def _grow(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Deadline) -> tuple[Floats | None, str]:
-    """(T, m) inputs of a path to the goal, or None with the reason."""
+def _grow(task: Task) -> tuple[Floats, str]:
+    """(T, m) inputs of a path to the goal, and how they were found."""
+    with task.clock.stage("search"):
+        inputs = _grown(task.problem, task.limits, task.mode, task.seed, task.deadline)
+    return inputs, f"found by RRT in {len(inputs)} steps"
+
+
+def _grown(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Deadline) -> Floats:
+    """(T, m) inputs of a path to the goal."""
     # OMPL complains that generators exist already; those made from here on follow the seed, and no other is used.
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
     ou.RNG.setSeed(seed + 1)
     goals = _goal_sets(problem, limits)
     if not goals:
-        return None, "the goal lies in the range of no mode that it may end in; move the goal into a range"
+        raise NoWayError("the goal lies in the range of no mode that it may end in; move the goal into a range")
     system = _System(problem, limits)
     information = system.information()
     definition = ob.ProblemDefinition(information)
@@ -89,12 +83,12 @@ def _grow(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Dead
     planner.solve(ob.PlannerTerminationCondition(is_over))
     if not definition.hasExactSolution():
         limit = f"{_MOST_EXTENSIONS} extensions" if asked > _MOST_EXTENSIONS else "the time limit (solve_time_limit_s)"
-        return None, f"RRT found no path to the goal within {limit}; this does not prove that there is none"
+        raise NoWayError(f"RRT found no path to the goal within {limit}; this does not prove that there is none")
     path, inputs = definition.getSolutionPath(), []
     for i in range(path.getControlCount()):
         control, times = path.getControl(i), round(path.getControlDuration(i))
         inputs += [[control[j] for j in range(problem.automaton.m)]] * times
-    return np.array(inputs, dtype=float).reshape(-1, problem.automaton.m), ""
+    return np.array(inputs, dtype=float).reshape(-1, problem.automaton.m)
 
 
 def _goal_sets(problem: Problem, limits: Limits) -> list[tuple[str, Any]]:

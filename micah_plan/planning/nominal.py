@@ -1,10 +1,13 @@
 """A plan from open-loop inputs: what the baselines share, so that they are judged as POMDP-HD is.
 
-The means are those of the real transitions without noise, the covariances those of the hybrid filter with the most
-likely measurements, and the feedback is the same belief-LQR.
+A baseline finds inputs; what comes before and after is here. The means are those of the real transitions without noise,
+the covariances those of the hybrid filter with the most likely measurements, and the feedback is the same belief-LQR.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +15,68 @@ from numpy.typing import NDArray
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.clock import Clock
+from micah_plan.planning.deadline import Deadline, TimeLimitError
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.limits import Limits, limited_input
-from micah_plan.planning.plan import Plan, Trajectory
+from micah_plan.planning.limits import Limits, limited_input, limits_of
+from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
+from micah_plan.planning.plan import Level, Plan, Trajectory
 from micah_plan.planning.polytope import mode_states
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.start_state import start_mode
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a baseline is to do.
+
+    Attributes:
+        limits: of the problem.
+        mode: that the start is in.
+        seed: of all that is random.
+        deadline: when to end.
+        clock: of its stages.
+    """
+
+    problem: Problem
+    limits: Limits
+    mode: str
+    seed: int
+    deadline: Deadline
+    clock: Clock
+
+
+class NoWayError(Exception):
+    """A baseline found no inputs; `reason` says why and ends with the remedy."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
+def plan_by(
+    find: Callable[[Task], tuple[Floats, str]], level: Level, problem: Problem, seed: int, deadline: Deadline | None
+) -> Plan:
+    """The plan, still to be verified, along inputs that a baseline finds, or the reason why there are none.
+
+    Args:
+        find: gives inputs (T, m) and how they were found; raises NoWayError or TimeLimitError.
+        level: where it fails if it does.
+        deadline: None: as the settings say, from now on.
+    """
+    clock, deadline = Clock(), deadline or Deadline(problem.settings.solve_time_limit_s)
+    mode, reason = start_mode(problem.automaton, problem.start)
+    if mode is not None:
+        limits = limits_of(problem)
+        try:
+            inputs, said = find(Task(problem, limits, mode, seed, deadline, clock))
+            return _plan_along(problem, limits, mode, inputs, said, seed, clock.timings())
+        except (NoWayError, TimeLimitError) as failed:
+            reason = failed.reason
+    obstacles = endpoint_obstacles(problem) or (obstacle_of_reason(level, reason),)
+    return Plan("no_plan", reason, seed=seed, timings=clock.timings(), obstacles=obstacles)
 
 
 def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
@@ -64,7 +122,7 @@ def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
     return cost
 
 
-def plan_along(
+def _plan_along(
     problem: Problem, limits: Limits, mode: str, inputs: Floats, said: str, seed: int, timings: dict[str, float]
 ) -> Plan:
     """The plan of inputs (T, m), still to be verified; `said` is how they were found."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.clock import Clock
 from micah_plan.planning.deadline import Deadline, TimeLimitError
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limits_of
@@ -51,7 +51,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     """
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings=_Clock().timings(), obstacles=endpoint_obstacles(problem))
+        return Plan("no_plan", reason, seed=seed, timings=Clock().timings(), obstacles=endpoint_obstacles(problem))
     return _plan_from(remembering(problem), mode, seed, progress or _silent, deadline or _deadline_of(problem))
 
 
@@ -77,7 +77,7 @@ def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory
     often it is continued. None where the steps left do not suffice, the belief is in another mode, or the trajectory is
     of a planner that knows nothing of a memory of inputs.
     """
-    here, clock, deadline = believed_problem(remembering(problem), belief), _Clock(), _deadline_of(problem)
+    here, clock, deadline = believed_problem(remembering(problem), belief), Clock(), _deadline_of(problem)
     if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
         return None
     limits, compiled = limits_of(here), compile_automaton(here.automaton)
@@ -97,7 +97,7 @@ def _deadline_of(problem: Problem) -> Deadline:
 
 def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: Deadline) -> Plan:
     """Plan from the start's mean in a mode that is known."""
-    clock = _Clock()
+    clock = Clock()
     problem = replace(problem, start=replace(problem.start, mode=mode))
     limits = limits_of(problem)
     say("searching mode sequences", 0.0)
@@ -144,7 +144,7 @@ def _optimise(
     limits: Limits,
     compiled: CompiledAutomaton,
     sequence: ModeSequence,
-    clock: _Clock,
+    clock: Clock,
     deadline: Deadline,
 ) -> tuple[BeliefPath | None, str, list[Obstacle]]:
     """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
@@ -183,7 +183,7 @@ def _with_time_left(problem: Problem, deadline: Deadline) -> Problem:
 
 
 def _solved(
-    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: _Clock
+    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: Clock
 ) -> Plan:
     inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
     inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver keeps bounds only to its tolerance
@@ -204,35 +204,3 @@ def _solved(
     )
     tried = f"cheapest of {len(candidates)} mode sequences" if len(candidates) > 1 else "the only mode sequence"
     return replace(answer, reason=f"{' -> '.join(answer.mode_sequence)}, {tried}: {path.message}")
-
-
-class _Clock:
-    """Seconds by stage."""
-
-    def __init__(self) -> None:
-        self._began = perf_counter()
-        self._seconds = {"search": 0.0, "build": 0.0, "optimise": 0.0}
-
-    @property
-    def seconds(self) -> float:
-        """Since it was made."""
-        return perf_counter() - self._began
-
-    def stage(self, name: str) -> _Stage:
-        return _Stage(self._seconds, name)
-
-    def timings(self) -> dict[str, float]:
-        return {**self._seconds, "total": self.seconds}
-
-
-class _Stage:
-    """A context that adds its duration to a stage."""
-
-    def __init__(self, seconds: dict[str, float], name: str) -> None:
-        self._seconds, self._name = seconds, name
-
-    def __enter__(self) -> None:
-        self._began = perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._seconds[self._name] += perf_counter() - self._began
