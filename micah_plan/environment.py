@@ -62,6 +62,7 @@ LIBRARIES = (
     Library("pytest-xdist", "xdist", "run the tests", "test"),
     Library("hypothesis", "hypothesis", "run the tests", "test"),
     Library("jsonschema", "jsonschema", "run the tests", "test"),
+    Library("playwright", "playwright.sync_api", "test pages in a browser", "browser"),
     Library("mkdocs-material", "material", "build the docs", "docs"),
     Library("mkdocstrings", "mkdocstrings", "build the docs", "docs"),
 )

@@ -20,24 +20,30 @@ _POLICY = (
 )
 
 
+_PLAYER_KEYS = (("space", "play, pause"), ("← →", "step"), ("Home End", "first, last"))
+
+
 @dataclass(frozen=True)
 class LegendEntry:
-    """A colour and what it means; with a layer, a box to hide it."""
+    """A colour and what it means; with a layer, a box to hide it, and a key that does the same if one is named."""
 
     color: str
     label: str
     layer: str | None = None
     shape: Literal["line", "dot", "area"] = "area"
+    key: str = ""
+    key_label: str = ""
 
 
 @dataclass(frozen=True)
 class Band:
-    """A stretch of the timeline [s] in one colour."""
+    """A stretch of the timeline [s] in one colour, in a lane that is counted from 0."""
 
     start: float
     end: float
     color: str
     label: str
+    lane: int = 0
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,11 @@ class Timeline:
     duration: float = 0.0
     bands: tuple[Band, ...] = ()
     readouts: tuple[tuple[float, tuple[str, ...]], ...] = ()
+
+    @property
+    def lanes(self) -> int:
+        """How many bars lie below each other; one is empty where there are no bands."""
+        return 1 + max((band.lane for band in self.bands), default=0)
 
 
 @dataclass(frozen=True)
@@ -123,10 +134,10 @@ def render(document: Document, scene: Scene) -> str:
             '<link rel="icon" href="data:,">',
             f"<style>\n{(assets / 'page.css').read_text(encoding='utf-8')}</style>",
             "</head>",
-            f'<body class="{" ".join(_layout(document))}">',
+            f'<body class="{" ".join(_layout(document))}" style="--lanes:{document.timeline.lanes}">',
             '<main id="view"><div id="meshcat-pane"></div></main>',
             _panel(document),
-            _player(document.timeline),
+            _player(document),
             # A '<' in the data could otherwise end the script element.
             f'<script type="application/json" id="page-data">{_json(data)}</script>',
             "<!-- 3-D viewer: MeshCat and three.js (MIT licence) -->",
@@ -173,25 +184,35 @@ def _legend_entry(entry: LegendEntry) -> str:
     swatch = f'<i class="{entry.shape}" style="--tint:{escape(entry.color)}"></i><span>{escape(entry.label)}</span>'
     if entry.layer is None:
         return f"<li>{swatch}</li>"
-    box = f'<input type="checkbox" checked data-layer="{escape(entry.layer)}" title="show or hide">'
+    key = f' data-key="{escape(entry.key)}"' if entry.key else ""
+    told = f"show or hide{f' (key {escape(entry.key)})' if entry.key else ''}"
+    box = f'<input type="checkbox" checked data-layer="{escape(entry.layer)}"{key} title="{told}">'
     return f"<li><label>{swatch}{box}</label></li>"
 
 
-def _player(timeline: Timeline) -> str:
+def _player(document: Document) -> str:
+    timeline = document.timeline
     if timeline.duration <= 0:
         return ""
-    bands = "".join(
-        f'<div style="left:{100 * b.start / timeline.duration:.3f}%;'
-        f'width:{100 * (b.end - b.start) / timeline.duration:.3f}%;--tint:{escape(b.color)}" title="{escape(b.label)}">'
-        f"<span>{escape(b.label)}</span></div>"
-        for b in timeline.bands
+    lanes = ["".join(_band(b, timeline) for b in timeline.bands if b.lane == lane) for lane in range(timeline.lanes)]
+    bands = "".join(f'<div class="lane">{lane}</div>' for lane in lanes)
+    keys = [*_PLAYER_KEYS, *((entry.key, entry.key_label) for entry in document.legend if entry.key)]
+    told = "".join(
+        f"<span>{''.join(f'<kbd>{escape(key)}</kbd> ' for key in names.split())}{escape(does)}</span>"
+        for names, does in keys
     )
     return (
         '<footer id="player"><button id="play" type="button" aria-label="play or pause" title="play or pause (space)">'
         f'</button><div id="track"><div id="bands">{bands}</div>'
         f'<input id="time" type="range" min="0" max="{timeline.duration:.4f}" step="any" value="0" aria-label="time">'
-        '</div><output id="readout"></output></footer>'
+        f'<p id="keys">{told}</p></div><output id="readout"></output></footer>'
     )
+
+
+def _band(band: Band, timeline: Timeline) -> str:
+    left, width = 100 * band.start / timeline.duration, 100 * (band.end - band.start) / timeline.duration
+    place = f"left:{left:.3f}%;width:{width:.3f}%;--tint:{escape(band.color)}"
+    return f'<div style="{place}" title="{escape(band.label)}"><span>{escape(band.label)}</span></div>'
 
 
 def _json(data: Any) -> str:

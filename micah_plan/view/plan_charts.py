@@ -15,7 +15,7 @@ from micah_plan.view.document import ChartBlock
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, GOAL
 from micah_plan.view.placement import thresholds
-from micah_plan.view.plan_clock import knot_times, step_times, stretches
+from micah_plan.view.plan_clock import duration, knot_times, step_times, stretches
 from micah_plan.view.svg import Panel, rectangle
 from micah_plan.view.text import percent
 
@@ -66,7 +66,8 @@ class _Chart:
     def cursor(self) -> tuple[tuple[float, float], ...]:
         """Where the line of the player stands at each knot."""
         x = self.panel(None, _MEAN, 0.0, 1.0).x
-        return tuple((float(t), x(float(s))) for t, s in zip(knot_times(self.trajectory), self.steps, strict=True))
+        times = [*knot_times(self.trajectory), duration(self.trajectory)]
+        return tuple((float(t), x(float(s))) for t, s in zip(times, [*self.steps, self.steps[-1]], strict=True))
 
     def drawing(self, panels: list[Panel], parts: list[str], label: str) -> str:
         """The SVG: the modes' bands behind, the parts, frames, the axis of steps and the player's line."""

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 _DURATION_S = 10.0
 _FRAMES_PER_STEP = 3
 _TRANSITION_S = 0.02
+_REST_S = 0.8
 
 
 def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
@@ -27,6 +28,11 @@ def knot_times(trajectory: Trajectory) -> Floats:
     steps = step_times(trajectory)
     passed = np.concatenate([[0], np.cumsum(trajectory.is_transition)])
     return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed * _TRANSITION_S)
+
+
+def duration(trajectory: Trajectory) -> float:
+    """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen."""
+    return float(knot_times(trajectory)[-1]) + _REST_S
 
 
 def keyframes(trajectory: Trajectory) -> Keyframes:

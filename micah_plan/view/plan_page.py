@@ -29,7 +29,7 @@ from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids,
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
-from micah_plan.view.plan_clock import keyframes, knot_times, step_times, stretches
+from micah_plan.view.plan_clock import duration, keyframes, knot_times, step_times, stretches
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import straightened, tube
 from micah_plan.view.text import length, percent, quantity, short_quantity
@@ -107,11 +107,11 @@ def _start_mode(problem: Problem) -> str:
 
 
 def _bands(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Band, ...]:
-    times, colors = knot_times(trajectory), mode_colors(automaton)
-    return tuple(
-        Band(float(times[first]), float(times[end]), colors[trajectory.modes[first]], trajectory.modes[first])
-        for first, end in stretches(trajectory.modes)
-    )
+    colors, entered = mode_colors(automaton), [first for first, _ in stretches(trajectory.modes)]
+    starts = [float(knot_times(trajectory)[first]) for first in entered]
+    names = [trajectory.modes[first] for first in entered]
+    ends = [*starts[1:], duration(trajectory)]
+    return tuple(Band(a, b, colors[name], name) for a, b, name in zip(starts, ends, names, strict=True))
 
 
 def _still(problem: Problem) -> Keyframes:
@@ -183,8 +183,10 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
                 f"{length(sigmas.floor)})",
                 "belief",
                 "dot",
+                "b",
+                "belief",
             ),
-            LegendEntry(BELIEF, f"object at the mean ± {sigmas.ghosts:.2f} σ", "spread"),
+            LegendEntry(BELIEF, f"object at the mean ± {sigmas.ghosts:.2f} σ", "spread", "area", "s", "spread"),
             LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]
         if problem.hold is not None:
@@ -250,4 +252,4 @@ def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
             lines.append(f"{c.name} = {mean:.3f} {c.unit}, σ {std:.4f}")
         found.append((float(time), tuple(lines)))
-    return Timeline(float(knot_times(trajectory)[-1]), _bands(trajectory, automaton), tuple(found))
+    return Timeline(duration(trajectory), _bands(trajectory, automaton), tuple(found))

@@ -14,7 +14,15 @@ from micah_plan.view.learned import learned_runs
 from micah_plan.view.learning_charts import MOST_BLOCKS, chart_block
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
-from micah_plan.view.segments import NO_JOINT, UNITS, ColoredSegment, colored_segments, is_misfit, parent_pose, rows_of
+from micah_plan.view.segments import (
+    UNITS,
+    ColoredSegment,
+    colored_segments,
+    is_misfit,
+    parent_pose,
+    rows_of,
+    rows_of_run,
+)
 from micah_plan.view.solids import beads
 from micah_plan.view.text import length, short_quantity
 
@@ -22,6 +30,7 @@ Floats = NDArray[np.float64]
 
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400
+_MOST_LANES = 5
 _SHORTEST_S, _LONGEST_S = 4.0, 15.0
 
 
@@ -126,23 +135,39 @@ def _animate(
         path = f"frames/{slug(part, number)}"
         draw_frame(scene, path, 0.3 * size)
         scene.animate(path, shown[rows], poses[rows])
+    bands = _bands(recording, segments, shown)
+    drawn = tuple(band for band in bands if band.lane < _MOST_LANES)
+    return Timeline(duration, drawn, _readouts(recording, bands, shown))
+
+
+def _bands(recording: Recording, segments: tuple[ColoredSegment, ...], shown: Floats) -> list[Band]:
+    """When each segment is shown; every part has a lane of its own."""
+    parts = list(dict.fromkeys(c.edge.child for c in segments))
     bands = []
-    for colored in segments if len({c.edge.child for c in segments}) == 1 else ():
-        rows = rows_of(recording, colored)
-        end = shown[min(rows[-1] + 1, len(recording) - 1)]
-        end = end if end > shown[rows[0]] else shown[rows[-1]]
-        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, colored.name))
+    for colored in segments:
+        rows, part = rows_of(recording, colored), colored.edge.child
+        label = f"{part}: {colored.name}" if len(parts) > 1 else colored.name
+        of_run = rows_of_run(recording, colored.edge, colored.segment.run)
+        following = of_run[of_run > rows[-1]]
+        end = shown[following[0]] if len(following) else shown[rows[-1]]
+        bands.append(Band(float(shown[rows[0]]), float(end), colored.color, label, parts.index(part)))
+    return bands
+
+
+def _readouts(recording: Recording, bands: list[Band], shown: Floats) -> tuple[tuple[float, tuple[str, ...]], ...]:
+    """Row, time and the segments of all parts, at (some of) the rows."""
     several = len(recording.runs) > 1
     order = np.argsort(shown, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _MOST_KEYFRAMES)).astype(int))]
-    governed = [(set(rows_of(recording, c).tolist()), c.name) for c in segments]
     readouts = []
     for row in order:
+        time = float(shown[row])
         lines = [f"row {row}, t = {recording.time[row]:.2f} s"]
         lines += [f"run {recording.run[row]}"] if several else []
-        lines += [f"{name} segment" if name != NO_JOINT else NO_JOINT for rows, name in governed if row in rows][:1]
-        readouts.append((float(shown[row]), tuple(lines)))
-    return Timeline(duration, tuple(bands), tuple(readouts))
+        now = {band.lane: band.label for band in bands if band.start <= time <= band.end}
+        lines += [now[lane] for lane in sorted(now)[:_MOST_LANES]]
+        readouts.append((time, tuple(lines)))
+    return tuple(readouts)
 
 
 def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[tuple[str, str]]:

@@ -20,6 +20,7 @@ import umsgpack
 from scipy.stats import chi2
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.planning.plan import Plan
 from micah_plan.view.motion import Keyframes, belief_ellipsoids, poses_over_time
 from micah_plan.view.page import model_page, plan_page, recording_page
@@ -155,11 +156,13 @@ def test_the_timeline_follows_the_modes(all_pages: dict[str, str]) -> None:
     data = page_data(all_pages["plan"])
     times = [time for time, _ in data["readouts"]]
     assert times == sorted(times)
-    assert times[-1] == pytest.approx(data["duration"])
+    assert times[-1] < data["duration"], "the end rests a moment"
     assert data["readouts"][0][1] == ["step 0 of 20, mode swinging", "door = 0.100 rad, σ 0.0800"]
     assert data["readouts"][-1][1][0] == "step 20 of 20, mode stopped"
     widths = [float(width) for width in re.findall(r"%;width:([0-9.]+)%", all_pages["plan"])]
     assert sum(widths) == pytest.approx(100.0, abs=0.01)
+    assert min(widths) > 5.0, "the mode that is entered last is seen too"
+    assert data["charts"][0][-1][0] == pytest.approx(data["duration"])
 
 
 def test_the_belief_ellipsoid_has_the_stated_size_and_place(all_pages: dict[str, str]) -> None:
@@ -215,6 +218,19 @@ def test_a_single_row_and_several_runs_are_shown() -> None:
     both = dataclasses.replace(recording, run=np.repeat([0, 1], 30), has_run=True)
     readouts = page_data(recording_page(both))["readouts"]
     assert {line for _, lines in readouts for line in lines if line.startswith("run")} == {"run 0", "run 1"}
+
+
+def test_every_part_has_a_lane_of_segments() -> None:
+    recording, graph = measured()
+    both = dataclasses.replace(recording.rows(np.repeat(np.arange(60), 2)), part=("a", "b") * 60)
+    swing, rest = graph.edges[0].segments
+    a = KinematicEdge(BASE, "a", (dataclasses.replace(swing, end=79), dataclasses.replace(rest, start=80, end=118)))
+    b = KinematicEdge(BASE, "b", (dataclasses.replace(swing, start=1, end=119),))
+    page = recording_page(both, KinematicGraph((a, b)))
+    lanes = [re.findall(r"<span>([^<]*)</span>", lane) for lane in page.split('<div class="lane">')[1:]]
+    assert lanes[0] == ["a: revolute", "a: rigid"]
+    assert lanes[1][0] == "b: revolute"
+    assert page_data(page)["readouts"][0][1] == ["row 0, t = 0.00 s", "a: revolute", "b: revolute"]
 
 
 def test_poses_over_time_adds_the_offset() -> None:

@@ -12,7 +12,7 @@ from view_objects import OPEN_AT, problem, solved, trajectory
 
 from micah_plan.planning.plan import ArmTrajectory, Plan
 from micah_plan.view.plan_charts import plan_charts
-from micah_plan.view.plan_clock import knot_times, step_times, stretches
+from micah_plan.view.plan_clock import duration, knot_times, step_times, stretches
 
 Element = ElementTree.Element
 CONFIDENCE = 0.9
@@ -67,8 +67,9 @@ def test_goal_and_guard_are_marked_at_their_values() -> None:
 
 def test_the_line_of_the_player_stands_at_the_step_that_is_shown() -> None:
     drawing, _, cursor = drawn()
-    np.testing.assert_allclose(cursor[:, 0], knot_times(trajectory()))
-    np.testing.assert_allclose(cursor[:, 1], points(of_class(drawing, "line")[0])[:, 0], atol=0.06)
+    np.testing.assert_allclose(cursor[:-1, 0], knot_times(trajectory()))
+    np.testing.assert_allclose(cursor[:-1, 1], points(of_class(drawing, "line")[0])[:, 0], atol=0.06)
+    assert cursor[-1].tolist() == pytest.approx([duration(trajectory()), cursor[-2, 1]]), "it rests at the end"
     assert (np.diff(cursor[:, 0]) > 0).all()
 
 
@@ -104,4 +105,4 @@ def test_a_plan_that_never_leaves_its_place_is_drawn() -> None:
     still = trajectory(2)
     assert step_times(still)[-1] == 2
     drawing, _, cursor = drawn(trajectory=still)
-    assert len(points(of_class(drawing, "line")[0])) == len(cursor) == 4
+    assert len(points(of_class(drawing, "line")[0])) == len(cursor) - 1 == 4

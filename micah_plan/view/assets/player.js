@@ -3,6 +3,7 @@
 (function () {
   const data = JSON.parse(document.getElementById("page-data").textContent);
   const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+  window.viewer = viewer;  // for the console of the browser, and for tests
   const layer = (name) => viewer.scene_tree.find(data.layers[name] || ["meshcat", name]);
 
   // MeshCat fills the window; here the panel and the player take their share of it.
@@ -82,6 +83,12 @@
       box.addEventListener("change", show);
       show();
     }
+    document.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      for (const box of document.querySelectorAll("input[data-key]")) {
+        if (box.dataset.key === event.key.toLowerCase()) box.click();
+      }
+    });
   }
 
   function setUpPlayer() {
@@ -128,6 +135,7 @@
     slider.addEventListener("input", () => { setPlaying(false); show(Number(slider.value)); });
     document.addEventListener("keydown", (event) => {
       if (event.target.tagName === "INPUT" && event.target.type !== "range") return;
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
       const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
       if (event.key === " " && event.target !== button) setPlaying(!playing);
       else if (step) { setPlaying(false); show(time + step * data.duration / 60); }
