@@ -63,6 +63,10 @@ LIBRARIES = (
     Library("hypothesis", "hypothesis", "run the tests", "test"),
     Library("jsonschema", "jsonschema", "run the tests", "test"),
     Library("playwright", "playwright.sync_api", "test pages in a browser", "browser"),
+    Library("jupyterlab", "", "open the notebooks", "notebooks"),
+    Library("ipykernel", "", "run the notebooks", "notebooks"),
+    Library("nbclient", "", "run the notebooks", "notebooks"),
+    Library("mkdocs-jupyter", "", "build the docs", "docs"),
     Library("mkdocs-material", "material", "build the docs", "docs"),
     Library("mkdocstrings", "mkdocstrings", "build the docs", "docs"),
 )
