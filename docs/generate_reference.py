@@ -43,6 +43,12 @@ INTRODUCTIONS = {
         "problems/microwave_close.yaml",
         "What `micah-plan solve` is asked: from which uncertain start to which goal, with which model.",
     ),
+    "sweep": (
+        "Sweep file",
+        "problems/sweeps/drawer.yaml",
+        "What `micah-plan sweep` solves: problems, values to try in them, and seeds. See "
+        "[many at once](../concepts/sweep.md).",
+    ),
     "plan": (
         "Plan file",
         "",

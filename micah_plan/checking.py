@@ -13,6 +13,7 @@ from micah_plan.spec.model_file import load_model
 from micah_plan.spec.parts_file import load_parts
 from micah_plan.spec.plan_file import load_plan
 from micah_plan.spec.problem_file import load_problem
+from micah_plan.spec.sweep_file import load_sweep
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class FileCheck:
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a model, parts, problem, plan or recording file as the commands do, a problem with its model and robot."""
+    """Read a file of any kind as the commands do, a problem with its model and robot, a sweep with its problems."""
     file, kind = Path(path), None
     try:
         kind = kind_of(file)
@@ -53,6 +54,8 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
         load_parts(file)
     elif kind == "plan":
         load_plan(file)
+    elif kind == "sweep":
+        load_sweep(file)
     else:
         robot = load_problem(file).robot
         if robot is not None:

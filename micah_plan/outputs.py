@@ -14,6 +14,7 @@ PAGE = (".html",)
 FIGURE = (".png",)
 MODEL = (".yaml", ".yml")
 PLAN = (".json",)
+TABLE = (".csv", ".parquet")
 RUNS = (".csv", ".npz")  # a TUM trajectory cannot hold the actions of a run
 
 

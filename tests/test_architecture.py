@@ -28,6 +28,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("scene",),
     ("planning.problem", "planning.plan", "planning.deadline"),
     ("planning.start_state", "planning.settled"),
+    ("sweep.case",),
     ("spec", "learn", "symbolic"),
     ("robot",),
     ("belief",),
@@ -38,6 +39,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("exchange",),
     ("checking", "environment", "templates"),
     ("workflow",),
+    ("sweep",),
     ("summaries",),
     ("cli",),
     ("__main__",),
@@ -55,10 +57,23 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "ruamel": (("spec.",), True),
     "pydantic": (("spec.",), False),
     **dict.fromkeys(("mcap", "mcap_ros2", "lz4", "zstandard"), (("ros.",), True)),
+    "distributed": (("sweep.",), True),
+    "pyarrow": (("sweep.",), True),
     "typer": (("cli",), False),
     "rich": (("cli",), False),
 }
-SLOW_TO_LOAD = ("ompl", "pinocchio", "coal", "meshcat", "mujoco", "casadi", "matplotlib", "mcap")
+SLOW_TO_LOAD = (
+    "ompl",
+    "pinocchio",
+    "coal",
+    "meshcat",
+    "mujoco",
+    "casadi",
+    "matplotlib",
+    "mcap",
+    "distributed",
+    "pyarrow",
+)
 LIGHT = (
     "errors",
     "files",

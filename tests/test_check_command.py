@@ -14,7 +14,13 @@ from micah_plan.errors import InputError, together
 from micah_plan.summaries import checked
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = {"models": "model", "models/parts": "parts", "problems": "problem", "examples/demonstrations": "recording"}
+FOLDERS = {
+    "models": "model",
+    "models/parts": "parts",
+    "problems": "problem",
+    "problems/sweeps": "sweep",
+    "examples/demonstrations": "recording",
+}
 SHIPPED = [(kind, file) for place, kind in FOLDERS.items() for file in sorted((ROOT / place).glob("*.*"))]
 
 

@@ -30,6 +30,7 @@ COMMANDS = (
     "predict",
     "calibrate",
     "diff",
+    "sweep",
     "show",
     "convert",
     "check",
@@ -210,7 +211,7 @@ def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) 
             assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors, place
 
 
-@pytest.mark.parametrize("kind", ["model", "parts", "problem", "plan"])
+@pytest.mark.parametrize("kind", ["model", "parts", "problem", "sweep", "plan"])
 def test_the_page_on_a_file_has_every_key(kind: str, generated: dict[str, str]) -> None:
     described = schema(kind)
     page = generated[f"reference/{kind}_file.md"]

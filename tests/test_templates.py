@@ -59,7 +59,7 @@ def test_the_effect_conforms_and_runs(tmp_path: Path) -> None:
     assert ends[1] == pytest.approx(0.05 + 5 * 0.04 / 1.4, abs=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["problem", "effect", "robot"])
+@pytest.mark.parametrize("kind", ["problem", "effect", "robot", "sweep"])
 def test_every_yaml_file_is_good_and_names_a_schema_that_says_so(tmp_path: Path, kind: str) -> None:
     written = write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
     assert sorted((tmp_path / kind).iterdir()) == sorted(written)
@@ -93,5 +93,5 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
     for place in (tmp_path / "no" / "such", tmp_path / "file"):
         with pytest.raises(InputError, match="cannot be made"):
             write_template("effect", place)
-    with pytest.raises(InputError, match="choose one of problem, effect, robot"):
+    with pytest.raises(InputError, match="choose one of problem, effect, robot, sweep"):
         write_template("page", tmp_path)  # type: ignore[arg-type]

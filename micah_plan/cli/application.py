@@ -11,7 +11,7 @@ import typer
 from micah_plan import __version__
 from micah_plan.cli.checking import check
 from micah_plan.cli.comparing import diff
-from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, err, out
+from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, Interrupted, err, out
 from micah_plan.cli.environment import doctor
 from micah_plan.cli.exchange import convert
 from micah_plan.cli.learning import learn
@@ -19,10 +19,11 @@ from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.residuals import calibrate, predict
 from micah_plan.cli.schemas import schema
+from micah_plan.cli.sweeping import sweep
 from micah_plan.cli.templates import new
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, diff, show, convert, check, schema, doctor)
+COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, diff, sweep, show, convert, check, schema, doctor)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
@@ -45,6 +46,8 @@ def main() -> None:
         _fail(_usage_line(error), BAD_INPUT)
     except (InputError, MissingDependencyError) as error:
         _fail(error, BAD_INPUT)
+    except Interrupted as error:
+        _fail(error, INTERRUPTED)
     except MicahError as error:
         _fail(error, HONEST_NEGATIVE)
     except (KeyboardInterrupt, typer.Abort):

@@ -14,7 +14,7 @@ from micah_plan.cli.options import JsonFlag
 
 
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Models, parts, problems, plans and recordings.")],
+    files: Annotated[list[Path], typer.Argument(help="Models, parts, problems, sweeps, plans and recordings.")],
     as_json: JsonFlag = False,
 ) -> None:
     """Say what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""

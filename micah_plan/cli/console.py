@@ -10,12 +10,18 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from micah_plan.errors import MicahError
+
 HONEST_NEGATIVE = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
 
 out = Console(soft_wrap=True, highlight=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+class Interrupted(MicahError):  # noqa: N818 - it is no mistake
+    """Ctrl-C in a command that can say how to go on."""
 
 
 @contextmanager

@@ -19,6 +19,7 @@ class SchemaKind(StrEnum):
     PROBLEM = "problem"
     MODEL = "model"
     PARTS = "parts"
+    SWEEP = "sweep"
     PLAN = "plan"
 
 

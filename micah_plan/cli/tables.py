@@ -62,6 +62,25 @@ def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> N
     print_files(files)
 
 
+def print_counted(summary: dict[str, Any]) -> None:
+    """How many cases a sweep has, and of what."""
+    values = [f"{number} of {key}" for key, number in summary["grid"].items()]
+    factors = [f"{summary['problems']} problem(s)", *values, f"{summary['seeds']} seed(s)"]
+    out.print(f"{summary['cases']:,} cases: {' x '.join(factors)}", markup=False)
+    out.print(f"  finished  {summary['finished']:,}")
+
+
+def print_swept(summary: dict[str, Any], files: tuple[Path, ...]) -> None:
+    """What became of the cases of a sweep."""
+    before = f", {summary['resumed']:,} of them before" if summary["resumed"] else ""
+    out.print(f"finished {summary['cases']:,} cases{before} in {summary['seconds']:.2f} s")
+    for outcome, count in summary["outcomes"].items():
+        out.print(f"  {outcome:<12} {count:,}")
+    if summary["trials"]:
+        out.print(f"  {summary['successes']:,} of {summary['trials']:,} trials reached the goal")
+    print_files(files)
+
+
 def print_predicted(summary: dict[str, Any]) -> None:
     """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
     table = Table("", "position \\[m]", "rotation \\[rad]", "configuration", box=SIMPLE)

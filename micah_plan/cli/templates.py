@@ -19,6 +19,7 @@ class Template(StrEnum):
     PROBLEM = "problem"
     EFFECT = "effect"
     ROBOT = "robot"
+    SWEEP = "sweep"
 
 
 def new(
@@ -26,7 +27,7 @@ def new(
     folder: Annotated[Path, typer.Argument(help="Where to write the files; made if it is not there.")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a commented problem, effect or problem with a robot that works as it is; nothing is overwritten."""
+    """Write a commented problem, effect, sweep or problem with a robot that works as it is; nothing is overwritten."""
     from micah_plan.templates.write import write_template
 
     written = write_template(kind.value, folder)

@@ -9,8 +9,8 @@ from micah_plan.files import read_bytes
 from micah_plan.spec.located import choices
 from micah_plan.spec.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 
-YamlKind = Literal["model", "parts", "problem"]
-FileKind = Literal["model", "parts", "problem", "plan", "recording"]
+YamlKind = Literal["model", "parts", "problem", "sweep"]
+FileKind = Literal["model", "parts", "problem", "sweep", "plan", "recording"]
 
 
 def kind_of(path: str | Path) -> FileKind:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from micah_plan.automaton.contacts.product import with_contacts
-from micah_plan.errors import InputError, shown
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
-from micah_plan.planning.problem import Problem
+from micah_plan.planning.problem import Hold, Problem
+from micah_plan.scene.body import Body
 from micah_plan.scene.surroundings import surroundings_of
 from micah_plan.spec.hold_values import hold_of
 from micah_plan.spec.located import Located
 from micah_plan.spec.model_file import usable_model
+from micah_plan.spec.overrides import overridden
 from micah_plan.spec.problem_checks import check_problem
 from micah_plan.spec.problem_document import ProblemDocument
 from micah_plan.spec.problem_values import problem_of
@@ -36,46 +38,68 @@ def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         InputError: if the file or its model cannot be used; one line names file, line, key, what was expected and
             found, and the remedy.
     """
-    content = read_bytes(path, LARGEST_TEXT_BYTES)
-    located = read_yaml(content, str(path))
-    for key, value in (overrides or {}).items():
-        located = _overridden(located, key, value)
-    document = validated(located, ProblemDocument)
-    model_path = Path(path).parent / document.model
-    try:
-        model = read_bytes(model_path, LARGEST_TEXT_BYTES)
-    except InputError as error:
-        raise located.error(("model",), f"model {model_path}: {error.problem}", error.remedy) from None
-    automaton = usable_model(model, str(model_path))
-    hold = hold_of(document.hold, list(document.scene), located)
-    if hold is not None:
-        scene = scene_of(document.scene, located, Path(path).parent)
+    return ProblemReader(path).load(overrides)
+
+
+class ProblemReader:
+    """Reads one problem file again and again, with other overrides each time.
+
+    The files are read anew every time. What the model and the contacts of a held object make is kept as long as their
+    content stays the same: with contacts it takes seconds.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Args: the problem file."""
+        self._path = Path(path)
+        self._source = str(path)
+        self._made: tuple[tuple[object, ...], HybridAutomaton] | None = None
+
+    def load(self, overrides: Mapping[str, Any] | None = None) -> Problem:
+        """As `load_problem`."""
+        problem, located = self._described(overrides or {})
+        check_problem(problem, located)
+        return problem
+
+    def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:
+        """As `load`, but start and goal need not be possible for the object; keys, types and names must be right."""
+        return self._described(overrides or {})[0]
+
+    def _described(self, overrides: Mapping[str, Any]) -> tuple[Problem, Located]:
+        content = read_bytes(self._source, LARGEST_TEXT_BYTES)
+        located = read_yaml(content, self._source)
+        for key, value in overrides.items():
+            located = overridden(located, key, value)
+        document = validated(located, ProblemDocument)
+        model_path = self._path.parent / document.model
         try:
-            around = surroundings_of(scene, hold.contacts, hold.lower, hold.upper)
-            automaton = with_contacts(automaton, hold.grip, around)
+            model = read_bytes(model_path, LARGEST_TEXT_BYTES)
         except InputError as error:
-            raise located.error(("hold",), error.problem, error.remedy) from None
-    problem = problem_of(document, automaton, located, Path(path).parent)
-    check_problem(problem, located)
-    digests = {"problem": _digest(content), "model": _digest(model)}
-    if problem.robot is not None:
-        digests["robot"] = _digest(problem.robot.text.encode())
-    return replace(problem, source=str(path), digests=digests)
+            raise located.error(("model",), f"model {model_path}: {error.problem}", error.remedy) from None
+        automaton = self._automaton(model, model_path, document, located)
+        problem = problem_of(document, automaton, located, self._path.parent)
+        digests = {"problem": _digest(content), "model": _digest(model)}
+        if problem.robot is not None:
+            digests["robot"] = _digest(problem.robot.text.encode())
+        return replace(problem, source=self._source, digests=digests), located
+
+    def _automaton(self, model: bytes, path: Path, document: ProblemDocument, located: Located) -> HybridAutomaton:
+        """The model, times its contacts if the object is held."""
+        hold = hold_of(document.hold, list(document.scene), located)
+        scene = () if hold is None else scene_of(document.scene, located, self._path.parent)
+        inputs = (model, path, hold, scene)
+        if self._made is None or self._made[0] != inputs:
+            automaton = usable_model(model, str(path))
+            self._made = inputs, automaton if hold is None else _held(automaton, hold, scene, located)
+        return self._made[1]
+
+
+def _held(automaton: HybridAutomaton, hold: Hold, scene: tuple[Body, ...], located: Located) -> HybridAutomaton:
+    try:
+        around = surroundings_of(scene, hold.contacts, hold.lower, hold.upper)
+        return with_contacts(automaton, hold.grip, around)
+    except InputError as error:
+        raise located.error(("hold",), error.problem, error.remedy) from None
 
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _overridden(located: Located, key: str, value: Any) -> Located:
-    data = copy.deepcopy(located.data)
-    *parents, last = key.split(".")
-    current = data
-    for name in parents:
-        current = current.setdefault(name, {})
-        if not isinstance(current, dict):
-            raise InputError(f"cannot override {shown(key)}: '{name}' has no keys", source=located.source)
-    current[last] = value
-    path = tuple(key.split("."))
-    places = {place: at for place, at in located.places.items() if place[: len(path)] != path}
-    return replace(located, data=data, places=places)

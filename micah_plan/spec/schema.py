@@ -11,11 +11,13 @@ from micah_plan.spec.model_document import ModelDocument
 from micah_plan.spec.part_document import PartsDocument
 from micah_plan.spec.plan_document import PlanDocument
 from micah_plan.spec.problem_document import ProblemDocument
+from micah_plan.spec.sweep_document import SweepDocument
 
 _DOCUMENTS: Mapping[str, type[Document]] = {
     "model": ModelDocument,
     "parts": PartsDocument,
     "problem": ProblemDocument,
+    "sweep": SweepDocument,
     "plan": PlanDocument,
 }
 
@@ -24,7 +26,7 @@ def schema(kind: str) -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of a file.
 
     Args:
-        kind: ``"model"``, ``"parts"``, ``"problem"`` or ``"plan"``.
+        kind: ``"model"``, ``"parts"``, ``"problem"``, ``"sweep"`` or ``"plan"``.
 
     Raises:
         InputError: for another kind.

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import types
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from micah_plan.errors import InputError, shown, together
 from micah_plan.spec.fields import Document
+from micah_plan.spec.key_paths import document_at
 from micah_plan.spec.located import KeyPath, Located, choices, nearest
 
 D = TypeVar("D", bound=Document)
@@ -92,7 +92,7 @@ def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str
     """What is wrong, and the remedy."""
     kind, path, context = detail["type"], _path(detail), detail.get("ctx") or {}
     if kind == "extra_forbidden":
-        owner = _document_at(document, path[:-1])
+        owner = document_at(document, path[:-1])
         return f"unknown key {shown(path[-1])}", choices(str(path[-1]), owner.model_fields if owner else ())
     if kind == "missing":
         if isinstance(path[-1], int):
@@ -122,25 +122,3 @@ def _found(value: Any) -> str:
     if isinstance(value, list):
         return f"a list of {len(value)}"
     return shown(value)
-
-
-def _document_at(document: type[Document], path: KeyPath) -> type[Document] | None:
-    """The document type that stands at a key path."""
-    current: Any = document
-    for part in path:
-        if isinstance(current, type) and issubclass(current, Document):
-            field = current.model_fields.get(str(part))
-            current = None if field is None else _plain(field.annotation)
-        else:
-            arguments = get_args(current)
-            current = _plain(arguments[-1]) if arguments else None
-    return current if isinstance(current, type) and issubclass(current, Document) else None
-
-
-def _plain(annotation: Any) -> Any:
-    """An annotation without Annotated and `| None`."""
-    if get_origin(annotation) is Annotated:
-        return _plain(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, types.UnionType):
-        return _plain(next(kind for kind in get_args(annotation) if kind is not type(None)))
-    return annotation

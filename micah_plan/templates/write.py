@@ -12,13 +12,14 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import replace_file
 from micah_plan.spec.schema import schema
 
-TemplateKind = Literal["problem", "effect", "robot"]
+TemplateKind = Literal["problem", "effect", "robot", "sweep"]
 
 # The name that each file gets, by the name that it has here.
 _FILES: Mapping[TemplateKind, Mapping[str, str]] = {
     "problem": {"problem.yaml": "problem.yaml", "model.yaml": "model.yaml"},
     "effect": {"effect.py": "effect.py", "model.yaml": "model.yaml"},
     "robot": {"problem_with_arm.yaml": "problem.yaml", "model.yaml": "model.yaml", "robot.urdf": "robot.urdf"},
+    "sweep": {"sweep.yaml": "sweep.yaml", "problem.yaml": "problem.yaml", "model.yaml": "model.yaml"},
 }
 
 
@@ -26,7 +27,7 @@ def write_template(kind: TemplateKind, folder: str | Path) -> tuple[Path, ...]:
     """Write the template of a kind and the JSON Schemas that its YAML files name.
 
     Args:
-        kind: ``"problem"``, ``"effect"`` or ``"robot"``.
+        kind: ``"problem"``, ``"effect"``, ``"robot"`` or ``"sweep"``.
         folder: is made if it is not there; the folder around it must be.
 
     Returns:
@@ -39,7 +40,7 @@ def write_template(kind: TemplateKind, folder: str | Path) -> tuple[Path, ...]:
         raise InputError(f"unknown template {shown(kind)}", remedy=f"choose one of {', '.join(_FILES)}")
     place = Path(folder)
     contents = {target: (files("micah_plan.templates") / name).read_bytes() for name, target in _FILES[kind].items()}
-    for described in ("problem", "model"):
+    for described in ("sweep", "problem", "model"):
         if f"{described}.yaml" in contents:
             contents[f"{described}.schema.json"] = (json.dumps(schema(described), indent=2) + "\n").encode()
     for name in contents:

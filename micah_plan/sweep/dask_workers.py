@@ -1,0 +1,63 @@
+"""Workers of a Dask cluster. The only importer of distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from typing import Any
+
+from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.sweep.case import Case
+from micah_plan.sweep.result import CaseRun
+from micah_plan.sweep.solve_case import solve_case
+
+_CONNECT_S = 20.0
+
+
+class DaskWorkers:
+    """The workers that a scheduler has at each time. Dask itself gives the cases of a dead worker to others."""
+
+    def __init__(self, client: Any, executor: Executor) -> None:
+        """Args: a connected `distributed.Client`, and its executor."""
+        self._client, self._executor = client, executor
+
+    @property
+    def in_flight(self) -> int:
+        threads: int = sum(self._client.ncores().values())
+        return max(2, 2 * threads)
+
+    def submit(self, case: Case) -> Future[CaseRun]:
+        return self._executor.submit(solve_case, case)
+
+    def renew(self) -> bool:
+        return False
+
+
+@contextmanager
+def dask_workers(address: str) -> Iterator[DaskWorkers]:
+    """The workers of the scheduler at an address such as ``tcp://10.0.0.1:8786``; left alone with the block.
+
+    Raises:
+        MissingDependencyError: if distributed is not installed.
+        InputError: if no scheduler answers there, or it has no workers.
+    """
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise MissingDependencyError("a Dask cluster needs distributed: pip install 'micah-plan[cluster]'") from None
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        said = " ".join(str(error).split())[:200]
+        remedy = "start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`"
+        raise InputError(f"no Dask scheduler answers at {address} ({said})", remedy=remedy) from None
+    with client:
+        if not client.ncores():
+            problem = f"the Dask scheduler at {address} has no workers"
+            raise InputError(problem, remedy="start some: dask worker ADDRESS --nthreads 1")
+        executor = client.get_executor(pure=False)
+        try:
+            yield DaskWorkers(client, executor)
+        finally:
+            executor.shutdown(wait=False)

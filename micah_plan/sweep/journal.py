@@ -1,0 +1,137 @@
+"""The journal of a sweep: one line per finished case, on the disk before the next is written, read again to go on.
+
+The first line names the format; every other is a JSON object with the case's key and its run. A file that ends within a
+line was cut by a kill: the rest of the line is dropped, and that case is done again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from micah_plan.errors import InputError
+from micah_plan.files import LARGEST_FILE_BYTES
+from micah_plan.sweep.result import CaseRun, run_data, run_of
+
+_HEADER = b'{"format": "micah-plan/sweep-journal/1"}'
+
+
+def journal_path(output: Path) -> Path:
+    """Where the journal of a table lies: beside it."""
+    return output.with_name(f"{output.name}.journal")
+
+
+def read_journal(path: Path) -> dict[str, CaseRun]:
+    """The finished cases of a journal by key; none if there is no journal.
+
+    Raises:
+        InputError: if it is none, or a line of it is damaged.
+    """
+    if not path.exists():
+        return {}
+    with Journal(path, changes=False) as journal:
+        return dict(journal.finished)
+
+
+class Journal:
+    """An open journal; nobody else can write into it meanwhile.
+
+    Raises:
+        InputError: if the file is no journal, damaged, in use by another sweep, or cannot be written.
+    """
+
+    def __init__(self, path: Path, *, changes: bool = True) -> None:
+        """Args: the file, made if it is not there; and whether it shall be written."""
+        self._path = path
+        try:
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND if changes else os.O_RDONLY
+            self._file = os.open(path, flags | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
+        except OSError as error:
+            raise self._error(f"cannot be opened ({error.strerror})", "write the results elsewhere") from None
+        try:
+            if changes:
+                self._lock()
+            whole, finished = self._read()
+            self._finished = finished
+            if changes:
+                self._begin(whole)
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        os.close(self._file)
+
+    @property
+    def finished(self) -> Mapping[str, CaseRun]:
+        """Every run in the journal, by the case's key."""
+        return self._finished
+
+    def append(self, key: str, run: CaseRun) -> None:
+        """Write down a finished case; when this returns it is on the disk."""
+        line = json.dumps({"key": key, **run_data(run)}, allow_nan=False)
+        self._write(line.encode() + b"\n")
+        self._finished[key] = run
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            remedy = "wait for it, or write the results elsewhere"
+            raise self._error("another sweep is writing to it", remedy) from None
+
+    def _read(self) -> tuple[int, dict[str, CaseRun]]:
+        """How many bytes are whole lines, and what they say."""
+        status = os.fstat(self._file)
+        if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_FILE_BYTES:
+            raise self._error("is no journal of a sweep", "write the results elsewhere")
+        with open(self._path, "rb") as file:
+            content = file.read(LARGEST_FILE_BYTES + 1)
+        whole = content.rfind(b"\n") + 1
+        lines = content[:whole].split(b"\n")[:-1]
+        if (lines and lines[0] != _HEADER) or (not lines and not _HEADER.startswith(content)):
+            raise self._error("is no journal of a sweep", "write the results elsewhere")
+        return whole, dict(self._entry(number, line) for number, line in enumerate(lines[1:], start=2))
+
+    def _entry(self, number: int, line: bytes) -> tuple[str, CaseRun]:
+        try:
+            data: Any = json.loads(line)
+            key = data.pop("key")
+            if not isinstance(key, str):
+                raise ValueError("expected a key")
+            return key, run_of(data)
+        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+            problem, remedy = "the line is damaged", "delete it; its case is then done again"
+            raise InputError(problem, source=self._path, where=f"line {number}", remedy=remedy) from None
+
+    def _begin(self, whole: int) -> None:
+        """Drop what was cut within a line, and see to it that the file itself is on the disk."""
+        os.ftruncate(self._file, whole)
+        if whole == 0:
+            self._write(_HEADER + b"\n")
+        folder = os.open(self._path.parent, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _write(self, line: bytes) -> None:
+        try:
+            while line:
+                line = line[os.write(self._file, line) :]
+            os.fsync(self._file)
+        except OSError as error:
+            remedy = "make room on the disk and give the same command again to go on"
+            raise self._error(f"cannot be written ({error.strerror})", remedy) from None
+
+    def _error(self, problem: str, remedy: str) -> InputError:
+        return InputError(problem, source=self._path, remedy=remedy)

@@ -1,0 +1,116 @@
+"""`run_sweep`: every case of a sweep once, however often workers die or the sweep itself is killed and begun again."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+from micah_plan.files import replace_file
+from micah_plan.outputs import TABLE, Output, check_outputs
+from micah_plan.sweep.case import Case, Sweep
+from micah_plan.sweep.journal import Journal, journal_path
+from micah_plan.sweep.result import CaseResult, CaseRun
+from micah_plan.sweep.schedule import finished_cases
+from micah_plan.sweep.table import results_table, timings_path, timings_table
+from micah_plan.sweep.workers import ExecutorWorkers, Workers, process_workers
+
+_EXECUTOR_IN_FLIGHT = 16
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepResults:
+    """What `run_sweep` returns.
+
+    Attributes:
+        cases, results: one each per case, in the order of the table.
+        resumed: how many were in the journal already.
+        files: the table, its timings and the journal.
+    """
+
+    cases: tuple[Case, ...]
+    results: tuple[CaseResult, ...]
+    resumed: int
+    files: tuple[Path, ...]
+
+
+def run_sweep(
+    sweep: Sweep,
+    output: str | Path,
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> SweepResults:
+    """Solve all cases of a sweep and write its table, or go on where this was broken off.
+
+    Args:
+        output: CSV or Parquet file; its timings (`*.timings.*`) and journal (`*.journal`) lie beside it.
+        executor: any; its workers must see the same files. None: processes of this machine.
+        workers: how many processes; None: one per core.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: if the output or its journal cannot be used.
+        MissingDependencyError: if a library is missing for the table or the plant.
+        SweepStoppedError: if the executor broke or was closed; run again to go on.
+    """
+    place: AbstractContextManager[Workers] = process_workers(workers)
+    if executor is not None:
+        place = nullcontext(ExecutorWorkers(executor, _EXECUTOR_IN_FLIGHT))
+    with place as chosen:
+        return run_on(sweep, Path(output), chosen, progress)
+
+
+def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | None = None) -> SweepResults:
+    """`run_sweep` on workers of any kind."""
+    check_sweep_outputs(sweep, output)
+    cases = tuple(sweep.cases())
+    with Journal(journal_path(output)) as journal:
+        distinct = {case.key: case for case in cases}
+        unfinished = [case for key, case in distinct.items() if key not in journal.finished]
+        resumed = len(distinct) - len(unfinished)
+        told = _told(progress, resumed, len(distinct))
+        for case, run in finished_cases(unfinished, workers):
+            journal.append(case.key, run)
+            told(run)
+        runs = [journal.finished[case.key] for case in cases]
+    results = tuple(run.result for run in runs)
+    replace_file(output, results_table(sweep, cases, results, output.suffix))
+    replace_file(timings_path(output), timings_table(runs, output.suffix))
+    return SweepResults(cases, results, resumed, (output, timings_path(output), journal_path(output)))
+
+
+def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
+    """Refuse, before any work, files that would destroy another or could not be written.
+
+    Raises:
+        InputError: as `outputs.check_outputs`.
+        MissingDependencyError: if the table needs a library that is not installed.
+    """
+    read = [Path(sweep.source) if sweep.source else None, *(problem.path for problem in sweep.problems)]
+    beside = [Output("the journal of -o", journal_path(output), (".journal",))]
+    beside += [Output("the times of -o", timings_path(output), TABLE)] if output.suffix else []
+    check_outputs(read, [Output("-o", output, TABLE), *beside])
+    results_table(sweep, (), (), output.suffix)
+
+
+def _told(progress: Progress | None, finished: int, total: int) -> Callable[[CaseRun], None]:
+    """What says how many cases are finished, when it is told of one more."""
+    outcomes: Counter[str] = Counter({"from before": finished} if finished else {})
+
+    def say() -> None:
+        if progress is not None:
+            parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
+            progress(f"{outcomes.total()} of {total} cases ({parts})", outcomes.total() / max(1, total))
+
+    def tell(run: CaseRun) -> None:
+        outcomes[run.result.outcome] += 1
+        say()
+
+    say()
+    return tell
