@@ -20,6 +20,7 @@ from micah_plan.residual import experiments
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.geometry import geometry_findings, scatter_across
 from micah_plan.residual.growth import LEAST_EVIDENCE
+from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.simulation import GATES, Kind
@@ -30,7 +31,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FEWEST_ROWS = 8
-_CONFIDENCE = 0.95
+# Width of an interval in standard deviations.
+_STDS_WIDE = 2.0 * float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25
@@ -166,21 +168,14 @@ def _shared(progress: Progress, number: int, count: int) -> Progress:
 
 def _found(lane: Lane, finding: Finding) -> FoundEffect:
     own = finding.part.term.form
-    values = finding.part.starts[0]
-    names = [parameter.name for parameter in own.parameters]
-    reach = float(norm.ppf(0.5 + 0.5 * _CONFIDENCE))
-    count = len(names)
-    interval = tuple(
-        (float(v - reach * s), float(v + reach * s)) for v, s in zip(values[:count], finding.std[:count], strict=True)
-    )
-    effect = effect_of(lane, finding.part, finding.std)
+    effect = effect_of(lane, finding.part, finding.interval)
     return FoundEffect(
         effect=effect,
         units=tuple(parameter.unit_for(lane.unit) for parameter in own.parameters),
-        interval=interval,
+        interval=tuple((float(low), float(high)) for low, high in finding.interval[: len(own.parameters)]),
         evidence=finding.evidence,
         tied=finding.tied,
-        since=_since(lane, values),
+        since=_since(lane, finding.part.starts[0]),
         derived=tuple(
             ("seconds", value * lane.period)
             for value, parameter in zip(effect.values, own.parameters, strict=True)
@@ -195,13 +190,13 @@ def _found(lane: Lane, finding: Finding) -> FoundEffect:
 
 def _geometry_effect(effect: Effect, std: Sequence[float], evidence: float) -> FoundEffect:
     own = form(effect.name)
-    reach = float(norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    reach = 0.5 * _STDS_WIDE
     interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
     units = tuple(parameter.unit for parameter in own.parameters)
     return FoundEffect(effect, units, interval, evidence, (), None, (), own.sentence, own.source, "")
 
 
-def effect_of(lane: Lane, part: Candidate, std: Floats | None = None) -> Effect:
+def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Effect:
     """The value that an automaton takes in of a fitted candidate."""
     own = part.term.form
     count = len(own.parameters)
@@ -212,7 +207,7 @@ def effect_of(lane: Lane, part: Candidate, std: Floats | None = None) -> Effect:
     pairs = tuple(zip([parameter.name for parameter in own.parameters], values, strict=True))
     since = _since(lane, part.starts[0])
     note = "" if since is None else f"seen from run {since[0]}, {since[1]:.3g} s on"
-    spread = () if std is None else tuple(float(s) for s in std[:count])
+    spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
     return Effect(own.name, lane.coordinate, pairs, spread, part.term.modes, note)
 
 
@@ -230,11 +225,12 @@ def _since(lane: Lane, values: Floats) -> tuple[int, float] | None:
 def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:
     effects = []
     for one in traces:
-        stds = {id(finding.part): finding.std for finding in one.findings}
         known = {finding.part.name: finding for finding in one.findings}
         for part in one.final.parts:
             finding = known.get(part.name)
-            effects.append(effect_of(one.lane, part, stds[id(finding.part)] if finding is not None else None))
+            # With a correction on top the parameters are those that were fitted together with it.
+            own = finding.part if finding is not None and one.final is one.chosen else part
+            effects.append(effect_of(one.lane, own, None if finding is None else finding.interval))
     return effects
 
 

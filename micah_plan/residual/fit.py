@@ -24,6 +24,7 @@ Ints = NDArray[np.int64]
 
 # Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
 _SHARE_STEP = 1.0
+_FIRST_STEP = 0.25
 _SHARE_BOUND = 5.0
 _LINE = (1.0, 0.4, 0.1)
 _SMALLEST_STEP = 2e-2
@@ -60,32 +61,33 @@ class Fit:
     Attributes:
         parameters: (M, columns) and share: (M,) of process noise on the logistic scale.
         loss: (M,) negative log likelihood with the prior [nats]; scale: (M,) of the noise.
-        information: (M, k, k) of the free parameters.
     """
 
     parameters: Floats
     share: Floats
     loss: Floats
     scale: Floats
-    information: Floats
 
     def best(self, count: int = 1) -> Fit:
         """Those with the smallest losses, best first."""
         i = np.argsort(self.loss, kind="stable")[:count]
-        return Fit(self.parameters[i], self.share[i], self.loss[i], self.scale[i], self.information[i])
+        return Fit(self.parameters[i], self.share[i], self.loss[i], self.scale[i])
 
 
-def optimise(problem: Problem, start: Floats, share: Floats, trained: Booleans, rounds: int) -> Fit:
+def optimise(
+    problem: Problem, start: Floats, share: Floats, trained: Booleans, rounds: int, step: float = _FIRST_STEP
+) -> Fit:
     """Improve M starts, each on its own training rows.
 
     Args:
         start: (M, columns); share: (M,) logistic share of process noise; trained: (M, S) stretches to fit.
+        step: of the compass search at first, in units of what is large for a parameter.
     """
-    state = _State(problem, start.copy(), share.copy(), trained)
+    state = _State(problem, start.copy(), share.copy(), trained, step)
     for _ in range(rounds):
         if not state.improve():
             break
-    return Fit(state.x, state.share, state.loss, state.scale, state.information())
+    return Fit(state.x, state.share, state.loss, state.scale)
 
 
 def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
@@ -107,17 +109,16 @@ def _logistic(value: Floats) -> Floats:
 class _State:
     """Where the search is: parameters, steps and losses of M fits."""
 
-    def __init__(self, problem: Problem, x: Floats, share: Floats, trained: Booleans) -> None:
+    def __init__(self, problem: Problem, x: Floats, share: Floats, trained: Booleans, step: float) -> None:
         self.problem, self.x, self.share, self.trained = problem, x, share, trained
         self.count, self.k = len(x), problem.free.size
         if columns(problem.model) != x.shape[1]:
             raise ValueError(f"expected {columns(problem.model)} columns, found {x.shape[1]}")
-        self.step = np.full(self.count, 0.25)
+        self.step = np.full(self.count, step)
         self.share_step = np.full(self.count, _SHARE_STEP)
         self.smooth = self.k > 8
         self.loss = np.full(self.count, np.inf)
         self.scale = np.ones(self.count)
-        self._jacobian: tuple[Floats, Floats] | None = None
 
     def improve(self) -> bool:
         """One iteration over all fits; whether any still moves."""
@@ -143,13 +144,6 @@ class _State:
             np.concatenate([found.scale.reshape(self.count, size), ended.scale.reshape(self.count, len(_LINE))], 1),
             size,
         )
-
-    def information(self) -> Floats:
-        """(M, k, k) Gauss-Newton information at the last linearisation, prior included."""
-        if self._jacobian is None:
-            return np.zeros((self.count, self.k, self.k))
-        hessian, _ = self._jacobian
-        return hessian
 
     def _neighbours(self) -> tuple[Floats, Floats, Ints]:
         """Centre, both neighbours in every free parameter, and both in the share, for every fit."""
@@ -197,7 +191,6 @@ class _State:
         residual = errors[:, 0].reshape(self.count, -1, 1)
         away = (self.x[:, free] - problem.center) * prior
         gradient = ((flat * w) @ residual)[:, :, 0] + away
-        self._jacobian = hessian, gradient
         damped = hessian + 1e-9 * np.eye(self.k) * np.trace(hessian, axis1=1, axis2=2)[:, None, None]
         damped = damped + np.diag(1e-6 / problem.scale**2)
         return np.asarray(-np.linalg.solve(damped, gradient[:, :, None])[:, :, 0])

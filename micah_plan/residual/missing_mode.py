@@ -21,6 +21,7 @@ from scipy.stats import t as student_t
 from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import Lane
 
 Floats = NDArray[np.float64]
@@ -99,7 +100,7 @@ def missing_modes(
     others = [np.roll(rival, -1, axis=1)[starts] / noise for rival in rivals]
     best = max(_log_density(left) for left in (e, _held_out(e, smooth, held), *others))
     left = _held_out(e, piecewise, held)
-    evidence = _independent_share(left) * (_log_density(left) - best)
+    evidence = independent_share(_correlation(left)) * (_log_density(left) - best)
     if evidence < _CLEARLY:
         return ()
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
@@ -115,11 +116,10 @@ def missing_modes(
     return tuple(found)
 
 
-def _independent_share(left: Floats) -> float:
-    """Which share of rows (N,) in time order counts: (1 - r) / (1 + r), with r from each to the next (Bartlett)."""
+def _correlation(left: Floats) -> float:
+    """Of rows (N,) in time order, each with the next."""
     left = left - left.mean()
-    r = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    return (1.0 - max(r, 0.0)) / (1.0 + max(r, 0.0))
+    return float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
 
 
 def _scatter(values: Floats) -> float:

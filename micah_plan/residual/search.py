@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from micah_plan.residual.candidates import Candidate, smooth
 from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
+from micah_plan.residual.interval import independent_share, intervals
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.simulation import GATES, Kind
@@ -132,6 +133,11 @@ class Search:
         p = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
         return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
 
+    def intervals(self, scored: Scored) -> Floats:
+        """(k, 3) interval and median of each free parameter, in the order of the parts; see `interval.intervals`."""
+        correlation = self._correlations(scored)[0][0]
+        return intervals(self._problem(scored.parts), scored.fit, independent_share(correlation))
+
     def _problem(self, parts: Sequence[Candidate]) -> Problem:
         free, scale, center, lower, upper, at = [], [], [], [], [], 0
         for part in parts:
@@ -169,20 +175,24 @@ class Search:
 
         Source: Ljung and Box, Biometrika 1978, for residuals of a fitted model.
         """
-        counted = self.lane.counted
-        error = self.innovations(scored) * counted
-        total = float((error**2).sum())
-        found = []
-        for lag in range(1, 5):
-            pairs = counted[:, lag:] & counted[:, :-lag]
-            count = int(pairs.sum())
-            if count > 10 and total > 0:
-                product = (error[:, lag:] * error[:, :-lag])[pairs]
-                found.append((float(product.sum()) / total * counted.sum() / count, count))
+        found = [one for one in self._correlations(scored) if one[1] > 10]
         if not found:
             return 0.0, 1.0
         statistic = sum(r * r * count for r, count in found)
         return max((r for r, _ in found), key=abs), float(chi2.sf(statistic, len(found)))
+
+    def _correlations(self, scored: Scored) -> list[tuple[float, int]]:
+        """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
+        counted = self.lane.counted
+        error = self.innovations(scored) * counted
+        mean_square = float((error**2).sum()) / counted.sum()
+        found = []
+        for lag in range(1, 5):
+            pairs = counted[:, lag:] & counted[:, :-lag]
+            product = float((error[:, lag:] * error[:, :-lag])[pairs].sum())
+            count = int(pairs.sum())
+            found.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
+        return found
 
     def leaves_nothing(self, scored: Scored) -> bool:
         """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""

@@ -51,15 +51,15 @@ class Finding:
     """An effect that was found on a lane.
 
     Attributes:
-        part: its term and fitted parameters, gates included.
-        std: (size,) of the parameters; 0 for those that were not fitted.
+        part: its term and parameters, gates included; those that were fitted are medians.
+        interval: (size, 2) at `interval.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place.
         is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse.
     """
 
     part: Candidate
-    std: Floats
+    interval: Floats
     evidence: float
     tied: tuple[str, ...]
     is_added: bool = True
@@ -178,14 +178,14 @@ def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) 
 
 
 def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
-    found, at, column = [], 0, 0
-    information = chosen.fit.information[0] if chosen.parts else np.zeros((0, 0))
-    covariance = np.linalg.pinv(information) if information.size else information
+    found, column = [], 0
+    known = search.intervals(chosen) if chosen.parts else np.zeros((0, 3))
     for number, part in enumerate(chosen.parts):
-        std = np.zeros(part.term.size)
-        for free in part.free:
-            std[free] = np.sqrt(max(float(covariance[column, column]), 0.0))
-            column += 1
+        own = known[column : column + len(part.free)]
+        column += len(part.free)
+        values, free = part.starts.copy(), list(part.free)
+        interval = np.repeat(part.starts.T, 2, axis=1)
+        values[0, free], interval[free] = own[:, 1], own[:, [0, 2]]
         others = (*chosen.parts[:number], *chosen.parts[number + 1 :])
         without = search.score(others) if others else search.nominal
         evidence = chosen.over(without)[0]
@@ -199,8 +199,7 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
         same = indistinguishable(part, search.lane) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
-        found.append(Finding(part, std, evidence, tied))
-        at += part.term.size
+        found.append(Finding(replace(part, starts=values), interval, evidence, tied))
     return tuple(sorted(found, key=lambda finding: -finding.evidence))
 
 

@@ -1,0 +1,71 @@
+"""Intervals hold what was planted, also where the likelihood is a staircase."""
+
+from __future__ import annotations
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute, rigid
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.candidates import candidates
+from micah_plan.residual.interval import independent_share
+from micah_plan.residual.lane import lanes
+from micah_plan.residual.search import Search
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+
+
+@pytest.fixture(scope="module")
+def door():
+    """Swings from 0 to 1.2 rad and is rigid there."""
+    end = plants.LENGTH
+    shut = forward(SWING, end)[0]
+    held = rigid(shut.translation, shut.rotation.as_quat(), end)
+    rows = [(SWING, 0.0, 0), (held, end, 10)]
+    segments = [Segment(j, 0, k, k + 9, at, end, (at, end), 0.001, 0.003, 0.0, 1.0) for j, at, k in rows]
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", tuple(segments)),)))
+
+
+def interval_of(door, plant, name, seed, goals=None):
+    """(low, median, high) of the first parameter of the form that was planted, and the lane."""
+    moved = plants.runs_of(plant, 8, 40, seed, noise=0.003, goals=goals)
+    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
+    search = Search(lane)
+    (part,) = [one for one in candidates(lane) if one.name == name]
+    return search.intervals(search.score((part,), search.nominal))[0], lane
+
+
+def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_apart(door) -> None:
+    (low, median, high), lane = interval_of(door, plants.sticky, "dead_zone", 2)
+    assert low < median < high
+    assert low < 0.02 < high
+    sizes = np.sort(np.abs(lane.u[lane.counted_starts]))
+    inside = int(np.sum((sizes > low) & (sizes < high)))
+    assert inside <= 6
+
+
+def test_correlated_rows_count_as_fewer() -> None:
+    assert independent_share(0.0) == independent_share(-0.3) == 1.0
+    assert independent_share(0.5) == pytest.approx(1 / 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plant", "name", "truth", "goals"),
+    [
+        ("sticky", "dead_zone", 0.02, None),
+        ("clinging", "guard_hysteresis", 0.03, (0.8, 1.2)),
+        ("short_steps", "gain", 0.8, None),
+        ("late", "delay", 2.0, None),
+    ],
+)
+def test_intervals_hold_the_truth_as_often_as_they_say(door, plant, name, truth, goals) -> None:
+    found = [interval_of(door, getattr(plants, plant), name, seed, goals)[0] for seed in range(16)]
+    held = sum(low <= truth <= high for low, _, high in found)
+    assert held >= 13  # of 16: fewer happen in 1 of 100 where 95 % is true
+    widths = [high - low for low, _, high in found]
+    assert np.median(widths) < 0.2 * truth
