@@ -25,10 +25,9 @@ from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Evidence [nats] and size against the scatter that a change of geometry must have: the model's own error is no effect.
-_LEAST_EVIDENCE = 20.0
-_LEAST_RATIO = 1.0
-# Share of the squared residual that held-out rows may keep.
+# Evidence [nats] that a change of geometry must have, in all and per row; what wanders can look like one.
+_LEAST_EVIDENCE, _PER_ROW = 20.0, 0.01
+# Share of the squared residual that held-out rows may keep with the changed joint alone.
 _MOST_LEFT = 0.6
 _FOLDS = 4
 _FEWEST_ROWS = 20
@@ -153,7 +152,7 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     everything = np.ones(len(rows.residual), dtype=bool)
     beta, covariance, scatter, _ = _regression(rows, with_it, everything)
     unit = scatter[rows.direction]
-    evidence, squared, kept = 0.0, np.zeros(2), np.zeros(2)
+    evidence, kept = 0.0, np.zeros(2)
     for fold in range(_FOLDS):
         train, test = rows.block != fold, rows.block == fold
         if train.sum() < _FEWEST_ROWS // 2 or not test.any():
@@ -161,14 +160,10 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
         evidence += _predicts(rows, with_it, train, test) - _predicts(rows, without, train, test)
         for k, design in enumerate((with_it, without)):
             fitted = _regression(rows, design, train)[0]
-            squared[k] += float((((rows.residual - design @ fitted) / unit)[test] ** 2).sum())
             # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
             effect = design[:, own:] @ fitted[own:]
             kept[k] += float((((rows.residual - effect) / unit)[test] ** 2).sum())
-    effect = rows.regressors @ beta[own:]
-    centred = effect - (without @ (without.T @ effect / without.sum(axis=0)))
-    size = float(np.sqrt(np.mean((centred / unit) ** 2)))
-    if evidence < _LEAST_EVIDENCE or size < _LEAST_RATIO or squared[0] > _MOST_LEFT * squared[1]:
+    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)):
         return None
     if kept[0] > _MOST_LEFT * kept[1]:
         return None

@@ -83,6 +83,22 @@ def test_a_real_pitch_is_found_under_a_wandering_tracker(door) -> None:
         assert after < 0.5 * before
 
 
+def test_an_axis_beside_the_models_is_found_in_noise_of_its_size(door) -> None:
+    """What the moved axis bends the path by, about its mean, is as large as the scatter of the poses."""
+    noise = 0.01
+    recording = plants.door_recording(
+        plants.runs_of(plants.honest, 8, 40, 1, noise=noise),
+        across=plants.RADIUS * noise,
+        seed=1,
+        shape=plants.off_axis,
+    )
+    (found,) = geometry_findings(door, tracks(door, recording))
+    assert found.effect.name == "axis_offset"
+    for value, std, truth in zip(found.effect.values, found.std, (0.0, -0.015), strict=True):
+        assert value == pytest.approx(truth, abs=3 * std)
+        assert std < 0.001
+
+
 @pytest.mark.parametrize("most_rows", [20_000, 40])
 def test_position_errors_before_and_after_a_pitch_are_told(door, monkeypatch, most_rows) -> None:
     """Also where only some of the runs are looked at."""
