@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -13,11 +14,14 @@ import pytest
 
 from micah_plan import workflow
 from micah_plan.automaton.effects.conformance import check_form
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
 from micah_plan.errors import InputError
+from micah_plan.spec.model_file import load_model
 from micah_plan.spec.problem_file import load_problem
 from micah_plan.spec.yaml_lines import read_yaml
 from micah_plan.templates.effect import SpeedDrag
+from micah_plan.templates.first_problem import first_problem
 from micah_plan.templates.write import write_template
 
 
@@ -86,6 +90,26 @@ def test_the_command_writes_and_never_overwrites(tmp_path: Path) -> None:
     assert refused.stderr == "error: mine/problem.yaml: is there already; name another folder\n"
     assert (tmp_path / "mine" / "problem.yaml").read_text() == "my own"
     assert not (tmp_path / "mine" / "robot.urdf").exists()
+
+
+@pytest.mark.parametrize("name", ["cabinet", "stapler"])
+def test_a_problem_for_a_learned_model_solves_as_it_is(tmp_path: Path, repository: Path, name: str) -> None:
+    written = write_template("problem", tmp_path / "mine", model=repository / "models" / f"{name}.yaml")
+    assert [check_file(path).faults for path in written if path.suffix == ".yaml"] == [(), ()]
+    assert workflow.solve(load_problem(written[0])).outcome == "solved"
+
+
+def test_only_a_problem_is_made_for_a_model(tmp_path: Path, repository: Path) -> None:
+    with pytest.raises(InputError, match="a robot is not made from a model"):
+        write_template("robot", tmp_path / "mine", model=repository / "models" / "drawer.yaml")
+    with pytest.raises(InputError, match="nothing in this model can be moved"):
+        first_problem(held_still(repository))
+    assert not (tmp_path / "mine").exists()
+
+
+def held_still(repository: Path) -> HybridAutomaton:
+    drawer = load_model(repository / "models" / "drawer.yaml")
+    return replace(drawer, modes=tuple(replace(mode, input_matrix=((0.0,),)) for mode in drawer.modes))
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:

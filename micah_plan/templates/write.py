@@ -10,7 +10,9 @@ from typing import Literal
 
 from micah_plan.errors import InputError, shown
 from micah_plan.files import replace_file
+from micah_plan.spec.model_file import load_model
 from micah_plan.spec.schema import schema
+from micah_plan.templates.first_problem import first_problem
 
 TemplateKind = Literal["problem", "effect", "robot", "sweep"]
 
@@ -23,23 +25,30 @@ _FILES: Mapping[TemplateKind, Mapping[str, str]] = {
 }
 
 
-def write_template(kind: TemplateKind, folder: str | Path) -> tuple[Path, ...]:
+def write_template(kind: TemplateKind, folder: str | Path, *, model: str | Path | None = None) -> tuple[Path, ...]:
     """Write the template of a kind and the JSON Schemas that its YAML files name.
 
     Args:
         kind: ``"problem"``, ``"effect"``, ``"robot"`` or ``"sweep"``.
+        model: of a problem: the model that it shall be about, copied into the folder; None for a drawer.
         folder: is made if it is not there; the folder around it must be.
 
     Returns:
         The files, the one to begin with first.
 
     Raises:
-        InputError: for another kind, if one of the files is there already, or if they cannot be written.
+        InputError: for another kind, for a model that cannot be used or in which nothing moves, if one of the files is
+            there already, or if they cannot be written.
     """
     if kind not in _FILES:
         raise InputError(f"unknown template {shown(kind)}", remedy=f"choose one of {', '.join(_FILES)}")
     place = Path(folder)
     contents = {target: (files("micah_plan.templates") / name).read_bytes() for name, target in _FILES[kind].items()}
+    if model is not None:
+        if kind != "problem":
+            raise InputError(f"a {kind} is not made from a model", remedy="leave out --model")
+        contents["problem.yaml"] = first_problem(load_model(model)).encode()
+        contents["model.yaml"] = Path(model).read_bytes()
     for described in ("sweep", "problem", "model"):
         if f"{described}.yaml" in contents:
             contents[f"{described}.schema.json"] = (json.dumps(schema(described), indent=2) + "\n").encode()
