@@ -56,7 +56,12 @@ def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
     if not moving or track.action is None or any(sure.misfit for sure in learned.certainties):
         return None
     longest = max(moving, key=lambda piece: piece.end - piece.start)
-    pieces = [(piece.start, piece.end) for piece in moving if piece.leader == longest.leader]
+    # The step into a neighbour is not the joint's alone: a stop cuts it short.
+    pieces = [
+        (piece.start + (piece.start > 0), piece.end - (piece.end < len(track) - 1))
+        for piece in moving
+        if piece.leader == longest.leader
+    ]
     return estimate_channel(longest.joint, pieces, track, _white_std(longest, learned, track), learned.inlier)
 
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.joint import rigid
-from micah_plan.automaton.kinematics import inverse_jacobian
+from micah_plan.automaton.joint import revolute, rigid
+from micah_plan.automaton.kinematics import forward, inverse_jacobian
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate, matrices, turned_by
 from micah_plan.learn.actions.channel_steps import command_of, fit_noise, noise_of, steps_of
+from micah_plan.learn.track import PartTrack
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -54,6 +55,27 @@ def test_ideal_actions_are_the_identity_channel(script):
         assert np.linalg.norm(found.frame_rotation) < 0.2
         assert abs(found.delay) < 0.01
         assert found.explained > 0.99
+
+
+def stepped_on(joint, rng, noise, rows=56):
+    """A hand that steps on from what it measures, so that its actions point where the tracker's noise points."""
+    wanted = rng.uniform(0.015, 0.035, rows)
+    measured = np.cumsum(wanted) - wanted + noise * rng.standard_normal(rows)
+    poses, meant = forward(joint, measured), forward(joint, measured + wanted)
+    action = poses.rotation.inv().apply(meant.translation - poses.translation)
+    action[-1] = 0.0
+    return PartTrack(np.arange(rows), 0.1 * np.arange(rows), poses.translation, poses.rotation.as_quat(), action)
+
+
+def test_directions_that_follow_the_noise_are_no_turned_frame():
+    joint = revolute((0, 0, 1), (-0.33, 0.03, 0.0), (0, 0, 0))
+    worst = []
+    for seed, noise in enumerate([0.002, 0.005, 0.01] * 3):
+        track = stepped_on(joint, np.random.default_rng(seed), noise)
+        found = estimate_channel(joint, [(0, len(track) - 1)], track, noise)
+        off = np.array([*found.frame_rotation, found.gain - 1.0, found.delay])
+        worst.append(float(off @ np.linalg.solve(found.covariance, off)))
+    assert sum(miss > 11.1 for miss in worst) <= 1  # chi squared with 5 degrees of freedom, 95 %
 
 
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
+from micah_plan.learn.actions.anchored import with_anchored_actions
 from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb, integrate, matrices, scan
 from micah_plan.learn.actions.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
 from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
@@ -92,10 +93,12 @@ def estimate_channel(
         the estimate. None if there are no actions, fewer than 10 steps, no motion, or if the evidence, integrated over
         rotations, gains and delays, does not speak for a channel.
     """
-    command = command_of(track)
-    if command is None or joint.kind == "rigid":
+    if track.action is None or joint.kind == "rigid":
         return None
     counted = np.ones(len(track), dtype=bool) if inlier is None else inlier
+    command = command_of(with_anchored_actions(joint, pieces, track, counted))
+    if command is None:
+        return None
     white = max(white_std, 1e-9) ** 2
     steps = steps_of(joint, pieces, track, counted, white, None)
     if len(steps) < _FEWEST_STEPS or not np.any(steps.leverage) or not np.any(steps.size):

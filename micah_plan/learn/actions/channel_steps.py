@@ -16,7 +16,8 @@ from scipy.linalg import lapack
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import inverse, jacobian
+from micah_plan.automaton.kinematics import jacobian
+from micah_plan.learn.actions.anchored import configurations
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -131,24 +132,16 @@ def steps_of(
     Args:
         white: variance of one measured configuration [rad² or m²].
     """
-    rows = [np.arange(first, last + 1) for first, last in pieces]
-    rows = [r[inlier[r]] for r in rows]
-    every = np.concatenate(rows)
-    turning = joint.kind in ("revolute", "screw")
-    rotation = None if track.quaternion is None else Rotation.from_quat(track.quaternion[every])
-    measured = inverse(joint, track.position[every], rotation)
-    if turning:
-        measured = np.unwrap(measured)
-    time = (track.time[every] - track.time[0]) / track.duration
+    found = configurations(joint, pieces, track, inlier)
+    time = (track.time - track.time[0]) / track.duration
     group = 1 if most is None else max(1, round(len(track) / most))
-    parts = np.split(np.arange(len(every)), np.cumsum([len(r) for r in rows])[:-1])
-    blocks = [_averaged(time[p], measured[p], group) for p in parts]
-    start = np.concatenate([t[:-1] for t, _ in blocks])
-    end = np.concatenate([t[1:] for t, _ in blocks])
-    size = np.concatenate([np.diff(c) for _, c in blocks])
-    calm = [_smoothed(t, c, white / group) for t, c in blocks]
-    halfway = np.concatenate([0.5 * (c[:-1] + c[1:]) for c in calm])
-    lengths = np.array([max(len(t) - 1, 0) for t, _ in blocks])
+    blocks = [(_averaged(time[rows], group), _averaged(c, group), _averaged(calm, group)) for rows, c, calm in found]
+    start = np.concatenate([t[:-1] for t, _, _ in blocks])
+    end = np.concatenate([t[1:] for t, _, _ in blocks])
+    size = np.concatenate([np.diff(c) for _, c, _ in blocks])
+    # Noise of the configuration that a direction is taken at would weaken what is explained.
+    halfway = np.concatenate([0.5 * (calm[:-1] + calm[1:]) for _, _, calm in blocks])
+    lengths = np.array([max(len(t) - 1, 0) for t, _, _ in blocks])
     linked = np.ones(max(len(size) - 1, 0), dtype=bool)
     ends = np.cumsum(lengths)[:-1]
     linked[ends[(ends > 0) & (ends < len(size))] - 1] = False
@@ -192,25 +185,10 @@ def noise_of(steps: Steps, left: Floats, extra: Floats, walk: float, white: floa
     return StepNoise(walk, white, -0.5 * (misfit + prior), pivots, factor)
 
 
-def _averaged(time: Floats, value: Floats, group: int) -> tuple[Floats, Floats]:
+def _averaged(value: Floats, group: int) -> Floats:
     """Means of groups of rows; a last group that is not full is left out."""
-    full = len(time) // group * group
-    return time[:full].reshape(-1, group).mean(axis=1), value[:full].reshape(-1, group).mean(axis=1)
-
-
-def _smoothed(time: Floats, value: Floats, white: float) -> Floats:
-    """A random walk's most probable course, where it has the mean squared speed of the measured one.
-
-    Noise of the configuration that a direction is taken at would weaken what is explained.
-    """
-    lag = max(1, len(value) // 32)
-    if len(value) < 3 * lag:
-        return value
-    walk = max(float(np.mean((value[lag:] - value[:-lag]) ** 2 / (time[lag:] - time[:-lag]))), _TINY)
-    stiff = white / (walk * np.diff(time))
-    diagonal = 1.0 + np.concatenate([stiff, [0.0]]) + np.concatenate([[0.0], stiff])
-    pivots, factor, _ = lapack.dpttrf(diagonal, -stiff)
-    return np.asarray(lapack.dpttrs(pivots, factor, value[:, None])[0][:, 0])
+    full = len(value) // group * group
+    return np.asarray(value[:full].reshape(-1, group).mean(axis=1))
 
 
 def _leverage(joint: Joint, c: Floats) -> Floats:
