@@ -215,11 +215,12 @@ def execute(
         MissingDependencyError: if the plant needs a library that is not installed.
     """
     from micah_plan.execution.trials import run_trials
-    from micah_plan.planning.pomdp_hd import continue_plan, replan
+    from micah_plan.planning.pomdp_hd import replan
+    from micah_plan.planning.receding_horizon import RecedingHorizon
 
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
-    run = partial(run_trials, replan=replan, continue_plan=continue_plan)
+    run = partial(run_trials, replan=replan, continuation=RecedingHorizon)
     return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress)
 
 

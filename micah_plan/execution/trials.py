@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
-from micah_plan.execution.closed_loop import TrialResult, execute
+from micah_plan.execution.closed_loop import ContinuePlan, TrialResult, execute
 from micah_plan.execution.held_plant import HeldPlant
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
@@ -26,7 +26,7 @@ from micah_plan.recording.value import Recording
 Floats = NDArray[np.float64]
 PlantKind = Literal["nominal", "mujoco"]
 ProblemReplan = Callable[[Problem, HybridBelief], Trajectory | None]
-ProblemContinuePlan = Callable[[Problem, HybridBelief, Trajectory, int], Trajectory | None]
+Continuation = Callable[[Problem, Trajectory], ContinuePlan]
 Progress = Callable[[str, float], None]
 
 
@@ -68,7 +68,7 @@ def run_trials(
     seed: int = 0,
     max_steps: int | None = None,
     replan: ProblemReplan | None = None,
-    continue_plan: ProblemContinuePlan | None = None,
+    continuation: Continuation | None = None,
     progress: Progress | None = None,
 ) -> TrialStatistics:
     """Execute a plan several times; trial i has its own random stream, the same whatever runs before it.
@@ -77,7 +77,7 @@ def run_trials(
         plant: which plant to build from the problem, or a plant.
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
         replan: gives a trajectory from a belief; None: never replan.
-        continue_plan: gives the rest of a trajectory from a knot on, optimised again; None: never.
+        continuation: makes for a plan's trajectory what optimises the rest of it again; None: never.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -90,7 +90,7 @@ def run_trials(
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
     again = None if replan is None else partial(replan, problem)
-    onward = None if continue_plan is None else partial(continue_plan, problem)
+    onward = None if continuation is None else continuation(problem, trajectory)
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0]))
     machine = make_plant(problem, plant) if isinstance(plant, str) else plant
     results = []

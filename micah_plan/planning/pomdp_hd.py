@@ -21,11 +21,11 @@ from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason
 from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.remembering import forgetting, remembering
-from micah_plan.planning.replanning import believed_problem, rest_of, with_memory
+from micah_plan.planning.replanning import believed_problem, with_memory
 from micah_plan.planning.start_state import start_mode
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription import transcribe
-from micah_plan.planning.transcription_guess import guess, guess_again
+from micah_plan.planning.transcription_guess import guess
 from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
@@ -68,23 +68,6 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
 
     found = verified_plan(here, planner, seed)
     return found.trajectory if found.outcome == "solved" else None
-
-
-def continue_plan(problem: Problem, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
-    """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
-
-    Modes and numbers of steps stay those of the trajectory: there is no search, and the end comes no later, however
-    often it is continued. None where the steps left do not suffice, the belief is in another mode, or the trajectory is
-    of a planner that knows nothing of a memory of inputs.
-    """
-    here, clock, deadline = believed_problem(remembering(problem), belief), Clock(), _deadline_of(problem)
-    if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
-        return None
-    limits, compiled = limits_of(here), compile_automaton(here.automaton)
-    sequence, steps = rest_of(problem.automaton, trajectory, knot)
-    start = guess_again(here, limits, compiled, sequence, steps)
-    path = solve(transcribe(here, limits, compiled, start), _with_time_left(here, deadline))
-    return _solved(here, limits, path, (), 0, clock).trajectory if path.feasible else None
 
 
 def _silent(_text: str, _fraction: float) -> None:
@@ -182,13 +165,18 @@ def _with_time_left(problem: Problem, deadline: Deadline) -> Problem:
     return replace(problem, settings=replace(settings, time_limit_s=min(settings.time_limit_s, deadline.left_s)))
 
 
-def _solved(
-    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: Clock
-) -> Plan:
+def trajectory_of(problem: Problem, limits: Limits, path: BeliefPath) -> Trajectory:
+    """A belief path with the feedback around it."""
     inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
     inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver keeps bounds only to its tolerance
     gains = belief_lqr(problem, limits, path.modes, path.is_transition, (path.means, inputs))
-    trajectory = Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
+    return Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
+
+
+def _solved(
+    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: Clock
+) -> Plan:
+    trajectory = trajectory_of(problem, limits, path)
     errors = [abs(float(path.means[-1, i]) - value) for i, value, _ in problem.goal.target]
     stds = [float(np.linalg.norm(path.factors[-1, i])) for i, _, _ in problem.goal.target]
     answer = Plan(

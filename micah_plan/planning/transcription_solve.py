@@ -18,7 +18,7 @@ from micah_plan.planning.transcription_state import unpack
 Floats = NDArray[np.float64]
 
 # Constraint violation that a result may have when the solver stopped early [unit of the row].
-_FEASIBLE = 1e-5
+FEASIBLE = 1e-5
 _MAX_ITERATIONS = 500
 # Slack in steps from which a boundary counts as not kept.
 _VISIBLE_SLACK = 1e-3
@@ -74,7 +74,8 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
     cost, rows = (np.array(v, dtype=float).ravel() for v in values(start))
     if not (np.isfinite(cost).all() and np.isfinite(rows).all()):
         worst = "; ".join(nlp.rows.worst(rows)) or "the cost is not a number"
-        return _path(nlp, problem, start, float("inf"), False, f"the start of the optimisation is unusable: {worst}", 0)
+        said = f"the start of the optimisation is unusable: {worst}"
+        return path_of(nlp, problem, start, float("inf"), False, said, 0)
     programme: dict[str, Any] = {"x": w, "f": nlp.cost, "g": g}
     solver = ca.nlpsol("belief_path", "ipopt", programme, ipopt_options(problem.settings.time_limit_s))
     found = solver(
@@ -89,10 +90,10 @@ def solve(nlp: Transcription, problem: Problem) -> BeliefPath:
     statistics = solver.stats()
     status = str(statistics["return_status"])
     said = _STATUS.get(status, status.replace("_", " ").lower())
-    feasible = bool(np.isfinite(cost).all()) and nlp.rows.largest_violation(rows) <= _FEASIBLE
+    feasible = bool(np.isfinite(cost).all()) and nlp.rows.largest_violation(rows) <= FEASIBLE
     partly = _kept_in_part(nlp, problem, result) if feasible else []
     message = "; ".join([said, *(_in_part_text(shortfall, problem) for shortfall in partly)])
-    path = _path(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
+    path = path_of(nlp, problem, result, float(cost[0]), feasible, message, int(statistics["iter_count"]))
     return replace(path, in_part=tuple(partly))
 
 
@@ -149,8 +150,8 @@ def ipopt_options(time_limit_s: float) -> dict[str, Any]:
     }
 
 
-def _blocks(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Floats]]:
-    """States, inputs and slacks of each phase out of the decision variables."""
+def blocks_of(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Floats]]:
+    """States, inputs and slacks of each phase as views into the decision variables."""
     blocks, at = [], 0
     for phase in nlp.phases:
         found = []
@@ -167,7 +168,7 @@ def _kept_in_part(nlp: Transcription, problem: Problem, values: Floats) -> list[
     worst: dict[tuple[str, str], tuple[float, Row, float]] = {}
     named = {(row.mode, row.knot, row.name): row for row in nlp.rows.rows if row.spread is not None}
     suffix = f" at {percent(problem.settings.confidence)}"
-    for phase, guess, (_, _, slacks) in zip(nlp.phases, nlp.guess, _blocks(nlp, values), strict=True):
+    for phase, guess, (_, _, slacks) in zip(nlp.phases, nlp.guess, blocks_of(nlp, values), strict=True):
         uncertain = [row for row in phase.corridor if row.uncertain]
         for row, slack in zip(uncertain, slacks.ravel(), strict=True):
             key = (guess.mode, row.name)
@@ -188,7 +189,7 @@ def _shortfall(nlp: Transcription, values: Floats, row: Row, amount: float) -> S
     if row.spread is None or row.half_space is None:
         return Shortfall(row, amount)
     number = next(i for i, guess in enumerate(nlp.guess) if row.knot <= guess.first_knot + guess.steps)
-    states = _blocks(nlp, values)[number][0]
+    states = blocks_of(nlp, values)[number][0]
     factor = unpack(states, nlp.pattern)[1][row.knot - nlp.guess[number].first_knot]
     std = float(np.sqrt(np.square(np.array(row.half_space.a) @ factor).sum() + row.spread))
     others = [r for r in nlp.rows.rows if (r.mode, r.knot) == (row.mode, row.knot) and r.kind in ("boundary", "guard")]
@@ -207,11 +208,12 @@ def _width(row: Row, other: Row) -> float | None:
     return -other.sign * other.half_space.c / other_size * size - row.sign * row.half_space.c
 
 
-def _path(
+def path_of(
     nlp: Transcription, problem: Problem, values: Floats, cost: float, feasible: bool, message: str, iterations: int
 ) -> BeliefPath:
+    """The belief path that values of the decision variables stand for."""
     means, factors, inputs, modes, transitions = [], [], [], [], []
-    for number, (guess, (states, steps, _)) in enumerate(zip(nlp.guess, _blocks(nlp, values), strict=True)):
+    for number, (guess, (states, steps, _)) in enumerate(zip(nlp.guess, blocks_of(nlp, values), strict=True)):
         if number:
             inputs.append(np.zeros((1, problem.automaton.m)))
             transitions.append(True)

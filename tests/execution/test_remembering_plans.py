@@ -18,7 +18,8 @@ from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.execution.scoring import goal_error
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.pomdp_hd import continue_plan, replan
+from micah_plan.planning.pomdp_hd import replan
+from micah_plan.planning.receding_horizon import RecedingHorizon
 from micah_plan.planning.remembering import coasted, linear_step, remembering, steps_of_memory
 from micah_plan.planning.roll_outs import draw_chances, roll_out
 from micah_plan.spec.plan_file import load_plan, write_plan
@@ -126,7 +127,8 @@ def test_replanning_knows_what_is_on_its_way(drawer, plans) -> None:
     result = execute(late, plans["delay"].trajectory, plant, rng, max_steps=6)
     belief = result.beliefs[-1]
     assert np.all(belief.means[0, 1:] > 0.01)
-    for fresh in (replan(late, belief), continue_plan(late, belief, plans["delay"].trajectory, 6)):
+    planned = plans["delay"].trajectory
+    for fresh in (replan(late, belief), RecedingHorizon(late, planned)(belief, planned, 6)):
         np.testing.assert_allclose(fresh.means[0], belief.means[0], atol=1e-6)
         pushed = fresh.inputs.sum() + belief.means[0, 1:].sum()
         assert fresh.means[-1, 0] - fresh.means[0, 0] == pytest.approx(pushed, abs=2e-3)

@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning_examples import DOOR_SHUT, door_automaton, door_problem
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem
 
 from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries, with_shifted_thresholds
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.nominal import cost_of
 from micah_plan.planning.policy import time_knots
-from micah_plan.planning.pomdp_hd import continue_plan, plan, replan
+from micah_plan.planning.pomdp_hd import plan, replan, trajectory_of
 from micah_plan.planning.problem import Problem
+from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
 from micah_plan.planning.replanning import believed_problem, rest_of
 
 STD = 0.04
@@ -53,12 +56,13 @@ def test_a_plan_continued_from_its_own_belief_stays_as_it_was() -> None:
     trajectory = plan(problem).trajectory
     assert trajectory is not None
     belief = initial_belief(problem.automaton, trajectory.means[3], trajectory.factors[3], "swings")
-    onward = continue_plan(problem, belief, trajectory, 3)
+    horizon = RecedingHorizon(problem, trajectory)
+    onward = horizon(belief, trajectory, 3)
     assert onward is not None
     assert onward.modes == trajectory.modes[3:]
     assert np.abs(onward.means[-1] - trajectory.means[-1]).max() < 1e-3
     assert np.abs(onward.means - trajectory.means[3:]).max() < 0.5 * 0.06
-    assert continue_plan(problem, initial_belief(problem.automaton, [1.2], [0.01], "shut"), trajectory, 3) is None
+    assert horizon(initial_belief(problem.automaton, [1.2], [0.01], "shut"), trajectory, 3) is None
 
 
 def test_too_few_steps_left_continue_nothing() -> None:
@@ -66,7 +70,45 @@ def test_too_few_steps_left_continue_nothing() -> None:
     trajectory = plan(problem).trajectory
     assert trajectory is not None
     behind = initial_belief(problem.automaton, [0.3], [0.01], "swings")
-    assert continue_plan(problem, behind, trajectory, len(trajectory.modes) - 4) is None
+    horizon = RecedingHorizon(problem, trajectory)
+    assert horizon(behind, trajectory, len(trajectory.modes) - 4) is None
+    assert not horizon.built
+
+
+@pytest.mark.parametrize(("problem", "knots"), [(latching(), (1, 5, 9)), (planar_problem(), (2, 12, 20))])
+def test_the_programme_kept_answers_as_a_new_one(problem: Problem, knots: tuple[int, ...]) -> None:
+    trajectory = plan(problem).trajectory
+    assert trajectory is not None
+    horizon, limits = RecedingHorizon(problem, trajectory), limits_of(problem)
+    followed, at = trajectory, 0
+    for knot in knots:
+        mode, std = trajectory.modes[knot], np.linalg.norm(trajectory.factors[knot], axis=1)
+        moves = problem.automaton.mode(mode).B.any(axis=1)
+        belief = initial_belief(problem.automaton, trajectory.means[knot] + 0.5 * std * moves, std, mode)
+        here = believed_problem(problem, belief)
+        new = trajectory_of(here, limits, from_new(here, followed, knot - at))
+        followed, at = horizon(belief, followed, knot - at), knot
+        assert followed is not None
+        assert followed.modes == new.modes == trajectory.modes[knot:]
+        np.testing.assert_allclose(followed.means[0], belief.means[belief.most_likely], atol=1e-7)
+        costs = [cost_of(here, limits, found) for found in (followed, new)]
+        assert costs[0] == pytest.approx(costs[1], rel=0.03, abs=1e-4)
+        assert np.abs(followed.means - new.means).max() < 0.3 * limits.max_step.max()
+    assert (horizon.kept, horizon.built) == (len(knots), 0)
+
+
+def test_a_threshold_learned_ahead_needs_a_new_programme_and_one_behind_does_not() -> None:
+    problem = latching()
+    trajectory = plan(problem).trajectory
+    assert trajectory is not None
+    horizon, latched = RecedingHorizon(problem, trajectory), trajectory.modes.index("shut")
+    onward = horizon(still_open(problem), trajectory, latched - 2)
+    assert (horizon.kept, horizon.built) == (0, int(onward is not None))
+    shut = replace(still_open(problem), weights=np.array([0.0, 1.0]))
+    assert shut.shifts is not None
+    shut = replace(shut, means=np.full((2, 1), 1.24), shifts=np.full_like(shut.shifts, 0.04))
+    assert horizon(shut, trajectory, latched) is not None
+    assert horizon.kept == 1
 
 
 def test_a_new_plan_goes_past_where_the_threshold_is_now_believed_to_be() -> None:

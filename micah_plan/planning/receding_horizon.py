@@ -1,0 +1,114 @@
+"""What is left of a plan, optimised again and again from the beliefs of an execution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from micah_plan.automaton.thresholds import boundaries_of_pins, boundary_of, boundary_stds
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.plan import Trajectory
+from micah_plan.planning.pomdp_hd import trajectory_of
+from micah_plan.planning.problem import Problem, Start
+from micah_plan.planning.remembering import remembering
+from micah_plan.planning.replanning import believed_problem, rest_of
+from micah_plan.planning.transcription import Transcription, transcribe
+from micah_plan.planning.transcription_guess import guess_again
+from micah_plan.planning.transcription_kept import KeptProgramme
+from micah_plan.planning.transcription_solve import BeliefPath, solve
+from micah_plan.symbolic.compiled import compile_automaton
+
+# A threshold counts as known as before while it is believed to lie less than this many of its stds elsewhere, and its
+# std has become smaller by less than this share.
+_LEARNED = 0.1
+
+
+class RecedingHorizon:
+    """Continues one plan: modes and numbers of steps stay, there is no search, and the end comes no later.
+
+    The plan's programme is built once and kept (`transcription_kept`). A new one is built where it would be another: if
+    the filter has learned where a threshold lies that is still ahead, or if the trajectory is no rest of the plan; and
+    where the kept one gives no answer that keeps all its rows. Answers do not depend on those given before.
+
+    Attributes:
+        kept, built: how many answers came from the kept programme, and from new ones.
+    """
+
+    def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
+        """Args: the problem, and the plan's trajectory."""
+        settings = problem.settings
+        settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
+        self._problem, self._plan = remembering(replace(problem, settings=settings)), trajectory
+        self._limits, self._whole = limits_of(self._problem), rest_of(problem.automaton, trajectory, 0)
+        self.kept = self.built = 0
+
+    def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
+        """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
+
+        None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
+        knows nothing of a memory of inputs.
+        """
+        here = believed_problem(self._problem, belief)
+        if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
+            return None
+        if self._is_rest(trajectory, knot) and not self._has_learned(belief, trajectory, knot):
+            path = self.from_kept(here.start, trajectory, knot)
+            if path.feasible:
+                self.kept += 1
+                return trajectory_of(here, self._limits, path)
+        path = from_new(here, trajectory, knot)
+        self.built += path.feasible
+        return trajectory_of(here, limits_of(here), path) if path.feasible else None
+
+    def from_kept(self, start: Start, trajectory: Trajectory, knot: int) -> BeliefPath:
+        """What is left of the plan from a belief on, by the programme kept; it may be infeasible."""
+        return self._programme.rest(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
+
+    @cached_property
+    def _programme(self) -> KeptProgramme:
+        """That of the whole plan, from where it starts."""
+        plan, stds = self._plan, np.linalg.norm(self._plan.factors[0], axis=1)
+        start = Start(tuple(map(float, plan.means[0])), tuple(map(float, stds)), plan.modes[0])
+        whole = replace(self._problem, start=start)
+        return KeptProgramme(_programme(whole, self._limits, plan, 0), whole)
+
+    def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
+        """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
+        (plan, steps), (rest, left) = self._whole, rest_of(self._problem.automaton, trajectory, knot)
+        first = len(steps) - len(left)
+        same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (rest.modes, rest.edges)
+        return same and steps[first + 1 :] == left[1:] and steps[first] >= left[0]
+
+    def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
+        """Whether a threshold that is still ahead is now known to lie elsewhere, or better than before."""
+        automaton, number = self._problem.automaton, belief.most_likely
+        if belief.shifts is None or belief.shift_stds is None:
+            return False
+        shifts, stds = belief.shifts[number].tolist(), belief.shift_stds[number].tolist()
+        learned = {
+            boundary
+            for (boundary, before), shift, now in zip(boundary_stds(automaton).items(), shifts, stds, strict=True)
+            if abs(shift) > _LEARNED * before or now < (1.0 - _LEARNED) * before
+        }
+        if not learned:
+            return False
+        entered = set(trajectory.modes[knot:]) - {trajectory.modes[knot]}
+        ahead = {boundary_of(half_space)[0] for half_space in self._programme.half_spaces(trajectory, knot)}
+        for mode in entered:
+            ahead |= set(boundaries_of_pins(automaton, automaton.mode(mode)).values())
+        return bool(learned & ahead)
+
+
+def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
+    """What is left of a trajectory from a knot on, from a problem's start, by a programme of its own."""
+    return solve(_programme(here, limits_of(here), trajectory, knot), here)
+
+
+def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:
+    """The programme of what is left of a trajectory from a knot on, from the problem's start."""
+    compiled = compile_automaton(problem.automaton)
+    sequence, steps = rest_of(problem.automaton, trajectory, knot)
+    return transcribe(problem, limits, compiled, guess_again(problem, limits, compiled, sequence, steps))
