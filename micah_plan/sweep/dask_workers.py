@@ -12,7 +12,7 @@ from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import solve_case
 
-_CONNECT_S = 20.0
+_CONNECT_S = 10.0
 
 
 class DaskWorkers:
