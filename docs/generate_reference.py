@@ -18,6 +18,7 @@ from typing import Any
 from typer.testing import CliRunner
 
 from micah_plan.cli import app
+from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.spec.schema import schema
 
@@ -170,9 +171,16 @@ def _table(entry: Mapping[str, Any], name: str = "") -> str:
 def _default(key: str, value: Mapping[str, Any], name: str) -> str:
     default = value.get("default")
     if name == "PlantDocument" and default is None:
-        # The file leaves these open; what then holds is what the plant is built with.
-        default = {field.name: field.default for field in fields(PhysicalParameters)}[key]
+        return _plant_default(key)
     return "" if default is None else f"`{json.dumps(default)}`"
+
+
+def _plant_default(key: str) -> str:
+    """The file leaves these open; what then holds is what the plant is built with."""
+    standing, held = ({f.name: f.default for f in fields(kind)} for kind in (PhysicalParameters, HeldParameters))
+    if key in standing and key in held and standing[key] != held[key]:
+        return f"`{json.dumps(standing[key])}`, held: `{json.dumps(held[key])}`"
+    return f"`{json.dumps({**held, **standing}[key])}`"
 
 
 def _kind(value: Mapping[str, Any]) -> str:

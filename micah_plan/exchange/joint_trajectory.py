@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.held_parameters import parameters_of
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, write_log
 from micah_plan.spec.plan_file import StoredPlan, require_executable
 
@@ -27,7 +27,7 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
         names, positions = [c.name for c in stored.automaton.coordinates], trajectory.means
     else:
         names, positions = list(arm.joints), arm.positions
-    period = PhysicalParameters.from_mapping(dict(stored.problem.plant)).control_period
+    period = parameters_of(stored.problem).control_period
     kept = [k for k in range(len(positions)) if k == len(positions) - 1 or not trajectory.is_transition[k]]
     points = []
     for step, k in enumerate(kept):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,25 +11,20 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.follower import Advice, PlanFollower
 from micah_plan.execution.log import RunLog
-from micah_plan.execution.plant import Command, Measurement, Plant
+from micah_plan.execution.pilot import MOST_REPLANS, AskArm, ContinuePlan, Pilot, Replan
+from micah_plan.execution.plant import Command, Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration
 from micah_plan.execution.scoring import goal_error, goal_probability, true_state
-from micah_plan.planning.plan import Trajectory
+from micah_plan.planning.plan import ArmTrajectory, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.remembering import coasted, remembering
 from micah_plan.planning.verification import is_in_goal
 from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
-Replan = Callable[[HybridBelief], Trajectory | None]
-ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 
 _SPARE_STEPS = 20
-_MOST_REPLANS = 5
-# Steps that a late transition or a belief held at the last knot may take before a new plan is asked for.
-_PATIENCE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +41,7 @@ class TrialResult:
         steps: control steps taken.
         replans: new plans followed.
         continuations: how often the rest of the plan was optimised again.
+        refusals: why new plans were not followed.
         beliefs: after each measurement, steps + 1 of them.
     """
 
@@ -60,6 +55,7 @@ class TrialResult:
     steps: int
     replans: int
     continuations: int
+    refusals: tuple[str, ...]
     beliefs: tuple[HybridBelief, ...]
 
 
@@ -71,6 +67,8 @@ def execute(
     *,
     run: int = 0,
     max_steps: int | None = None,
+    arm: ArmTrajectory | None = None,
+    ask_arm: AskArm | None = None,
     replan: Replan | None = None,
     continue_plan: ContinuePlan | None = None,
 ) -> TrialResult:
@@ -87,12 +85,15 @@ def execute(
         rng: feeds the plant's start and noise.
         run: the run's number in the log.
         max_steps: control steps at most; None: twice the plan's plus 20.
+        arm: joints of the arm along the trajectory; None: there is no arm.
+        ask_arm: gives those along a new trajectory, from the joints that the arm is at, or what stands in the way: such
+            a trajectory is refused. None: new trajectories are followed without asking.
         replan: gives a trajectory from a belief, or None if there is none; None: never replan.
         continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
     """
     automaton, known = problem.automaton, remembering(problem)
     longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
-    log, pilot = RunLog(automaton), _Pilot(known, trajectory, replan, continue_plan)
+    log, pilot = RunLog(automaton), Pilot(known, trajectory, arm, ask_arm, replan, continue_plan)
     measurement = plant.reset(rng)
     prior = initial_belief(known.automaton, known.start.mean, known.start.std, trajectory.modes[0])
     beliefs = [_updated(problem, known, prior, measurement)]
@@ -101,18 +102,26 @@ def execute(
         belief = beliefs[-1]
         if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
             break
-        u = pilot.input(belief)
-        order = _order(automaton, belief, u)
+        u = pilot.input(belief, measurement.joints)
+        order = replace(_order(automaton, belief, u), posture=pilot.posture)
         log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
         measurement = plant.apply(order)
         beliefs.append(_updated(problem, known, predict(known.automaton, belief, u), measurement))
         confidence = _lasting_probability(known, beliefs[-1])
-    mode, x = true_state(automaton, plant.truth())
-    log.add(measurement, beliefs[-1], x, None)
+    log.add(measurement, beliefs[-1], true_state(automaton, plant.truth())[1], None)
+    return _result(problem, pilot, beliefs, plant.truth(), log.recording(run))
+
+
+def _result(
+    problem: Problem, pilot: Pilot, beliefs: list[HybridBelief], truth: Truth, recording: Recording
+) -> TrialResult:
+    """How an execution ended."""
+    mode, x = true_state(problem.automaton, truth)
+    confidence = _lasting_probability(remembering(problem), beliefs[-1])
     return TrialResult(
-        recording=log.recording(run),
+        recording=recording,
         success=is_in_goal(problem.goal, mode, x),
-        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x, plant.truth().incident),
+        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x, truth.incident),
         final_error=goal_error(problem.goal, x),
         final_mode=mode,
         final_x=x,
@@ -120,70 +129,9 @@ def execute(
         steps=len(beliefs) - 1,
         replans=pilot.replans,
         continuations=pilot.continuations,
+        refusals=tuple(pilot.refusals),
         beliefs=tuple(beliefs),
     )
-
-
-class _Pilot:
-    """Decides the input of each step: follows the plan, and asks for another when the plan no longer serves."""
-
-    def __init__(
-        self, problem: Problem, trajectory: Trajectory, replan: Replan | None, continue_plan: ContinuePlan | None
-    ) -> None:
-        self._problem = problem
-        self._replan = replan
-        self._continue_plan = continue_plan
-        self._every = problem.settings.replan_every
-        self._followed = 0
-        self._waited = 0
-        self._asked = 0
-        self.replans = 0
-        self.continuations = 0
-        self.is_lost = False
-        """Whether the belief has left the plan for good: none of the new plans asked for leads on."""
-        self._follower = PlanFollower(self._problem, trajectory)
-
-    def is_finished(self, belief: HybridBelief) -> bool:
-        """Whether the plan that is followed has no further steps for this belief."""
-        return self._follower.is_finished(belief)
-
-    def input(self, belief: HybridBelief) -> Floats:
-        """(m,) the input to apply now."""
-        self._look_ahead(belief)
-        self._followed += 1
-        advice = self._follower.advise(belief)
-        self._waited = 0 if advice.fit == "on_plan" else self._waited + 1
-        if not self._wants_replan(advice) or self._replan is None:
-            return advice.u
-        if self._asked == _MOST_REPLANS:
-            self.is_lost = advice.fit in ("lagging", "off_plan")
-            return advice.u
-        self._asked += 1
-        self._waited = 0
-        fresh = self._replan(belief)
-        if fresh is None:
-            return advice.u
-        self.replans += 1
-        self._follow(fresh)
-        return self._follower.advise(belief).u
-
-    def _follow(self, trajectory: Trajectory) -> None:
-        self._follower = PlanFollower(self._problem, trajectory)
-        self._followed = 0
-
-    def _look_ahead(self, belief: HybridBelief) -> None:
-        """Where it is time to, optimise the rest of the plan from the belief."""
-        due = self._continue_plan is not None and 0 < self._every <= self._followed
-        if self._continue_plan is None or not due or self._follower.is_finished(belief):
-            return
-        fresh = self._continue_plan(belief, *self._follower.place)
-        self._followed = 0
-        if fresh is not None:
-            self.continuations += 1
-            self._follow(fresh)
-
-    def _wants_replan(self, advice: Advice) -> bool:
-        return advice.fit in ("strayed", "off_plan") or self._waited > _PATIENCE
 
 
 def _order(automaton: HybridAutomaton, belief: HybridBelief, u: Floats) -> Command:
@@ -210,17 +158,18 @@ def _lasting_probability(problem: Problem, belief: HybridBelief) -> float:
     return min(now, goal_probability(automaton, problem.goal, replace(belief, means=np.array(ends))))
 
 
-def _ending(problem: Problem, pilot: _Pilot, beliefs: list[HybridBelief], confidence: float) -> str:
+def _ending(problem: Problem, pilot: Pilot, beliefs: list[HybridBelief], confidence: float) -> str:
     """Why the execution ended."""
     if confidence >= problem.settings.confidence:
         return f"stopped with probability {confidence:.3f} of the goal"
-    steps = len(beliefs) - 1
+    steps, refused = len(beliefs) - 1, ""
+    if pilot.refusals:
+        refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
     if pilot.is_lost:
         mode = problem.automaton.modes[beliefs[-1].most_likely].name
-        return (
-            f"stopped after {steps} steps, believed {mode}: off the plan after asking {_MOST_REPLANS} times for another"
-        )
-    return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal"
+        asked = f"off the plan after asking {MOST_REPLANS} times for another"
+        return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
+    return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal{refused}"
 
 
 def _reason(problem: Problem, ending: str, mode: str, x: Floats, incident: str) -> str:

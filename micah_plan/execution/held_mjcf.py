@@ -1,11 +1,12 @@
-"""A held object among bodies as MJCF text: a hand on three slides, an arm that may turn in it, a part that swings.
+"""A held object, and the bodies around it, as MJCF text.
 
-Names that the plant looks up: joints and actuators ``x``, ``y``, ``z``, joints ``pivot`` and ``swing``, equality
-``latch``, bodies `hand` and the two parts, geoms ``scene/..``, ``held/..``, ``moving/..``. ``swing`` is 0 at the datum.
+Names that the plant looks up: geoms ``scene/BODY/..``, and of the object joint ``swing``, equality ``latch``, and the
+bodies `hand` and the two parts. ``swing`` is 0 at the datum.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,60 +19,86 @@ from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.execution.mjcf import add, geometry, numbers, scalar_first, volume
 from micah_plan.scene.body import Body
 
+# What all names of the object begin with once it is in the world.
+OBJECT = "object/"
+# What meets the bodies of the scene, and nothing else: the object, and an arm.
+GUEST_TYPE, GUEST_MEETS = 2, 1
+_FIXED, _LOOSE = {"contype": "1", "conaffinity": "2"}, {"contype": "3", "conaffinity": "3"}
+_OBJECT = {"contype": str(GUEST_TYPE), "conaffinity": str(GUEST_MEETS)}
 # Contacts give by some hundredths of a millimetre under a hand's force.
 _CONTACT = {"solref": "0.004 1", "solimp": "0.95 0.99 0.0005", "condim": "4"}
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.0001"}
-_SCENE, _OBJECT = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
 _HAND_MASS = 1.0
 
 
-def held_mjcf(
-    grip: Grip, scene: tuple[Body, ...], opening: float, turns: bool, latches: bool, parameters: HeldParameters
-) -> str:
-    """The MJCF text.
-
-    Args:
-        opening: how far the joint opens from the datum [rad or m].
-        turns: whether it is a hinge.
-        latches: whether the object has a latch at the datum.
+def scene_mjcf(scene: tuple[Body, ...], parameters: HeldParameters) -> str:
+    """The world without the object. Bodies that have a mass are loose.
 
     Raises:
-        InputError: for a body of the scene that is a mesh.
+        InputError: for a body that is a mesh.
     """
-    root = ElementTree.Element("mujoco", model="held object")
-    add(root, "compiler", {"angle": "radian"})
-    add(root, "option", {"gravity": numbers((0.0, 0.0, -9.81)), "timestep": "0.001", "cone": "elliptic"})
+    root = _root()
+    # An arm's joints are stiff and light: their damping is integrated implicitly.
+    options = {"timestep": "0.001", "cone": "elliptic", "integrator": "implicitfast"}
+    add(root, "option", {"gravity": numbers((0.0, 0.0, -9.81)), **options})
     world = add(root, "worldbody", {})
     for body in scene:
-        fixed = add(world, "body", {"pos": numbers(body.position), "quat": scalar_first(body.quaternion)})
-        for number, shape in enumerate(body.shapes):
-            if not isinstance(shape, Primitive):
-                raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
+        place = {"pos": numbers(body.position), "quat": scalar_first(body.quaternion)}
+        stands = add(world, "body", {"name": f"scene/{body.name}", **place})
+        if body.mass is not None:
+            add(stands, "freejoint", {})
+        kind = _FIXED if body.mass is None else _LOOSE
+        solids = [shape for shape in body.shapes if isinstance(shape, Primitive)]
+        if len(solids) < len(body.shapes):
+            raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
+        for number, (shape, mass) in enumerate(zip(solids, _masses(solids, body.mass or 0.0), strict=True)):
             name = {"name": f"scene/{body.name}/{number}"}
-            add(fixed, "geom", {**geometry(shape, mass=0.0), **_SCENE, **_CONTACT, **_friction(parameters), **name})
-    hand = add(world, "body", {"name": "hand", "gravcomp": "1"})
-    for axis, direction in zip("xyz", np.eye(3), strict=True):
-        add(hand, "joint", {"name": axis, "type": "slide", "axis": numbers(direction)})
-    add(hand, "geom", {"type": "sphere", "size": "0.01", "mass": str(_HAND_MASS), "contype": "0", "conaffinity": "0"})
-    _object(hand, grip, opening, turns, parameters)
-    equality = add(root, "equality", {})
+            add(stands, "geom", {**geometry(shape, mass), **kind, **_CONTACT, **_friction(parameters), **name})
+    return _text(root)
+
+
+def object_mjcf(grip: Grip, turns: bool, latches: bool, parameters: HeldParameters, slides: bool) -> str:
+    """The hand at the origin, with the object.
+
+    Args:
+        turns: whether the object's joint is a hinge.
+        latches: whether it has a latch at the datum.
+        slides: whether the hand moves on three position-controlled slides `x`, `y` and `z`; else an arm is to carry it.
+    """
+    root = _root()
+    hand = add(add(root, "worldbody", {}), "body", {"name": "hand", "gravcomp": "1"})
+    if slides:
+        _slides(root, hand, parameters)
+    _object(hand, grip, turns, parameters)
     if latches:
-        add(
-            equality,
-            "joint",
-            {"name": "latch", "joint1": "swing", "polycoef": "0 0 0 0 0", "active": "false", **_RIGID},
-        )
-    actuator = add(root, "actuator", {})
-    mass = _HAND_MASS + 2 * parameters.mass
-    gains = {"kp": str(parameters.stiffness), "kv": str(2 * np.sqrt(parameters.stiffness * mass))}
-    limits = {"forcelimited": "true", "forcerange": numbers((-parameters.max_force, parameters.max_force))}
-    for axis in "xyz":
-        add(actuator, "position", {"name": axis, "joint": axis, **gains, **limits})
+        held = {"name": "latch", "joint1": "swing", "polycoef": "0 0 0 0 0", "active": "false", **_RIGID}
+        add(add(root, "equality", {}), "joint", held)
+    return _text(root)
+
+
+def _root() -> ElementTree.Element:
+    root = ElementTree.Element("mujoco", model="held object")
+    add(root, "compiler", {"angle": "radian"})
+    return root
+
+
+def _text(root: ElementTree.Element) -> str:
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _object(hand: ElementTree.Element, grip: Grip, opening: float, turns: bool, parameters: HeldParameters) -> None:
+def _slides(root: ElementTree.Element, hand: ElementTree.Element, parameters: HeldParameters) -> None:
+    actuator = add(root, "actuator", {})
+    mass = _HAND_MASS + 2 * parameters.mass
+    gains = {"kp": str(parameters.stiffness), "kv": str(2 * np.sqrt(parameters.stiffness * mass))}
+    limits = {"forcelimited": "true", "forcerange": numbers((-parameters.max_force, parameters.max_force))}
+    for axis, direction in zip("xyz", np.eye(3), strict=True):
+        add(hand, "joint", {"name": axis, "type": "slide", "axis": numbers(direction)})
+        add(actuator, "position", {"name": axis, "joint": axis, **gains, **limits})
+    add(hand, "geom", {"type": "sphere", "size": "0.01", "mass": str(_HAND_MASS), "contype": "0", "conaffinity": "0"})
+
+
+def _object(hand: ElementTree.Element, grip: Grip, turns: bool, parameters: HeldParameters) -> None:
     rotation = Rotation.from_rotvec(grip.rotation)
     x, y, z, w = rotation.as_quat()
     place = {"pos": numbers(-rotation.apply(grip.point)), "quat": scalar_first((x, y, z, w))}
@@ -82,7 +109,7 @@ def _object(hand: ElementTree.Element, grip: Grip, opening: float, turns: bool, 
     _shapes(held, grip.held, "held", parameters)
     moving = add(held, "body", {"name": grip.moving.name})
     kind = {"type": "hinge", "axis": "0 -1 0"} if turns else {"type": "slide", "axis": "0 0 1"}
-    stop = {"limited": "true", "range": numbers((-opening, 0.0))}
+    stop = {"limited": "true", "range": numbers((-grip.travel, 0.0))}
     # Soft constraints creep: dry friction holds the part up only if it is stiff.
     stiff = {f"{key}{kind}": value for key, value in _RIGID.items() for kind in ("limit", "friction")}
     resistance = {"frictionloss": str(parameters.joint_friction), "damping": str(parameters.joint_damping)}
@@ -91,10 +118,15 @@ def _object(hand: ElementTree.Element, grip: Grip, opening: float, turns: bool, 
 
 
 def _shapes(body: ElementTree.Element, part: HeldPart, name: str, parameters: HeldParameters) -> None:
-    volumes = [volume(shape) for shape in part.shapes]
-    for number, (shape, share) in enumerate(zip(part.shapes, volumes, strict=True)):
-        solid = geometry(shape, mass=parameters.mass * share / sum(volumes))
-        add(body, "geom", {**solid, **_OBJECT, **_CONTACT, **_friction(parameters), "name": f"{name}/{number}"})
+    for number, (shape, mass) in enumerate(zip(part.shapes, _masses(part.shapes, parameters.mass), strict=True)):
+        named = {"name": f"{name}/{number}"}
+        add(body, "geom", {**geometry(shape, mass), **_OBJECT, **_CONTACT, **_friction(parameters), **named})
+
+
+def _masses(shapes: Sequence[Primitive], mass: float) -> list[float]:
+    """A body's mass [kg], shared among its shapes by volume."""
+    volumes = [volume(shape) for shape in shapes]
+    return [mass * share / sum(volumes) for share in volumes]
 
 
 def _friction(parameters: HeldParameters) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -71,8 +71,16 @@ class PhysicalParameters:
         Raises:
             InputError: for an unknown name or an impossible value.
         """
-        known = [item.name for item in fields(cls)]
-        for name in values:
-            if name not in known:
-                raise InputError(f"unknown plant parameter {shown(name)}", remedy=f"choose among {', '.join(known)}")
-        return cls(**{name: float(value) for name, value in values.items()})
+        return cls(**known_numbers(values, [item.name for item in fields(cls)]))
+
+
+def known_numbers(values: Mapping[str, float], known: Sequence[str]) -> dict[str, float]:
+    """The numbers of a problem file's `plant` block.
+
+    Raises:
+        InputError: for a name that is not known.
+    """
+    for name in values:
+        if name not in known:
+            raise InputError(f"unknown plant parameter {shown(name)}", remedy=f"choose among {', '.join(known)}")
+    return {name: float(value) for name, value in values.items()}

@@ -20,29 +20,33 @@ class Measurement:
         position: (l, 3) [m], measured origin of each link's child part in the base frame.
         quaternion: (l, 4) its measured orientation, scalar last.
         force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if the plant has no forces.
+        joints: (J,) what the encoders of the arm say [rad or m]; None if the plant has no arm.
     """
 
     time: float
     position: Floats
     quaternion: Floats
     force: Floats | None = None
+    joints: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """One control step's command, in the three forms in which plants and logs take it.
+    """One control step's command, in the forms in which plants and logs take it.
 
-    All three say the same thing for the model that the command was computed with: move from the estimate c by u.
+    The first three say the same thing for the model that the command was computed with: move from the estimate c by u.
 
     Attributes:
         input: (m,) u of the automaton [rad or m].
         origin: (l, 3) [m], base frame: displacement of each part's origin. It is what the log calls the action.
         handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand holding it is told.
+        posture: (J,) joints at which the plan has the arm after the step [rad or m]; None: any will do.
     """
 
     input: Floats
     origin: Floats
     handle: Floats
+    posture: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
-from micah_plan.execution.closed_loop import ContinuePlan, TrialResult, execute
+from micah_plan.execution.closed_loop import TrialResult, execute
+from micah_plan.execution.held_parameters import parameters_of
 from micah_plan.execution.held_plant import HeldPlant
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.pilot import AskArm, ContinuePlan
 from micah_plan.execution.plant import Plant
-from micah_plan.planning.plan import Plan, Trajectory
+from micah_plan.planning.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
 
@@ -92,12 +94,12 @@ def run_trials(
     again = None if replan is None else partial(replan, problem)
     onward = None if continuation is None else continuation(problem, trajectory)
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0]))
-    machine = make_plant(problem, plant) if isinstance(plant, str) else plant
+    machine = make_plant(problem, plant, plan.arm) if isinstance(plant, str) else plant
     results = []
     try:
         for trial in range(trials):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,)))
-            ways = partial(execute, replan=again, continue_plan=onward)
+            ways = partial(execute, arm=plan.arm, ask_arm=_arm_of(problem, plan), replan=again, continue_plan=onward)
             results.append(ways(problem, trajectory, machine, rng, run=trial, max_steps=max_steps))
             if progress is not None:
                 done = sum(result.success for result in results)
@@ -108,15 +110,23 @@ def run_trials(
     return summarise(results)
 
 
-def make_plant(problem: Problem, kind: PlantKind) -> Plant:
-    """The plant of that kind for a problem's model, start belief and physical parameters."""
-    parameters = PhysicalParameters.from_mapping(problem.plant)
+def _arm_of(problem: Problem, plan: Plan) -> AskArm | None:
+    """Asks the arm of a problem whether it can follow a new plan, where it follows the present one."""
+    if problem.robot is None or plan.arm is None:
+        return None
+    from micah_plan.robot.along_plan import arm_along  # Pinocchio is loaded only where there is an arm
+
+    return lambda trajectory, joints: arm_along(problem, trajectory, start=joints)
+
+
+def make_plant(problem: Problem, kind: PlantKind, arm: ArmTrajectory | None = None) -> Plant:
+    """The plant of that kind for a problem's model, start belief and physical parameters; an arm starts as planned."""
     if kind == "mujoco" and problem.hold is not None:
-        return HeldPlant(problem)
+        return HeldPlant(problem, posture=None if arm is None else arm.positions[0])
     if kind == "mujoco":
-        return MujocoPlant(problem.automaton, problem.start, parameters)
+        return MujocoPlant(problem.automaton, problem.start, PhysicalParameters.from_mapping(problem.plant))
     if kind == "nominal":
-        return NominalPlant(problem.automaton, problem.start, parameters.control_period)
+        return NominalPlant(problem.automaton, problem.start, parameters_of(problem).control_period)
     raise InputError(f"unknown plant '{kind}'", remedy="choose nominal or mujoco")
 
 

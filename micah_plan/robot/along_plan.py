@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE
@@ -18,6 +19,8 @@ from micah_plan.robot.clearance import ClearanceModel, Pair, clearance_model
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
 
+Floats = NDArray[np.float64]
+
 
 def arm_along(
     problem: Problem,
@@ -26,6 +29,7 @@ def arm_along(
     settings: PathSettings | None = None,
     touching: Sequence[frozenset[Pair]] | None = None,
     deadline: Deadline = NEVER,
+    start: Floats | None = None,
 ) -> ArmTrajectory | ArmFailure:
     """The arm's trajectory that takes the held part along the means of a plan, or what stands in the way.
 
@@ -36,12 +40,29 @@ def arm_along(
         touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: those of the contacts that a
             held object is to make, none for others.
         deadline: when to end.
+        start: (n,) joints that the arm is at, nearly; None: it may start in any posture.
 
     Raises:
         TimeLimitError: if it passes before there is a trajectory.
         InputError: if the problem has no robot or grasp, or its files cannot be used.
     """
-    return follow(problem_clearance(problem), tool_path(problem, trajectory, touching), seed, settings, deadline)
+    path = tool_path(problem, trajectory, touching)
+    return follow(problem_clearance(problem), path, seed, settings, deadline, start)
+
+
+def start_posture(problem: Problem, seed: int = 0) -> Floats:
+    """(n,) joints that the arm may start the problem with.
+
+    Raises:
+        InputError: if it cannot hold the object there.
+    """
+    start = problem.start
+    mode = start.mode or problem.automaton.modes[0].name
+    poses = settled_poses(problem, mode, np.array(start.mean))
+    found = follow(problem_clearance(problem), _path(problem, [poses]), seed)
+    if isinstance(found, ArmFailure):
+        raise InputError(f"the arm cannot start: {found.sentence}", source=problem.source or None, remedy=found.remedy)
+    return np.array(found.positions[0])
 
 
 def problem_clearance(problem: Problem) -> ClearanceModel:
@@ -69,11 +90,19 @@ def tool_path(problem: Problem, trajectory: Trajectory, touching: Sequence[froze
     Raises:
         InputError: if the problem has no grasp.
     """
+    states = trajectory.of_first(problem.automaton.n).means
+    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, states, strict=True)]
+    return _path(problem, knots, touching)
+
+
+def _path(
+    problem: Problem,
+    knots: Sequence[dict[str, RigidTransform]],
+    touching: Sequence[frozenset[Pair]] | None = None,
+) -> ToolPath:
     grasp = problem.grasp
     if grasp is None:
         raise InputError("the problem has no grasp", source=problem.source or None, remedy="add 'grasp'")
-    states = trajectory.of_first(problem.automaton.n).means
-    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, states, strict=True)]
     if touching is None and problem.hold is not None:
         touching = [touching_pairs(problem, poses) for poses in knots]
     moved = {

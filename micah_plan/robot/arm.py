@@ -31,6 +31,7 @@ class Arm:
         rest: (n,) posture to prefer.
         colors: ``"#rrggbb"`` by name of geometry.
         separate: pairs of geometries' names, sorted, that a file declares to need no check.
+        locked: (joint, position [rad or m]) of the robot's joints that are held still.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Arm:
     rest: Floats
     colors: dict[str, str]
     separate: frozenset[tuple[str, str]]
+    locked: tuple[tuple[str, float], ...]
     data: Any
 
     @property

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one pose of the tool, within the joint limits: `reach_pose`.
+"""Inverse kinematics of one pose of the tool, within the joint limits: `reach_pose`, and `next_pose` along a path.
 
 Levenberg-Marquardt with damping that follows the error (Sugihara, "Solvability-unconcerned inverse kinematics by the
 Levenberg-Marquardt method", IEEE T-RO 2011); joints that would leave their limits stop there and the others go on.
@@ -64,6 +64,13 @@ def reach_pose(arm: Arm, target: Floats, q: Floats, limits: tuple[Floats, Floats
         q = np.clip(q + step * min(1.0, _LONGEST_STEP / longest), *limits)
         error = pose_error(target, arm.matrix(q))
     return Reached(q, error, stopped)
+
+
+def next_pose(arm: Arm, target: Floats, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) -> Reached:
+    """The configuration at the next pose of a path, near q (n,), with what of a wished step (n,) the tool allows."""
+    start = np.clip(q + null_step(arm, q, wish, limits), *limits)
+    reached = reach_pose(arm, target, start, limits)
+    return reached if reached.done else reach_pose(arm, target, q, limits)
 
 
 def null_step(arm: Arm, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) -> Floats:

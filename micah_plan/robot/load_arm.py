@@ -52,6 +52,7 @@ def load_arm(description: RobotDescription) -> Arm:
     _check_chain(model, chain, checked, description)
     positions = _held_positions(model, description)
     locked = [joint for joint in range(1, model.njoints) if joint not in chain]
+    still = [(str(model.names[i]), float(positions[model.idx_qs[i]])) for i in locked if model.joints[i].nq == 1]
     if locked:
         try:
             model, (geometry,) = pin.buildReducedModel(model, [geometry], locked, positions)
@@ -67,6 +68,7 @@ def load_arm(description: RobotDescription) -> Arm:
         rest=_rest(model, description),
         colors=_colors(geometry, checked),
         separate=_separate(geometry, description),
+        locked=tuple(still),
         data=model.createData(),
     )
 

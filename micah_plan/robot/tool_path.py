@@ -21,7 +21,7 @@ from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.planning.plan import ArmTrajectory
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
-from micah_plan.robot.inverse_kinematics import Reached, null_step, pose_error, reach_pose
+from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
 from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
 from micah_plan.robot.sweep import MotionBound, motion_bound, sweep
 
@@ -118,6 +118,7 @@ def follow(
     seed: int = 0,
     settings: PathSettings | None = None,
     deadline: Deadline = NEVER,
+    start: Floats | None = None,
 ) -> ArmTrajectory | ArmFailure:
     """A joint trajectory that takes the tool through the poses of a path, or what stands in the way.
 
@@ -127,11 +128,15 @@ def follow(
         seed: of the start postures; the same seed gives the same trajectory.
         settings: None: the defaults.
         deadline: where it passes, the best of the complete trajectories found by then is taken.
+        start: (n,) posture that the arm is in near the first knot; None: one is sought.
 
     Raises:
         TimeLimitError: if there is none by then.
     """
     follower = _Follower(model.fresh(), settings or PathSettings(), seed, deadline)
+    if start is not None:
+        rows = follower.onwards(path, start)
+        return rows if isinstance(rows, ArmFailure) else follower.summary(path, rows)
     found: list[tuple[float, Floats]] = []
     failures: list[ArmFailure] = []
     try:
@@ -223,6 +228,12 @@ class _Follower:
         closest = nearest or Reached(seeds[0], np.full(6, np.inf), np.zeros(self.arm.n, dtype=bool))
         return self._out_of_reach(0, closest)
 
+    def onwards(self, path: ToolPath, near: Floats) -> Floats | ArmFailure:
+        """(K, n) configurations along the path from the one at its first knot that is near a posture."""
+        reached = reach_pose(self.arm, path.tool[0].as_matrix(), np.clip(near, *self._limits), self._limits)
+        failure = self._standing(path, 0, reached.q) if reached.done else self._out_of_reach(0, reached)
+        return failure or self.followed(path, reached.q)
+
     def followed(self, path: ToolPath, start: Floats) -> Floats | ArmFailure:
         """(K, n) configurations along the path from a configuration at its first knot."""
         rows = [start]
@@ -276,11 +287,7 @@ class _Follower:
         places = before.translation + shares[:, None] * (after.translation - before.translation)
         reached = Reached(q, np.zeros(6), np.zeros(self.arm.n, dtype=bool))
         for target in RigidTransform.from_components(places, turns).as_matrix():
-            wish = self._downhill(path, knot, q)
-            start = np.clip(q + null_step(self.arm, q, wish, self._limits), *self._limits)
-            reached = reach_pose(self.arm, target, start, self._limits)
-            if not reached.done:
-                reached = reach_pose(self.arm, target, q, self._limits)
+            reached = next_pose(self.arm, target, q, self._downhill(path, knot, q), self._limits)
             if not reached.done:
                 return reached
             q = reached.q

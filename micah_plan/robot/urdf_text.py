@@ -22,7 +22,7 @@ MOST_LINKS = 1000
 _PACKAGE = "package://"
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 # Attributes that hold numbers. Python reads "0.05 " and "1_0" as numbers; the parser of URDF leaves such a shape out.
-_NUMBERS = {"xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", *_INERTIA}
+_NUMBERS = {"xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "effort", *_INERTIA}
 
 
 def check_urdf(root: Element, source: str, folder: str, packages: Mapping[str, str]) -> CheckedRobot:
@@ -128,9 +128,14 @@ class _Checker:
             (lower,), (upper,) = self._numbers(limit, "lower", 1, "0"), self._numbers(limit, "upper", 1, "0")
             if lower >= upper:
                 raise self._error(limit, f"expected lower < upper, found {lower:g} and {upper:g}")
-        bounds = {"lower": repr(lower), "upper": repr(upper), "effort": "1", "velocity": "1"}
+        bounds = {"lower": repr(lower), "upper": repr(upper), "effort": repr(self._effort(limit)), "velocity": "1"}
         clean.children.append(Element("limit", bounds, joint.line))
         return clean
+
+    def _effort(self, limit: Element | None) -> float:
+        """The largest force or moment of a joint; `NO_LIMIT` where the file states none."""
+        effort = 0.0 if limit is None else self._numbers(limit, "effort", 1, "0")[0]
+        return effort if effort > 0 else NO_LIMIT
 
     def _check_tree(self, root: Element, links: Mapping[str, Element], joints: list[Element]) -> None:
         """Every link hangs on one root through one joint."""

@@ -1,4 +1,4 @@
-"""Bodies of a scene: solids that do not move, such as a table, a stack of books or the walls of a corridor."""
+"""Bodies of a scene: solids around the object, such as a table, a stack of books or the walls of a corridor."""
 
 from __future__ import annotations
 
@@ -41,12 +41,14 @@ class Body:
         name: as messages and plans call it.
         shapes: its solids in its own frame.
         position, quaternion: pose of its frame in the base frame.
+        mass: of a loose body, which can be pushed over [kg]; None: it is fixed. Planning takes both as fixed.
     """
 
     name: str
     shapes: tuple[Shape, ...]
     position: Vector3 = (0.0, 0.0, 0.0)
     quaternion: Quaternion = IDENTITY
+    mass: float | None = None
 
     @property
     def pose(self) -> RigidTransform:

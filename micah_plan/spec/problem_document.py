@@ -102,14 +102,18 @@ class PlannerDocument(Document):
 
 
 class PlantDocument(Document):
-    mass: Positive | None = Field(default=None, description="Of each moving part [kg].")
+    """Standing objects know the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
+
+    mass: Positive | None = Field(default=None, description="Of each moving part, or of each part held [kg].")
     damping: NonNegative | None = Field(default=None, description="Viscous resistance at the handle [N s/m].")
     friction: NonNegative | None = Field(default=None, description="Dry friction at the handle [N].")
     latch_force: NonNegative | None = Field(default=None, description="Pull at the handle that opens a latch [N].")
     latch_capture: NonNegative | None = Field(
-        default=None, description="Distance of the handle from the latched position within which the latch catches [m]."
+        default=None,
+        description="Distance of the handle from the latched position within which the latch catches [m]; "
+        "of the joint of a held object [rad or m].",
     )
-    stiffness: Positive | None = Field(default=None, description="Of the hand [N/m].")
+    stiffness: Positive | None = Field(default=None, description="Of the hand [N/m]; with a robot that of its joints.")
     max_force: Positive | None = Field(default=None, description="Largest force of the hand [N].")
     control_period: Positive | None = Field(default=None, description="Duration of one control step [s].")
     motion_share: Annotated[float, Field(gt=0, le=1)] | None = Field(
@@ -121,6 +125,31 @@ class PlantDocument(Document):
     position_wander: NonNegative | None = Field(default=None, description="Slowly wandering tracker error, std [m].")
     rotation_wander: NonNegative | None = Field(default=None, description="Slowly wandering tracker error, std [rad].")
     wander_time: Positive | None = Field(default=None, description="Correlation time of the wander [s].")
+    contact_friction: NonNegative | None = Field(
+        default=None, description="Coefficient, of a held object and the scene."
+    )
+    spread: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        default=None, description="Share by which mass and friction of a held object vary from trial to trial."
+    )
+    joint_friction: NonNegative | None = Field(
+        default=None, description="Dry friction of a held object's joint [N m or N]."
+    )
+    joint_damping: NonNegative | None = Field(
+        default=None, description="Damping of a held object's joint [N m s/rad or N s/m]."
+    )
+    pivot_stiffness: NonNegative | None = Field(
+        default=None, description="Of the part held, where it turns in the hand [N m/rad]."
+    )
+    pivot_damping: NonNegative | None = Field(default=None, description="Its damping there [N m s/rad].")
+    joint_deflection: Positive | None = Field(
+        default=None, description="Error at which a joint of the robot pushes with all its effort [rad or m]."
+    )
+    joint_effort: Positive | None = Field(
+        default=None, description="Of the robot's joints whose file states none [N m or N]."
+    )
+    rotor_inertia: NonNegative | None = Field(
+        default=None, description="Of the robot's motors, as the joints feel it [kg m^2 or kg]."
+    )
 
 
 class ProblemDocument(Document):
@@ -142,7 +171,7 @@ class ProblemDocument(Document):
     )
     planner: PlannerDocument = Field(default_factory=PlannerDocument, description="Settings of the planner.")
     scene: dict[Name, BodyDocument] = Field(
-        default_factory=dict, description="Bodies that do not move, by name: table, shelf, stack of books."
+        default_factory=dict, description="Bodies around the object, by name: table, shelf, book."
     )
     robot: RobotDocument | None = Field(default=None, description="Arm that holds the object; default: none.")
     grasp: GraspDocument | None = Field(default=None, description="What it holds; needed with a robot.")

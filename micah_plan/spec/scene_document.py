@@ -29,6 +29,9 @@ class BodyDocument(Document):
     shapes: Annotated[list[BodyShapeDocument], Field(min_length=1)] = Field(description="Its solids.")
     position: Vector3 = Field(default=ZERO, description="Of the body's frame in the base frame [m].")
     quaternion: Quaternion = Field(default=IDENTITY, description="Its orientation in the base frame, scalar last.")
+    mass: Positive | None = Field(
+        default=None, description="Of a body that is loose [kg]: in MuJoCo it can be pushed over; default: it is fixed."
+    )
 
 
 class RobotDocument(Document):

@@ -38,7 +38,7 @@ def scene_of(documents: Mapping[str, BodyDocument], located: Located, folder: Pa
         path: KeyPath = ("scene", name)
         check_unit(located, document.quaternion, (*path, "quaternion"))
         shapes = [_shape(shape, located, (*path, "shapes", i), folder) for i, shape in enumerate(document.shapes)]
-        bodies.append(Body(name, tuple(shapes), document.position, document.quaternion))
+        bodies.append(Body(name, tuple(shapes), document.position, document.quaternion, document.mass))
     return tuple(bodies)
 
 
@@ -93,7 +93,12 @@ def grasp_of(
 
 def scene_data(scene: Sequence[Body]) -> dict[str, Any]:
     """The plain data of bodies, meshes with their corners; `scene_of` gives the same bodies again."""
-    return {body.name: {"shapes": [_shape_data(shape) for shape in body.shapes], **_pose_data(body)} for body in scene}
+    return {body.name: _body_data(body) for body in scene}
+
+
+def _body_data(body: Body) -> dict[str, Any]:
+    loose = {} if body.mass is None else {"mass": body.mass}
+    return {"shapes": [_shape_data(shape) for shape in body.shapes], **_pose_data(body), **loose}
 
 
 def robot_data(robot: RobotDescription) -> dict[str, Any]:

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PROBLEM = ROOT / "problems" / "stapler_on_books.yaml"
 CONTACTS = ("free", "line", "surface", "rigid")
 LOWER_BOOKS = {
-    "scene.books.shapes": [{"kind": "box", "size": [0.35, 0.3, 0.08]}],
-    "scene.books.position": [0.475, 0.0, 0.04],
+    **{f"scene.book_{k + 1}.shapes": [{"kind": "box", "size": [0.35, 0.3, 0.02]}] for k in range(4)},
+    **{f"scene.book_{k + 1}.position": [0.475, 0.0, 0.01 + 0.02 * k] for k in range(4)},
 }
 SURE = {"start.std": {"x": 0.002, "y": 0.002, "z": 0.002, "theta": 0.02}}
 UNSURE = {"start.std": {"x": 0.02, "y": 0.02, "z": 0.02, "theta": 0.2}}

@@ -14,6 +14,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.automaton.ranges import coordinate_ranges
 from micah_plan.automaton.region import Region, above, box
 from micah_plan.errors import InputError
+from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.planning.start_state import start_mode
@@ -87,7 +88,8 @@ def test_digests_follow_the_content(folder: Path) -> None:
 
 def test_settings_and_plant_parameters_are_all_there() -> None:
     assert {f.name for f in fields(PlannerSettings)} - {"confidence"} == set(PlannerDocument.model_fields)
-    assert {f.name for f in fields(PhysicalParameters)} == set(PlantDocument.model_fields)
+    known = {f.name for plant in (PhysicalParameters, HeldParameters) for f in fields(plant)}
+    assert known == set(PlantDocument.model_fields)
     defaults = PlannerDocument().model_dump()
     assert PlannerSettings(**defaults) == PlannerSettings()
 
