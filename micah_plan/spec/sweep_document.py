@@ -22,11 +22,14 @@ class SweepDocument(Document):
     """Solve problems with every combination of values and every seed, and put the results into one table."""
 
     format: Literal["micah-plan/sweep/1"] = Field(description="Format and version of this file.")
-    problems: Annotated[list[Line], Field(min_length=1)] = Field(description="Problem files, relative to this file.")
+    problems: Annotated[list[Line], Field(min_length=1, max_length=1000)] = Field(
+        description="Problem files, relative to this file."
+    )
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] = Field(default=1, description="How many seeds.")
     first_seed: Annotated[int, Field(ge=0, le=1_000_000_000)] = Field(default=0, description="The first of them.")
     grid: dict[Name, Annotated[list[Any], Field(min_length=1)]] = Field(
         default_factory=dict,
+        max_length=50,
         description="Values to try instead of a problem's own, by dotted key of the problem file, e.g. "
         "`start.std.door: [0.02, 0.05]`; every combination is a case.",
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import log10, prod
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
 from micah_plan.planning.problem import Problem
 from micah_plan.spec.key_paths import allows, dotted_paths
-from micah_plan.spec.located import Located, nearest
+from micah_plan.spec.located import KeyPath, Located, nearest
 from micah_plan.spec.problem_document import ProblemDocument
 from micah_plan.spec.problem_file import ProblemReader
 from micah_plan.spec.sweep_document import SweepDocument
@@ -50,7 +50,7 @@ def _sweep(located: Located, folder: Path) -> Sweep:
         lists = [f"{len(values)}" for values in document.grid.values()]
         shown = " x ".join([f"{len(document.problems)} problem(s)", *lists[:8], *["..."][: len(lists[8:])]])
         problem = f"expected at most {MOST_CASES:,} cases, found {_count(size)} ({shown} x {document.seeds} seeds)"
-        raise located.error((), problem, "shorten the lists of the grid, or make several sweeps of it")
+        raise located.error((), problem, "take fewer values or seeds, or make several sweeps of it")
     _check_grid(document, located)
     problems = tuple(_problem(document, number, located, folder) for number in range(len(document.problems)))
     return Sweep(
@@ -68,10 +68,8 @@ def _count(size: int) -> str:
 
 
 def _check_grid(document: SweepDocument, located: Located) -> None:
-    """Raise an InputError where two cases would be the same or nothing could follow."""
-    for number, name in enumerate(document.problems):
-        if name in document.problems[:number]:
-            raise located.error(("problems", number), "the same problem twice", "name it once")
+    """Raise an InputError where two cases would be the same, or no problem could have a value."""
+    _check_distinct(document.problems, "problem", ("problems",), located)
     keys = [key.split(".") for key in document.grid]
     for key, values in document.grid.items():
         names = key.split(".")
@@ -85,10 +83,15 @@ def _check_grid(document: SweepDocument, located: Located) -> None:
             if len(other) < len(names) and names[: len(other)] == other:
                 problem = f"lies within {'.'.join(other)}, which the grid varies too"
                 raise located.error(("grid", key), problem, "vary one of them")
-        texts = [json.dumps(value, sort_keys=True) for value in values]
-        for number, text in enumerate(texts):
-            if text in texts[:number]:
-                raise located.error(("grid", key, number), "the same value twice", "keep one of them")
+        _check_distinct([json.dumps(value, sort_keys=True) for value in values], "value", ("grid", key), located)
+
+
+def _check_distinct(texts: Sequence[str], what: str, path: KeyPath, located: Located) -> None:
+    seen = set()
+    for number, text in enumerate(texts):
+        if text in seen:
+            raise located.error((*path, number), f"the same {what} twice", "keep one of them")
+        seen.add(text)
 
 
 def _problem(document: SweepDocument, number: int, located: Located, folder: Path) -> SweptProblem:

@@ -19,7 +19,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 MEBIBYTE = 1024 * 1024
-PROBLEM, MODEL = b"format: micah-plan/problem/1\n", b"format: micah-plan/model/1\n"
+PROBLEM, MODEL, SWEEP = (b"format: micah-plan/%s/1\n" % kind for kind in (b"problem", b"model", b"sweep"))
 BINARY = bytes(range(256)) * 40
 
 
@@ -31,7 +31,7 @@ class Opens:
 
 
 def yaml_files() -> Iterator[tuple[str, bytes]]:
-    """Problems and models."""
+    """Problems, models and sweeps."""
     bomb = b"a: &a [x,x,x,x,x,x,x,x,x]\n"
     for last, name in zip("abcdefgh", "bcdefghi", strict=True):
         bomb += f"{name}: &{name} [{','.join(['*' + last] * 9)}]\n".encode()
@@ -91,6 +91,7 @@ def yaml_files() -> Iterator[tuple[str, bytes]]:
         "many_knots": "confidence: 0.999999999999",
     }.items():
         yield name, good + more.encode() + b"\n"
+    yield from sweep_files()
     yield "wide_model", wide_model(1500, 40)
     yield "many_transitions", wide_model(120, 8000)
     yield (
@@ -98,6 +99,27 @@ def yaml_files() -> Iterator[tuple[str, bytes]]:
         MODEL + b"coordinates: {a: m}\ninputs: {a: m}\nmodes: {m: {invariant: ['" + b"a + " * 200_000 + b"a >= 1']}}\n",
     )
     yield "deep_expression", wide_model(1, 1).replace(b"c0 >= 0", b"(" * 50_000 + b"c0 >= 0")
+
+
+def sweep_files() -> Iterator[tuple[str, bytes]]:
+    """Sweeps that would never end, or that name what is no problem."""
+    drawer = f"problems: [{ROOT}/problems/drawer_open.yaml]\n"
+    for name, text in {
+        "sweep_itself": "problems: [sweep_itself.yaml]",
+        "sweep_endless": "problems: [/dev/zero]",
+        "sweep_traversal": "problems: [../../../../../../etc/passwd]",
+        "sweep_pipe": "problems: [pipe.yaml]",
+        "sweep_many_problems": f"problems: [{','.join(f'p{i}.yaml' for i in range(90_000))}]",
+        "sweep_many_seeds": drawer + "seeds: 1000000",
+        "sweep_huge_grid": drawer + "grid:\n" + "".join(f"  k{i}: [1, 2]\n" for i in range(10_000)),
+        "sweep_many_keys": drawer + "grid:\n" + "".join(f"  start.mean.k{i}: [1]\n" for i in range(20_000)),
+        "sweep_many_values": drawer + f"grid: {{confidence: [{','.join('0.6' for _ in range(90_000))}]}}",
+        "sweep_deep_value": drawer + "grid: {goal: [" + "{a: " * 15 + "1" + "}" * 15 + "]}",
+        "sweep_long_path": drawer + "grid: {" + ".".join("a" * 45) + ": [1]}",
+        "sweep_into_text": drawer + "grid: {model.a.b.c: [1]}",
+        "sweep_other_model": drawer + "grid: {model: [/etc/passwd]}",
+    }.items():
+        yield name, SWEEP + text.encode() + b"\n"
 
 
 def wide_model(coordinates: int, transitions: int) -> bytes:

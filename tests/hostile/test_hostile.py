@@ -81,6 +81,7 @@ def good_files() -> dict[str, bytes]:
 
     made = {
         "p.yaml": (ROOT / "problems" / "drawer_open.yaml").read_bytes().replace(b"../models", bytes(ROOT / "models")),
+        "s.yaml": (ROOT / "problems" / "sweeps" / "drawer.yaml").read_bytes().replace(b"..", bytes(ROOT / "problems")),
         "m.yaml": (ROOT / "models" / "slot.yaml").read_bytes(),
         "r.urdf": (ROOT / "micah_plan" / "templates" / "robot.urdf").read_bytes(),
     }
