@@ -17,7 +17,7 @@ from micah_plan.execution.carrier import Carrier, Slides
 from micah_plan.execution.held_mjcf import OBJECT, object_mjcf, scene_mjcf
 from micah_plan.execution.held_parameters import HeldParameters, held_parameters
 from micah_plan.execution.incidents import Watch
-from micah_plan.execution.mujoco_plant import import_mujoco
+from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.planning.problem import Hold, Problem
@@ -93,6 +93,7 @@ class HeldPlant:
             self._mj.mj_step(self._model, self._data)
             self._catch()
             self._watch.touch(self._data)
+        check_stable(self._mj, self._data)
         self._mj.mj_kinematics(self._model, self._data)  # poses of now; a step leaves those of its beginning
         self._watch.stand(self._data)
         return self._measure(self.parameters.control_period)

@@ -6,17 +6,15 @@ The plant reads the model's geometry, but none of its dynamics: what moves, stic
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.errors import MissingDependencyError
 from micah_plan.execution.mjcf import latch_name, mjcf
 from micah_plan.execution.physical_object import PhysicalLink, fixed_shapes, physical_links
 from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.planning.problem import Start
@@ -128,6 +126,7 @@ class MujocoPlant:
             moving = step <= moving_steps
             target = begin + (end - begin) * (step / moving_steps) if moving else end
             self._physics_step(target, velocity if moving else np.zeros_like(velocity))
+        check_stable(self._mj, self._data)
         self._mj.mj_forward(self._model, self._data)
         self._target = end
         return self._measure(self.parameters.control_period)
@@ -221,18 +220,3 @@ class MujocoPlant:
             raise RuntimeError("measure before reset")
         position, quaternion = self._tracker.measure(*self._poses(), elapsed)
         return Measurement(float(self._data.time), position, quaternion, self._force.copy())
-
-
-def import_mujoco() -> ModuleType | Any:
-    """The library.
-
-    Raises:
-        MissingDependencyError: if it is not installed.
-    """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
-        ) from error
-    return mujoco

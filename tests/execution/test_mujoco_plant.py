@@ -16,6 +16,7 @@ from micah_plan.errors import InputError
 from micah_plan.execution.mjcf import mjcf
 from micah_plan.execution.physical_object import physical_links
 from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.pose import chain, command, components, moving_joints
 from micah_plan.planning.problem import Start
 
@@ -216,6 +217,22 @@ def test_physical_parameters_are_checked():
         PhysicalParameters(stiffness=0.0)
     with pytest.raises(InputError, match="'friction' must be a number >= 0"):
         PhysicalParameters(friction=float("nan"))
+
+
+def test_physics_that_diverge_are_told_and_leave_no_file_behind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mujoco = import_mujoco()
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    check_stable(mujoco, data)
+    data.qvel[0] = 1e12
+    mujoco.mj_step(model, data)
+    with pytest.raises(InputError, match="became unstable"):
+        check_stable(mujoco, data)
+    assert not list(tmp_path.iterdir())
 
 
 def test_without_mujoco_the_package_loads_and_the_plant_says_what_to_install():
