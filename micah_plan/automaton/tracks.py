@@ -186,16 +186,24 @@ def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Flo
 def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floats:
     """(T-1, m) inputs of commanded displacements (T-1, l, 3) [m] of the parts' origins at x (>= T-1, n).
 
-    Source: MICAH, equation for Δ̂_t: the inverse Jacobian maps an action to a change of configuration.
+    Source: MICAH, equation for Δ̂_t: the inverse Jacobian maps an action to a change of configuration. With fewer inputs
+    than coordinates, those that move in the first mode say what the inputs were: the rest follows by contact.
+
+    Raises:
+        InputError: if the first mode does not tell the inputs apart.
     """
-    if automaton.m != automaton.n:
-        raise InputError("actions can only be read by an automaton with one input per coordinate")
-    u = np.zeros((len(action), automaton.m))
+    u = np.zeros((len(action), automaton.n))
     for number, link in measuring_links(automaton):
         joint, c = moving_joint(automaton, number), x[: len(action), link.coordinate]
         meant = in_base_frame(automaton, link.coordinate, action[:, number])
         u[:, link.coordinate] = commanded(joint, c, meant)
-    return u
+    if automaton.m == automaton.n:
+        return u
+    effect = np.array(automaton.modes[0].B)
+    driven = effect.any(axis=1)
+    if np.linalg.matrix_rank(effect) < automaton.m:
+        raise InputError("actions do not show the inputs: in the first mode some of them move nothing of their own")
+    return np.asarray(u[:, driven] @ np.linalg.pinv(effect[driven]).T)
 
 
 def commanded(joint: Joint, c: Floats, action: Floats) -> Floats:

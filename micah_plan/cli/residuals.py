@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from micah_plan import summaries
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.cli import tables
 from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, progress_bar
 from micah_plan.cli.options import JsonFlag, OutputPath
@@ -17,18 +18,20 @@ from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
 
 
 def predict(
-    model: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    model: Annotated[Path, typer.Argument(help="Model, or the problem or plan of which the runs are (YAML, JSON).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
     as_learned: Annotated[
         bool, typer.Option("--actions-as-learned", help="Read actions as those of the model's demonstration were.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data."""
-    from micah_plan import workflow
-    from micah_plan.spec.model_file import load_model
+    """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data.
 
-    automaton = load_model(model)
+    The model of a held object is made of its problem, so runs of it are predicted by the problem or a plan.
+    """
+    from micah_plan import workflow
+
+    automaton = _automaton_of(model)
     measured = workflow.read(recording, minimum_rows=2)
     try:
         automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
@@ -37,6 +40,19 @@ def predict(
         raise error.located(recording) from None
     summary = summaries.predicted(automaton, runs)
     print_summary(as_json, summary, lambda: tables.print_predicted(summary))
+
+
+def _automaton_of(path: Path) -> HybridAutomaton:
+    """The model in a file, or that of the problem in it."""
+    from micah_plan.spec.kind import kind_of
+    from micah_plan.spec.model_file import load_model
+    from micah_plan.spec.plan_file import load_plan
+    from micah_plan.spec.problem_file import load_problem
+
+    kind = kind_of(path)
+    if kind == "problem":
+        return load_problem(path).automaton
+    return load_plan(path).problem.automaton if kind == "plan" else load_model(path)
 
 
 def calibrate(
