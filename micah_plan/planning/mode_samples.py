@@ -112,7 +112,7 @@ def sample_modes(
         if not chosen.states.is_empty:
             obstacles = obstacles_on_state(automaton, mode.name)
             random = _draw(chosen.states, mode, landmarks, rng, missing)
-            for point in random[~_in_any(obstacles, random)]:
+            for point in random[~inside_any(obstacles, random)]:
                 chosen.add(point)
     goals = {name: np.flatnonzero(states.contains(np.array(modes[name].points))) for name, states in goal_sets.items()}
     return Samples(modes, exits, start, goals)
@@ -158,7 +158,7 @@ def _sample_guard(
     return np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
 
 
-def _in_any(regions: Sequence[Region], points: Floats) -> Booleans:
+def inside_any(regions: Sequence[Region], points: Floats) -> Booleans:
     """(k,) whether points (k, n) lie inside of any region."""
     inside = np.zeros(len(points), dtype=bool)
     for region in regions:

@@ -93,7 +93,7 @@ def search_modes(
     graphs: dict[str, csr_array] = {}
     for name in points:
         deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
-        graphs[name] = _graph(points[name], limits.speed, motions[name], deadline)
+        graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
     edges = problem.automaton.edges
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
@@ -162,13 +162,13 @@ def _guards_in_the_way(
         motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)
         if deadline.is_over():  # that nothing connects them is known; what is in the way is not
             return ()
-        graphs = {mode: _graph(points[mode], limits.speed, motions[mode]) for mode in points}
+        graphs = {mode: roadmap_of(points[mode], limits.speed, motions[mode]) for mode in points}
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
             found.append(name)
     return tuple(found)
 
 
-def _graph(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
+def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
     """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
     pairs = _prm_connections(points / speed, deadline)
     steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.mode_motion import motions_of
-from micah_plan.planning.mode_search import _graph, search_modes
+from micah_plan.planning.mode_search import roadmap_of, search_modes
 from micah_plan.planning.polytope import mode_states
 from micah_plan.planning.problem import Problem, Start
 
@@ -49,7 +51,7 @@ def is_connected(problem: Problem, points: np.ndarray) -> bool:
     limits = limits_of(problem)
     ends = np.array([[-0.95, -0.2], [-0.05, 0.6]])
     motion = motions_of(problem.automaton, limits.max_step, limits.speed)["left"]
-    graph = _graph(np.vstack([ends, points]), limits.speed, motion)
+    graph = roadmap_of(np.vstack([ends, points]), limits.speed, motion)
     labels = connected_components(graph)[1]
     return bool(labels[0] == labels[1])
 
@@ -69,3 +71,14 @@ def test_the_search_goes_through_the_bends_on_half_as_many(seed: int) -> None:
     path = first.waypoints[0]
     inside = np.abs((path - MIDDLE) @ ALONG) < 1.5 * LENGTH
     assert inside.sum() >= 2
+
+
+def test_faces_lead_through_windows_of_bodies_where_uniform_states_and_bridges_do_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    script = importlib.import_module("corridors")
+    states, found = script.counts(script.corridor(3, 2, 0.03), samples=32, seeds=4)
+    assert states < 100
+    assert (found["faces"], found["uniform"], found["bridges"]) == (4, 0, 0)
+    assert script.counts(script.corridor(2, 2, 0.03), samples=128, seeds=4)[1]["bridges"] >= 2
