@@ -132,12 +132,21 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
         return ("none", rows, f"misses by {1e3 * misfit.position:.3g} mm", "", "", "", _start(segment))
     axis = "" if joint.kind == "rigid" else " ".join(_rounded(value, 2) for value in joint.axis)
     arm = f"{radius(joint):.3f}" if joint.kind in ("revolute", "screw") else ""
-    first, last = _rounded(segment.configuration_start, 3), _rounded(segment.configuration_end, 3)
-    way = last if joint.kind == "rigid" else f"{first} → {last} {'m' if joint.kind == 'prismatic' else 'rad'}"
+    way = _rounded(segment.configuration_end, 3) if joint.kind == "rigid" else _way(segment)
     sure = segment.certainty
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
     percent = ">99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
     return (joint.kind, rows, way, axis, arm, percent, _start(segment))
+
+
+def _way(segment: Segment) -> str:
+    """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
+    ends = [segment.configuration_start, segment.configuration_end]
+    low, high = segment.configuration_range
+    furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
+    turned = min(abs(furthest - end) for end in ends) > 0.2 * (high - low)
+    stops = [ends[0], furthest, ends[1]] if turned else ends
+    return " → ".join(_rounded(value, 3) for value in stops) + (" m" if segment.joint.kind == "prismatic" else " rad")
 
 
 def _rounded(value: float, digits: int) -> str:

@@ -191,3 +191,17 @@ def test_wide_numbers_wrap_no_names(run):
     assert any(line.startswith("revolute 0-2399 ") for line in lines)
     assert any(line.startswith("rigid 2400-2999 ") for line in lines)
     assert max(map(len, printed.out.splitlines()[:7])) <= 80
+
+
+@pytest.mark.parametrize(
+    ("ends", "reached", "way"),
+    [
+        ((0.0, 1.2), (0.0, 1.2), "0.000 → 1.200 rad"),
+        ((0.0, 0.001), (-0.01, 1.4), "0.000 → 1.400 → 0.001 rad"),
+        ((0.5, 0.4), (-0.3, 0.5), "0.500 → -0.300 → 0.400 rad"),
+    ],
+)
+def test_the_table_says_where_a_part_turned_around(ends, reached, way) -> None:
+    moving = sure_graph().edges[0].segments[0]
+    there = replace(moving, configuration_start=ends[0], configuration_end=ends[1], configuration_range=reached)
+    assert summaries.segment_row(there)[2] == way
