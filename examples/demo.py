@@ -30,7 +30,7 @@ STEPS = (
         "execute {out}/plan.json --plant nominal --trials 3 -o {out}/nominal.csv",
     ),
     (
-        "Independent physics (MuJoCo) executes it 3 times: contact, friction, a latch, tracker noise.",
+        "Physics (MuJoCo) executes it 3 times: an arm under position control, contact, a latch, loose books.",
         "execute {out}/plan.json --plant mujoco --trials 3 -o {out}/runs.csv --figure {out}/belief.png",
     ),
 )
