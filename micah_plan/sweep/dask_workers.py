@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError
@@ -21,11 +22,14 @@ class DaskWorkers:
     def __init__(self, client: Any, executor: Executor) -> None:
         """Args: a connected `distributed.Client`, and its executor."""
         self._client, self._executor = client, executor
+        self._threads = 1
 
     @property
     def in_flight(self) -> int:
-        threads: int = sum(self._client.ncores().values())
-        return max(2, 2 * threads)
+        # A scheduler that does not answer is noticed by the cases that it had.
+        with suppress(OSError, RuntimeError, ValueError):
+            self._threads = max(1, sum(self._client.ncores().values()))
+        return 2 * self._threads
 
     def submit(self, case: Case) -> Future[CaseRun]:
         return self._executor.submit(solve_case, case)
@@ -52,12 +56,30 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
         said = " ".join(str(error).split())[:200]
         remedy = "start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`"
         raise InputError(f"no Dask scheduler answers at {address} ({said})", remedy=remedy) from None
-    with client:
-        if not client.ncores():
-            problem = f"the Dask scheduler at {address} has no workers"
-            raise InputError(problem, remedy="start some: dask worker ADDRESS --nthreads 1")
-        executor = client.get_executor(pure=False)
-        try:
-            yield DaskWorkers(client, executor)
-        finally:
-            executor.shutdown(wait=False)
+    with _silent_logs(), client:
+        yield from _connected(client, address)
+
+
+@contextmanager
+def _silent_logs() -> Iterator[None]:
+    """Without the tracebacks that Dask logs when workers and schedulers go: the sweep says in a line what matters."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+def _connected(client: Any, address: str) -> Iterator[DaskWorkers]:
+    if not client.ncores():
+        problem = f"the Dask scheduler at {address} has no workers"
+        raise InputError(problem, remedy="start some: dask worker ADDRESS --nthreads 1")
+    executor = client.get_executor(pure=False)
+    try:
+        yield DaskWorkers(client, executor)
+    finally:
+        executor.shutdown(wait=False)

@@ -105,7 +105,7 @@ def _told(progress: Progress | None, finished: int, total: int) -> Callable[[Cas
 
     def say() -> None:
         if progress is not None:
-            parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
+            parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "starting workers"
             progress(f"{outcomes.total()} of {total} cases ({parts})", outcomes.total() / max(1, total))
 
     def tell(run: CaseRun) -> None:

@@ -82,5 +82,7 @@ def _is_death(error: BaseException) -> bool:
 def _stopped(error: BaseException) -> MicahError:
     if isinstance(error, MicahError):
         return error
+    if isinstance(error, CancelledError):
+        return SweepStoppedError(f"the executor or its scheduler was closed; {_GO_ON}")
     said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     return SweepStoppedError(f"the executor cannot run cases ({said}); {_GO_ON}")

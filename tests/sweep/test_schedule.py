@@ -94,7 +94,7 @@ def test_an_executor_that_cannot_begin_again_stops_the_sweep() -> None:
     [
         (MissingDependencyError("install mujoco"), MissingDependencyError, "install mujoco"),
         (ModuleNotFoundError("No module named 'micah_plan'"), SweepStoppedError, r"cannot run cases \(ModuleNotFound"),
-        (None, SweepStoppedError, "CancelledError"),
+        (None, SweepStoppedError, "the executor or its scheduler was closed; what is finished"),
     ],
 )
 def test_what_no_case_can_help_stops_the_sweep(error: Exception | None, expected: type[Exception], said: str) -> None:
