@@ -69,7 +69,7 @@ def _white_std(piece: FittedPiece, learned: LearnedRun, track: PartTrack) -> flo
     """White noise of one measured configuration [rad or m]."""
     row = slice(piece.start, piece.start + 1)
     quaternion = None if track.quaternion is None else track.quaternion[row]
-    direction = compare_all([piece.joint], track.position[row], quaternion, 1.0).direction[0, 0]
+    direction = compare_all([piece.joint], track.position[row], quaternion, 1.0).direction[0, :, 0]
     noise = learned.noise
     information = float(direction[-3:] @ direction[-3:]) / noise.position_white**2
     if quaternion is not None:

@@ -227,7 +227,7 @@ def _misfit(
         return None
     joint = segmented.table.pool.hypotheses.joints.joint(segmented.segmentation.pieces[0].hypothesis)
     seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
-    error = seen.error[0, inlier]
+    error = seen.error[0].T[inlier]
     turned = track.quaternion is not None
     missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
     # How far rows are from their neighbours is no motion either: few rows leave open how much of it the noise is.

@@ -219,7 +219,7 @@ def _smoothed(c: Floats) -> Floats:
 def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> float:
     """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
     quaternion = None if track.quaternion is None else track.quaternion[rows]
-    error = compare_all([joint], track.position[rows], quaternion, noise.rotation_length).error[0]
+    error = compare_all([joint], track.position[rows], quaternion, noise.rotation_length).error[0].T
     direction = jacobian(measured_by, 0.0)[0]
     moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
     turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if quaternion is not None else 0.0

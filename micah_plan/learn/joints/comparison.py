@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
-from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vector, times_matrix
+from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vectors, times_matrix
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 _NEWTON_STEPS = 8
 _TINY = 1e-12
@@ -28,17 +30,26 @@ class Compared:
 
     Attributes:
         configuration: (h, n) closest configurations [rad or m], 0 for rigid.
-        error: (h, n, d) measured minus model, base frame.
-        direction: (h, n, d) J, the derivative of the model's pose by the configuration; 0 for rigid.
+        error: (h, d, n) measured minus model, base frame. Rows last: NumPy is slow at rows of three numbers.
+        direction: (h, d, n) J, the derivative of the model's pose by the configuration; 0 for rigid.
     """
 
     configuration: Floats
     error: Floats
     direction: Floats
 
-    def rows(self, index: NDArray[np.int64]) -> Compared:
-        """Some of the rows."""
-        return Compared(self.configuration[:, index], self.error[:, index], self.direction[:, index])
+    def rows(self, index: Ints) -> Compared:
+        """Some rows (h, k) of each joint."""
+        wide = index[:, None]
+        return Compared(
+            np.take_along_axis(self.configuration, index, axis=1),
+            np.take_along_axis(self.error, wide, axis=2),
+            np.take_along_axis(self.direction, wide, axis=2),
+        )
+
+    def take(self, index: Ints | Bools | slice) -> Compared:
+        """Some of the joints."""
+        return Compared(self.configuration[index], self.error[index], self.direction[index])
 
 
 def compare_all(
@@ -49,7 +60,7 @@ def compare_all(
 
 
 def compare_arrays(
-    joints: JointArrays, position: Floats, quaternion: Floats | None, rotation_length: float
+    joints: JointArrays, position: Floats, quaternion: Floats | None, rotation_length: float | Floats
 ) -> Compared:
     """The same for joints that are arrays already.
 
@@ -57,25 +68,25 @@ def compare_arrays(
         joints: the h joints.
         position, quaternion: (n, 3) [m] and (n, 4) rows, or (h, n, 3) and (h, n, 4) of each joint its own; quaternion
             None if not measured.
-        rotation_length: what weighs rotation against position in "closest" [m/rad].
+        rotation_length: what weighs rotation against position in "closest" [m/rad], one number or one per joint (h, 1).
     """
     turning, moving = joints.turning, joints.moving
     arm = joints.position - joints.center
     arm = (arm - np.sum(arm * joints.axis, axis=1, keepdims=True) * joints.axis) * turning[:, None]
     # Of every joint: its axis, and the arm from it to the origin with the direction in which that turns.
     basis = np.stack([joints.axis, arm, cross(joints.axis, arm)], axis=1)
-    from_start = position - joints.position[:, None]
-    along, real, imaginary = np.moveaxis(from_start @ basis.swapaxes(1, 2), 2, 0)
-    real = real + np.sum(arm**2, axis=1, keepdims=True)
+    from_start = np.ascontiguousarray(position.swapaxes(-1, -2)) - joints.position[..., None]
+    along, real, imaginary = (basis @ from_start).swapaxes(0, 1)
+    real += np.sum(arm**2, axis=1, keepdims=True)
     relative = None
     if quaternion is not None:
         # Of every row: its rotation from the start, and the same followed by half a turn back about the axis.
         start = times_matrix(conjugate(joints.quaternion))
         back = times_matrix(np.concatenate([-joints.axis, np.zeros((len(joints), 1))], axis=1))
-        relative, turned = np.split(quaternion @ np.concatenate([start, start @ back], axis=2), 2, axis=2)
-        twist, scalar = turned[..., 3], relative[..., 3]
+        relative = np.concatenate([start, start @ back], axis=2).swapaxes(1, 2) @ quaternion.swapaxes(-1, -2)
+        scalar, twist = relative[:, 3], relative[:, 7]
         real += rotation_length**2 * (scalar**2 - twist**2)
-        imaginary = imaginary + rotation_length**2 * 2 * scalar * twist
+        imaginary += rotation_length**2 * 2 * scalar * twist
     weight = np.sqrt(real**2 + imaginary**2)
     angle = np.where(turning[:, None] & (weight > _TINY), np.arctan2(imaginary, real), 0.0)
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
@@ -84,17 +95,23 @@ def compare_arrays(
     if angle.size:
         angle = _unwrapped(angle)
     half_sine, half_cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
-    sine, versine = 2 * half_sine * half_cosine, 2 * half_sine**2
     sliding = moving & ~turning
     configuration = np.where(sliding[:, None], along, angle)
+    h, n = angle.shape
+    # The way from the start, and the direction of motion, along the basis.
+    way = np.empty((h, 3, 2, n))
     rate = np.where(turning, joints.pitch, sliding)[:, None]
-    error = from_start - np.stack([rate * configuration, -versine, sine], axis=2) @ basis
-    moved = np.stack([np.broadcast_to(rate, angle.shape), -sine, 1 - versine], axis=2) @ basis
+    way[:, 2, 0], way[:, 1, 0], way[:, 0, 1] = 2 * half_sine * half_cosine, -2 * half_sine**2, rate
+    way[:, 0, 0], way[:, 1, 1], way[:, 2, 1] = rate * configuration, -way[:, 2, 0], 1 + way[:, 1, 0]
+    moved = (basis.swapaxes(1, 2) @ way.reshape(h, 3, 2 * n)).reshape(h, 3, 2, n)
     if relative is None:
-        return Compared(configuration, error, moved)
-    rotation = rotation_vector(half_cosine[..., None] * relative + half_sine[..., None] * turned)
-    turns = np.broadcast_to((turning[:, None] * joints.axis)[:, None], rotation.shape)
-    return Compared(configuration, np.concatenate([rotation, error], axis=2), np.concatenate([turns, moved], axis=2))
+        return Compared(configuration, from_start - moved[:, :, 0], moved[:, :, 1])
+    error, direction = np.empty((h, 6, n)), np.empty((h, 6, n))
+    np.subtract(from_start, moved[:, :, 0], out=error[:, 3:])
+    left = half_cosine[:, None] * relative[:, :4] + half_sine[:, None] * relative[:, 4:]
+    error[:, :3] = rotation_vectors(left)
+    direction[:, :3], direction[:, 3:] = (turning[:, None] * joints.axis)[..., None], moved[:, :, 1]
+    return Compared(configuration, error, direction)
 
 
 def _unwrapped(angle: Floats) -> Floats:

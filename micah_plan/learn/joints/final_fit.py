@@ -185,9 +185,9 @@ def _best_start(
     if fixed[0]:
         starts.append(linear.joint(0))
     error = compare_all(starts, p, q, _ROTATION_LENGTH).error
-    squares = [np.einsum("hnk,hnk->hn", error[..., -3:], error[..., -3:])]
+    squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
-        squares.append(np.einsum("hnk,hnk->hn", error[..., :3], error[..., :3]))
+        squares.append((error[:, :3] ** 2).sum(axis=1))
     scored = rows.mixtures(guess.kind, squares, rows.weight[some])
     best = int(np.argmax(scored.log_likelihood))
     return starts[best], _stds(scored, best)

@@ -111,9 +111,8 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
     )
 
 
-def concatenated(first: JointArrays, second: JointArrays) -> JointArrays:
-    """The joints of both."""
-    pairs = ((getattr(first, name), getattr(second, name)) for name in ("axis", "center", "position", "quaternion"))
-    axis, center, position, quaternion = (np.concatenate(pair) for pair in pairs)
-    pitch = np.concatenate([first.pitch, second.pitch])
-    return JointArrays(first.kinds + second.kinds, axis, center, position, quaternion, pitch)
+def concatenated(several: Sequence[JointArrays]) -> JointArrays:
+    """All of their joints, one after another."""
+    names = ("axis", "center", "position", "quaternion", "pitch")
+    arrays = (np.concatenate([getattr(one, name) for one in several]) for name in names)
+    return JointArrays(tuple(kind for one in several for kind in one.kinds), *arrays)

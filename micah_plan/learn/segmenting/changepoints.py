@@ -55,6 +55,11 @@ class Segmentation:
     pieces: tuple[Piece, ...]
     log_probability: float
 
+    @property
+    def which(self) -> Ints:
+        """(n,) the hypothesis that explains each row."""
+        return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in self.pieces])
+
 
 @dataclass(frozen=True, eq=False)
 class _Link:

@@ -25,7 +25,7 @@ def trust_in(noise: NoiseModel, settings: LearnSettings) -> float:
     """
     if settings.trust is not None:
         return settings.trust
-    misfits = [settings.rotation_misfit, settings.position_misfit][-len(noise.white) // 3 :]
-    whites = noise.white.reshape(-1, 3).mean(axis=1)
+    whites = noise.white[0].reshape(-1, 3).mean(axis=1)
+    misfits = [settings.rotation_misfit, settings.position_misfit][-len(whites) :]
     shares = whites / (whites + np.square(misfits))
     return float(LEAST_TRUST + (1 - LEAST_TRUST) * shares.mean())

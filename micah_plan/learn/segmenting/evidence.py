@@ -10,7 +10,7 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
-from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
-from micah_plan.learn.segmenting.occam import parameter_costs, parameter_count
-from micah_plan.learn.segmenting.pool import Hypotheses, Pool, pool_of
+from micah_plan.learn.segmenting.noise import NoiseModel, log_peak, stacked
+from micah_plan.learn.segmenting.occam import held_costs, parameter_costs, parameter_counts
+from micah_plan.learn.segmenting.pool import Hypotheses, Pool, all_of, pool_of
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -96,52 +96,66 @@ def tabulated(
         trust: power of the likelihood (see coarsening.py).
         begun: whether the part has moved before the first row.
     """
-    pool = pool_of(hypotheses, track, noise)
+    return all_tabulated([hypotheses], track, [noise], use_actions, rest, trust, begun)[0]
+
+
+def all_tabulated(
+    pools: Sequence[Hypotheses],
+    track: PartTrack,
+    noises: Sequence[NoiseModel],
+    use_actions: bool,
+    rest: float,
+    trust: float,
+    begun: bool = False,
+) -> list[EvidenceTable]:
+    """The same of several sets of hypotheses, each under a noise of its own, at once."""
+    together, counts = all_of(pools), [len(one) for one in pools]
+    noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
+    pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
     motion = fit_motion(pool, track.action if use_actions else None, rest, scale, begun)
     # Where on its joint a segment starts is uniform over what the recording reaches.
-    table[1:] += motion.log_density.T
-    table[0] -= np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving
+    table[1:] += motion.log_density
+    table[0] -= (np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving)[:, None]
     # A tracker may slip: then the row is as unforeseen as the first of a segment.
     slipped = np.log(_SLIP) + table[0]
     table[1:] = log_add(np.log1p(-_SLIP) + table[1:], slipped)
     # The first row of a segment may go on where the row before was, or not.
-    table[:-1, 1:] = log_add(table[:-1, 1:], table[1:, 1:]) + np.log(0.5)
+    table[:-1, :, 1:] = log_add(table[:-1, :, 1:], table[1:, :, 1:]) + np.log(0.5)
     table *= trust
     if not begun:
-        table[0, 0, ~pool.moving] -= _HELD_FIRST
-    rows = np.maximum(hypotheses.used.sum(axis=1), 1).astype(float)
+        table[0, ~pool.moving, 0] -= _HELD_FIRST
+    rows = np.maximum(together.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
-    cost, held = parameter_costs(pool, track, noise, trust)
-    counts = [parameter_count(kind, track.quaternion is not None) for kind in hypotheses.joints.kinds]
-    parameters = np.array(counts, dtype=float) + motion.parameters
-    return EvidenceTable(trust, pool, motion, table, parameters, cost + of_motion, held + of_motion, rows)
+    parameters = parameter_counts(together.joints, track.quaternion is not None) + motion.parameters
+    cost, denied = parameter_costs(pool, track, noise, trust)
+    ends = np.cumsum(counts)
+    found = []
+    for one, own, some in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
+        pool_of_one = pool.part(some, one)
+        held = held_costs(cost[some], denied[some], pool_of_one, own, trust) + of_motion[some]
+        table_of_one = table[:, some].swapaxes(1, 2)
+        numbers = parameters[some], cost[some] + of_motion[some], held, rows[some]
+        found.append(EvidenceTable(trust, pool_of_one, motion.part(some), table_of_one, *numbers))
+    return found
 
 
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
-    """(p + 1, n, h) ln densities across the joints, and (h, n) how much wider than usual a row's noise is."""
-    error, direction = (np.ascontiguousarray(np.moveaxis(x, 2, 0)) for x in (pool.seen.error, pool.seen.direction))
-    d = len(error)
-    size = d - pool.moving[:, None]
+    """(p + 1, h, n) ln densities across the joints, and (h, n) how much wider than usual a row's noise is."""
+    direction = pool.seen.direction
+    h, d, n = direction.shape
+    heavy = noise.dof[:, None] + d - pool.moving[:, None]
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
-    log_correlation = float(np.log(np.diag(np.linalg.cholesky(noise.correlation))).sum())
-    scaling = noise.decorrelation / np.sqrt(noise.left)[:, None]
-    squares = np.stack([_squares(*one) for one in zip(scaling, noise.predicted_back(error), strict=True)])
+    scaling = (noise.decorrelation[:, None] / np.sqrt(noise.left)[:, :, None]).swapaxes(0, 1)
+    squares = ((scaling @ noise.predicted_back(pool.seen.error)) ** 2).sum(axis=2)
     # The direction of motion is not counted here.
-    information = np.stack([_squares(one, direction) for one in scaling])
-    information = np.where(pool.moving[:, None], information, 1.0)
-    hidden = np.log(np.maximum(information, 1e-12))
-    tails = (noise.dof + size) * np.log1p(squares / (noise.dof + size))
-    log_volume = np.log(noise.left).sum(axis=1)[:, None, None]
-    table = (peak - 0.5 * (log_volume + tails + hidden) - log_correlation).transpose(0, 2, 1)
+    precision = (scaling.swapaxes(2, 3) @ scaling).swapaxes(0, 1).reshape(len(noise), -1, d * d)
+    information = precision @ (direction[:, :, None] * direction[:, None]).reshape(h, d * d, n)
+    information = np.where(pool.moving[:, None, None], information, 1.0).swapaxes(0, 1)
+    volume = np.log(np.diagonal(scaling, axis1=2, axis2=3)).sum(axis=2)[..., None]
+    tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
-    return np.ascontiguousarray(table), 1 + (squares[-1] - size) / (noise.dof + size)
-
-
-def _squares(scaling: Floats, channels: Floats) -> Floats:
-    """(h, n) squared lengths of channels (d, h, n) that a matrix (d, d) scales."""
-    scaled = scaling @ channels.reshape(len(channels), -1)
-    return np.asarray(np.einsum("dk,dk->k", scaled, scaled).reshape(channels.shape[1:]))
+    return peak - 0.5 * tails + volume, 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
 
 
 @dataclass(frozen=True, eq=False)

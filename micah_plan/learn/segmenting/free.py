@@ -34,7 +34,7 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     """
     path = _path(track)
     n, d = path.shape
-    finest = np.sqrt(noise.left[-1])
+    finest = np.sqrt(noise.left[0, -1])
     ways = [_expected(path, back) for back in _LOOKING_BACK] + [_average(path, back) for back in _STAYING]
     missed = path[1:] - np.array(ways)
     scale = np.sqrt((missed.reshape(len(ways), n - 1, d // 3, 3) ** 2).mean(axis=(1, 3)))

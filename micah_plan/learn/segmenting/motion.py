@@ -65,6 +65,10 @@ class Motion:
     gain: Floats
     parameters: Floats
 
+    def part(self, some: slice) -> Motion:
+        """Of some hypotheses."""
+        return Motion(self.log_density[some], self.gain[some], self.parameters[some])
+
 
 def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, begun: bool = False) -> Motion:
     """Maximum-likelihood step models.

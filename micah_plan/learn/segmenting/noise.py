@@ -8,15 +8,16 @@ between channels (errors of rotation and position are tied by a lever arm) and h
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
-from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 MEMORY = 8  # rows that a prediction looks back
 _UNMEASURED = 0.05  # rad
@@ -46,13 +47,15 @@ class MeasurementNoise:
 class NoiseModel:
     """Noise of one pose measurement over d = 6 channels [rotation vector (rad), position (m)], or 3 of position.
 
+    m noises at once: one for each of m hypotheses, or one (m = 1) for all of them.
+
     Attributes:
-        white, fast, slow: (d,) variances of the white noise and of two wanders.
-        fast_kept, slow_kept: (d,) correlation of a wander in neighbouring rows.
-        correlation: (d, d) of the channels' innovations.
-        dof: degrees of freedom of the innovations' tails.
-        coefficients: (p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
-        left: (p + 1, d) variances of what they leave.
+        white, fast, slow: (m, d) variances of the white noise and of two wanders.
+        fast_kept, slow_kept: (m, d) correlation of a wander in neighbouring rows.
+        correlation: (m, d, d) of the channels' innovations.
+        dof: (m,) degrees of freedom of the innovations' tails.
+        coefficients: (m, p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
+        left: (m, p + 1, d) variances of what they leave.
     """
 
     white: Floats
@@ -61,45 +64,47 @@ class NoiseModel:
     fast_kept: Floats
     slow_kept: Floats
     correlation: Floats
-    dof: float
+    dof: Floats
     coefficients: Floats
     left: Floats
 
-    @property
+    def __len__(self) -> int:
+        return len(self.dof)
+
+    def take(self, index: Sequence[int] | Ints) -> NoiseModel:
+        """Some of them, or one of them for several hypotheses."""
+        return NoiseModel(**{name: value[index] for name, value in self._arrays().items()})
+
+    def _arrays(self) -> dict[str, Floats]:
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    @cached_property
     def innovation(self) -> Floats:
-        """(d, d) covariance of a row's error, given those before."""
-        std = np.sqrt(self.left[-1])
-        return np.asarray(std[:, None] * self.correlation * std)
+        """(m, d, d) covariance of a row's error, given those before."""
+        std = np.sqrt(self.left[:, -1])
+        return np.asarray(std[:, :, None] * self.correlation * std[:, None])
 
     @property
     def renewed(self) -> Floats:
-        """(d,) variance of the wander that is new in each row."""
+        """(m, d) variance of the wander that is new in each row."""
         return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
 
     @property
     def information_share(self) -> Floats:
-        """(d,) information of a row about a constant, among many, over that of a single innovation's."""
-        return np.asarray((1 - self.coefficients[-1].sum(axis=0)) ** 2)
+        """(m, d) information of a row about a constant, among many, over that of a single innovation's."""
+        return np.asarray((1 - self.coefficients[:, -1].sum(axis=1)) ** 2)
 
-    @property
-    def position_white(self) -> float:
-        """Std of the white part per axis [m]."""
-        return float(np.sqrt(np.mean(self.white[-3:])))
-
-    @property
-    def rotation_white(self) -> float:
-        """Std of the white part per axis [rad]."""
-        return float(np.sqrt(np.mean(self.white[:3])))
-
-    @property
-    def rotation_length(self) -> float:
-        """What weighs rotation against position [m/rad]."""
-        return self.of_rows(1.0).rotation_length
+    @cached_property
+    def rotation_length(self) -> Floats:
+        """(m, 1) what weighs rotation against position [m/rad]."""
+        total = (self.white + self.fast + self.slow).reshape(len(self), -1, 3).mean(axis=2)
+        rotation = np.sqrt(total[:, :1]) if total.shape[1] == 2 else _UNMEASURED
+        return np.asarray(np.sqrt(total[:, -1:]) / rotation)
 
     def of_rows(self, rows: float) -> MeasurementNoise:
-        """The noise of single rows, where this one is that of means of `rows` rows."""
-        white = self.white * rows
-        total = white + self.fast + self.slow
+        """The noise of single rows, where the first of these is that of means of `rows` rows."""
+        white = self.white[0] * rows
+        total = white + self.fast[0] + self.slow[0]
         turns = slice(0, len(white) - 3)
         return MeasurementNoise(
             position_std=float(np.sqrt(np.mean(total[-3:]))),
@@ -108,32 +113,45 @@ class NoiseModel:
             rotation_white=float(np.sqrt(np.mean(white[turns]))) if len(white) == 6 else _UNMEASURED,
         )
 
-    def whitened(self, errors: Floats, order: int) -> Floats:
-        """Errors (..., n, d) less their prediction from `order` rows before, scaled to unit independent channels."""
+    def whitened(self, errors: Floats) -> Floats:
+        """Errors (m, n, d) less their prediction from the p rows before, scaled to unit independent channels."""
         left = errors.copy()
-        for lag in range(1, order + 1):
-            left[..., lag:, :] -= self.coefficients[order, lag - 1] * errors[..., :-lag, :]
-        left /= np.sqrt(self.left[order])
-        return np.asarray(left @ self.decorrelation.T)
+        for lag in range(1, self.left.shape[1]):
+            left[:, lag:] -= self.coefficients[:, -1, lag - 1, None] * errors[:, :-lag]
+        left /= np.sqrt(self.left[:, -1, None])
+        return np.asarray(left @ self.decorrelation.swapaxes(1, 2))
 
-    def predicted_back(self, errors: Floats) -> Iterator[Floats]:
-        """Errors (d, ..., n), channels first, less their prediction from 0, 1, ... p rows before.
+    def predicted_back(self, errors: Floats) -> Floats:
+        """(p + 1, h, d, n) errors (h, d, n) less their prediction from 0, 1, ... p rows before.
 
         By the lattice form: a row's error and that of the row before them, both told from the rows between.
         """
-        ahead = behind = errors
-        yield ahead
-        for order in range(1, len(self.left)):
-            reflection = self.coefficients[order, order - 1].reshape(-1, *(1,) * (errors.ndim - 1))
+        found = np.empty((self.left.shape[1], *errors.shape))
+        found[0] = behind = errors
+        for order in range(1, len(found)):
+            reflection = self.coefficients[:, order, order - 1, :, None]
             delayed = np.zeros_like(behind)
             delayed[..., 1:] = behind[..., :-1]
-            ahead, behind = ahead - reflection * delayed, delayed - reflection * ahead
-            yield ahead
+            ahead = found[order - 1]
+            behind = delayed - reflection * ahead
+            np.subtract(ahead, reflection * delayed, out=found[order])
+        return found
 
     @cached_property
     def decorrelation(self) -> Floats:
-        """(d, d) what makes scaled innovations independent."""
+        """(m, d, d) what makes scaled innovations independent."""
         return np.linalg.inv(np.linalg.cholesky(self.correlation))
+
+
+def stacked(noises: Sequence[NoiseModel], counts: Sequence[int]) -> NoiseModel:
+    """Each of some noises (m = 1) for so many hypotheses."""
+    arrays = [one._arrays() for one in noises]
+    return NoiseModel(
+        **{
+            name: np.concatenate([np.repeat(one[name], k, axis=0) for one, k in zip(arrays, counts, strict=True)])
+            for name in arrays[0]
+        }
+    )
 
 
 def predictors(
@@ -155,6 +173,6 @@ def predictors(
     return coefficients, left
 
 
-def log_peak(size: int, dof: float) -> float:
+def log_peak(size: int, dof: float | Floats) -> Floats:
     """ln of the peak of Student's density in `size` dimensions, as curved there as the normal of scale 1."""
-    return lgamma((dof + size) / 2) - lgamma(dof / 2) - 0.5 * size * log((dof + size) * pi)
+    return np.asarray(gammaln((dof + size) / 2) - gammaln(dof / 2) - 0.5 * size * np.log((dof + size) * np.pi))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -36,40 +37,47 @@ def first_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
         steps = (track.rotation[:-1].inv() * track.rotation[1:]).as_rotvec()
         misses.insert(0, 0.5 * (steps[:-1] - steps[1:]))
     white = _rough(np.concatenate(misses, axis=1)) ** 2
-    zero = np.zeros(len(white))
-    return _model(white, zero, zero, np.eye(len(white)), 8.0, len(track), settings)
+    zero = np.zeros((1, len(white)))
+    return _model(white[None], zero, zero.copy(), len(track), settings)
 
 
-def refitted_noise(errors: Floats, along: Floats, free: Floats, settings: LearnSettings) -> NoiseModel:
-    """White noise and fast wander of the errors that joints leave, each channel on its own, and their correlation.
+def noises_left(answers: Sequence[tuple[Pool, Ints]], settings: LearnSettings) -> list[NoiseModel]:
+    """The noise that each of some answers for a track leaves: white and fast wander of every channel, and correlation.
 
     Args:
-        errors: (n, d) in time order, none of them along the joint.
-        along: (n, d) the noise along it.
-        free: (n, d) directions of the joint; 0 where it is rigid.
+        answers: joints as they see the rows, and which of them (n,) explains a row.
     """
-    across, errors = errors, errors + along
-    n, d = errors.shape
+    missed = [misses(pool, which) for pool, which in answers]
+    errors, along, free = (np.stack(some) for some in zip(*missed, strict=True))
+    model = _channels(errors + along, settings)
+    correlation, dof = _correlated(model.whitened(errors), free / np.sqrt(model.left[:, None, -1]))
+    noise = replace(model, correlation=correlation, dof=dof)
+    return [noise.take([i]) for i in range(len(noise))]
+
+
+def _channels(errors: Floats, settings: LearnSettings) -> NoiseModel:
+    """The likeliest noise of every channel of errors (m, n, d), as if they were independent."""
+    m, n, d = errors.shape
     order = min(MEMORY, n - 1)
-    rough = _rough(errors[1:-1] - 0.5 * (errors[:-2] + errors[2:]))
+    rough = _rough(errors[:, 1:-1] - 0.5 * (errors[:, :-2] + errors[:, 2:])).ravel()
     white_shares, fast_shares, durations = _CANDIDATES
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)
-    # Candidates (d, m) of all channels at once.
-    whites = np.maximum(white_shares * rough[:, None], _finest(d)[:, None]) ** 2
-    fasts, kept = (fast_shares * rough[:, None]) ** 2, np.tile(fast_kept, d)
-    slows = np.repeat(slow, len(fast_kept))
+    # Candidates (m d, c) of all channels at once.
+    whites = np.maximum(white_shares * rough[:, None], np.tile(_finest(d), m)[:, None]) ** 2
+    fasts, kept = (fast_shares * rough[:, None]) ** 2, np.tile(fast_kept, m * d)
+    slows = np.repeat(np.tile(slow, m), len(fast_kept))
     coefficients, left = predictors(whites.ravel(), fasts.ravel(), slows, kept, slow_kept, order)
-    past = np.zeros((d, order, n))
+    channels = errors.swapaxes(1, 2).reshape(m * d, n)
+    past = np.zeros((m * d, order, n))
     for lag in range(1, order + 1):
-        past[:, lag - 1, lag:] = errors[: n - lag].T
-    innovation = errors.T[:, None] - coefficients[-1].reshape(order, d, -1).transpose(1, 2, 0) @ past
-    variance = left[-1].reshape(d, -1, 1)
+        past[:, lag - 1, lag:] = channels[:, : n - lag]
+    innovation = channels[:, None] - coefficients[-1].reshape(order, m * d, -1).transpose(1, 2, 0) @ past
+    variance = left[-1].reshape(m * d, -1, 1)
     density = -0.5 * np.log(variance) - 4.5 * np.log1p(innovation**2 / variance / 9.0)
-    best, every = density.sum(axis=2).argmax(axis=1), np.arange(d)
-    model = _model(whites[every, best], fasts[every, best], fast_kept[best], np.eye(d), 8.0, n, settings)
-    correlation, dof = _correlated(model.whitened(across, order), free / np.sqrt(model.left[-1]))
-    return replace(model, correlation=correlation, dof=dof)
+    best, every = density.sum(axis=2).argmax(axis=1), np.arange(m * d)
+    white, fast, likeliest = (x.reshape(m, d) for x in (whites[every, best], fasts[every, best], fast_kept[best]))
+    return _model(white, fast, likeliest, n, settings)
 
 
 def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats, Floats]:
@@ -78,52 +86,63 @@ def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats, Floats]:
     All (n, d). Along a joint, noise is what a row misses of the middle of its neighbours.
     """
     rows = np.arange(len(which))
-    c, direction = pool.seen.configuration[which, rows], pool.seen.direction[which, rows]
+    c, direction = pool.seen.configuration[which, rows], pool.seen.direction[which, :, rows]
     missed = np.zeros(len(c))
     same = (which[2:] == which[1:-1]) & (which[:-2] == which[1:-1])
     missed[1:-1] = np.where(same, (c[1:-1] - 0.5 * (c[2:] + c[:-2])) * np.sqrt(2 / 3), 0.0)
-    return pool.seen.error[which, rows], missed[:, None] * direction, direction
+    return pool.seen.error[which, :, rows], missed[:, None] * direction, direction
 
 
-def _correlated(innovation: Floats, free: Floats) -> tuple[Floats, float]:
-    """Correlation matrix (with a prior worth d + 2 rows of none) and tails of scaled innovations (n, d).
+def _correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
+    """Correlation matrices (with a prior worth d + 2 rows of none) and tails of scaled innovations (m, n, d).
 
-    Along free directions (n, d) nothing is known; expectation maximisation fills in what the matrix itself expects.
+    Along free directions (m, n, d) nothing is known; expectation maximisation fills in what the matrix itself expects.
     """
-    n, d = innovation.shape
-    moving = free.any(axis=1)
-    size, peaks = d - moving, np.array([moving.sum(), n - moving.sum()])
-    matrix = np.eye(d)
-    found = []
-    for dof in _DOFS:
-        for _ in range(_ITERATIONS):
-            inverse = np.linalg.inv(matrix)
-            squares = np.einsum("ti,ti->t", innovation @ inverse, innovation)
-            weight = (dof + size) / (dof + size + squares)
-            hidden = np.einsum("ti,ti->t", free @ inverse, free)
-            level = np.sqrt(np.mean(squares / size) / np.maximum(hidden, 1e-300))
-            filled = free * (level * moving)[:, None]
-            covariance = (innovation * weight[:, None]).T @ innovation + filled.T @ filled + (d + 2) * np.eye(d)
-            std = np.sqrt(np.diag(covariance))
-            matrix = covariance / std[:, None] / std
-        squares = np.einsum("ti,ti->t", innovation @ np.linalg.inv(matrix), innovation)
-        score = -0.5 * n * np.linalg.slogdet(matrix)[1] - 0.5 * ((dof + size) * np.log1p(squares / (dof + size))).sum()
-        found.append((float(score + peaks @ [log_peak(d - 1, dof), log_peak(d, dof)]), matrix, dof))
-    _, matrix, dof = max(found, key=lambda one: one[0])
-    return matrix, dof
+    m, n, d = innovation.shape
+    moving = free.any(axis=2)
+    size, turns = d - moving, moving.sum(axis=1)
+    # Every candidate (k, 1) of the tails beside every answer (m,).
+    dof = np.array(_DOFS)[:, None]
+    heavy = dof[..., None] + size
+    matrix = np.broadcast_to(np.eye(d), (len(dof), m, d, d))
+    for _ in range(_ITERATIONS):
+        inverse = np.linalg.inv(matrix)
+        squares = ((innovation @ inverse) * innovation).sum(axis=3)
+        weight = heavy / (heavy + squares)
+        hidden = ((free @ inverse) * free).sum(axis=3)
+        level = np.sqrt(np.mean(squares / size, axis=2)[..., None] / np.maximum(hidden, 1e-300))
+        filled = free * (level * moving)[..., None]
+        covariance = (innovation * weight[..., None]).swapaxes(2, 3) @ innovation + filled.swapaxes(2, 3) @ filled
+        covariance += (d + 2) * np.eye(d)
+        std = np.sqrt(np.einsum("kmii->kmi", covariance))
+        matrix = covariance / std[..., :, None] / std[..., None, :]
+    squares = ((innovation @ np.linalg.inv(matrix)) * innovation).sum(axis=3)
+    score = -0.5 * n * np.linalg.slogdet(matrix)[1] - 0.5 * (heavy * np.log1p(squares / heavy)).sum(axis=2)
+    score += turns * log_peak(d - 1, dof) + (n - turns) * log_peak(d, dof)
+    best = score.argmax(axis=0)
+    return matrix[best, np.arange(m)], dof[best, 0]
 
 
-def _model(
-    white: Floats, fast: Floats, fast_kept: Floats, correlation: Floats, dof: float, n: int, settings: LearnSettings
-) -> NoiseModel:
-    d = len(white)
+def _model(white: Floats, fast: Floats, fast_kept: Floats, n: int, settings: LearnSettings) -> NoiseModel:
+    """The noises of given variances and correlations (m, d), channels independent."""
+    m, d = white.shape
     for value, index in ((settings.position_std, slice(d - 3, d)), (settings.rotation_std, slice(0, d - 3))):
         if value is not None:
-            white[index], fast[index] = value**2, 0.0
+            white[:, index], fast[:, index] = value**2, 0.0
     slow, slow_kept = _slow(n, d, settings)
-    kept = np.full(d, slow_kept)
-    coefficients, left = predictors(white, fast, slow, fast_kept, slow_kept, min(MEMORY, max(n - 1, 0)))
-    return NoiseModel(white, fast, slow, fast_kept, kept, correlation, dof, coefficients, left)
+    flat = white.ravel(), fast.ravel(), np.tile(slow, m), fast_kept.ravel()
+    coefficients, left = predictors(*flat, slow_kept, min(MEMORY, max(n - 1, 0)))
+    return NoiseModel(
+        white=white,
+        fast=fast,
+        slow=np.tile(slow, (m, 1)),
+        fast_kept=fast_kept,
+        slow_kept=np.full((m, d), slow_kept),
+        correlation=np.tile(np.eye(d), (m, 1, 1)),
+        dof=np.full(m, _DOFS[0]),
+        coefficients=np.ascontiguousarray(np.moveaxis(coefficients.reshape(*coefficients.shape[:2], m, d), 2, 0)),
+        left=np.ascontiguousarray(left.reshape(-1, m, d).swapaxes(0, 1)),
+    )
 
 
 def _slow(n: int, d: int, settings: LearnSettings) -> tuple[Floats, float]:
@@ -133,11 +152,11 @@ def _slow(n: int, d: int, settings: LearnSettings) -> tuple[Floats, float]:
 
 
 def _rough(misses: Floats) -> Floats:
-    """Std (d,) of white noise that leaves such misses (k, d) of the middle of the neighbours."""
-    finest = _finest(misses.shape[1])
-    if not len(misses):
-        return finest
-    return np.asarray(np.maximum(_STD_PER_MAD * np.median(np.abs(misses), axis=0) / np.sqrt(_MISS_VARIANCE), finest))
+    """Stds (..., d) of white noise that leaves such misses (..., k, d) of the middle of the neighbours."""
+    finest = _finest(misses.shape[-1])
+    if not misses.shape[-2]:
+        return np.broadcast_to(finest, (*misses.shape[:-2], len(finest)))
+    return np.asarray(np.maximum(_STD_PER_MAD * np.median(np.abs(misses), axis=-2) / np.sqrt(_MISS_VARIANCE), finest))
 
 
 def _finest(d: int) -> Floats:

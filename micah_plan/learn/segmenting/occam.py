@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.comparison import Compared
+from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.segmenting.pool_fits import parameter_design
@@ -32,17 +32,13 @@ _WIDTHS = np.array([1.0] * 12 + [0.1])
 
 
 def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> tuple[Floats, Floats]:
-    """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats].
+    """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats], and what of it is denial.
 
     Args:
         trust: power of the likelihood.
-
-    Returns:
-        the cost, and that of a joint which may hold the part on the way of another one of the pool.
     """
     denied = _denied(pool, noise)
-    free = _parameter_cost(pool, track, noise, trust) + denied
-    return free, _held_cost(free, denied, pool, noise, trust)
+    return _parameter_cost(pool, track, noise, trust) + denied, denied
 
 
 def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> Floats:
@@ -53,12 +49,8 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     ranks = (np.linspace(0, 1, _SAMPLES)[None] * (count - 1)[:, None]).round().astype(np.int64)
     order = np.argsort(~used, axis=1, kind="stable")
     index = np.take_along_axis(order, ranks, axis=1)
-    every = np.arange(len(joints))[:, None]
-    seen = Compared(
-        pool.seen.configuration[every, index], pool.seen.error[every, index], pool.seen.direction[every, index]
-    )
-    design = parameter_design(joints, seen, track.position[index])
-    scaling = noise.decorrelation / np.sqrt(noise.left[-1]) * np.sqrt(noise.information_share)
+    design = parameter_design(joints, pool.seen.rows(index), track.position[index])
+    scaling = noise.decorrelation * np.sqrt(noise.information_share / noise.left[:, -1])[:, None]
     flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape).swapaxes(1, 2)
     flat = flat.reshape(len(joints), len(_WIDTHS), -1) * _WIDTHS[:, None]
     information = flat @ flat.swapaxes(1, 2) * (count / _SAMPLES)[:, None, None]
@@ -67,7 +59,7 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
 
 
-def _held_cost(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
+def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
     """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
 
     Given the joint, the pose has only its configuration free, and the slow wander across it.
@@ -79,13 +71,13 @@ def _held_cost(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     if not len(joints) or pool.moving.all():
         return result
     reach = np.ptp(pool.seen.configuration[joints], axis=1)
-    information = trust * noise.information_share[:, None] * np.linalg.inv(noise.innovation)
+    information = trust * noise.information_share[0, :, None] * np.linalg.inv(noise.innovation[0])
     error, direction = pool.seen.error[joints], pool.seen.direction[joints]
     rigid = np.flatnonzero(~pool.moving)
     rows = [np.flatnonzero(used[i]) for i in rigid]
-    missed_by = np.array([_median(error[:, own]) for own in rows])
-    along = direction[:, [own[len(own) // 2] for own in rows]].swapaxes(0, 1) * reach[:, None]
-    prior = np.diag(noise.slow + noise.white) + along[..., :, None] * along[..., None, :]
+    missed_by = np.array([_median(error[..., own]) for own in rows])
+    along = np.moveaxis(direction[..., [own[len(own) // 2] for own in rows]], 2, 0) * reach[:, None]
+    prior = np.diag(noise.slow[0] + noise.white[0]) + along[..., :, None] * along[..., None, :]
     count = np.array([len(own) for own in rows])[:, None, None, None]
     size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
     missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
@@ -94,10 +86,10 @@ def _held_cost(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
 
 
 def _median(values: Floats) -> Floats:
-    """(j, d) medians over the rows of values (j, n, d), without the overhead of the general one."""
-    middle = values.shape[1] // 2
-    ordered = np.sort(values, axis=1)
-    return np.asarray(0.5 * (ordered[:, (values.shape[1] - 1) // 2] + ordered[:, middle]))
+    """(j, d) medians over the rows of values (j, d, n), without the overhead of the general one."""
+    n = values.shape[2]
+    ordered = np.sort(values, axis=2)
+    return np.asarray(0.5 * (ordered[..., (n - 1) // 2] + ordered[..., n // 2]))
 
 
 def _denied(pool: Pool, noise: NoiseModel) -> Floats:
@@ -105,24 +97,35 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     used = pool.hypotheses.used
     rows = np.maximum(used.sum(axis=1), 1)[:, None]
     block = np.maximum(rows / _BLOCKS, 1.0)
-    travel = _span(used, pool.seen.configuration[..., None])
+    inside, count = _blocks(used)
+    travel = _span(inside, count, pool.seen.configuration[:, None])
     noises = np.sqrt(pool.white[:, None] / block + pool.renewed[:, None] * rows / _BLOCKS / 3)
     travel = travel / np.where(pool.moving[:, None], noises, 1.0)
     # The wander of a tracker goes on over all rows of a rest.
-    drift = _span(used, pool.seen.error) / np.sqrt(noise.white / block + noise.renewed * rows)
+    drift = _span(inside, count, pool.seen.error) / np.sqrt(noise.white / block + noise.renewed * rows)
     denied = np.where(pool.moving, travel[:, 0] < _TRAVEL, drift.max(axis=1) > _DRIFT)
     return np.asarray(_DENIED * denied)
 
 
-def _span(used: Bools, values: Floats) -> Floats:
-    """(h, d) how far apart the means of blocks of the used rows (h, n) lie, of values (h, n, d)."""
+def _blocks(used: Bools) -> tuple[Floats, Floats]:
+    """(h, n, b) which block of the used rows (h, n) a row is in, 0 or 1; and (h, 1, b) how many rows a block has."""
     rows = np.maximum(used.sum(axis=1, keepdims=True), 1)
     block = np.minimum(_BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, _BLOCKS - 1)
-    inside = used[:, None] & (block[:, None] == np.arange(_BLOCKS)[:, None])
-    count = inside.sum(axis=2)[..., None]
-    means = inside @ values / np.maximum(count, 1)
-    means = np.where(count > 0, means, means[:, :1])
-    return np.asarray(means.max(axis=1) - means.min(axis=1))
+    inside = (used[..., None] & (block[..., None] == np.arange(_BLOCKS))).astype(float)
+    return inside, inside.sum(axis=1, keepdims=True)
+
+
+def _span(inside: Floats, count: Floats, values: Floats) -> Floats:
+    """(h, d) how far apart the means of blocks lie, of values (h, d, n)."""
+    means = values @ inside / np.maximum(count, 1)
+    means = np.where(count > 0, means, means[..., :1])
+    return np.asarray(np.ptp(means, axis=2))
+
+
+def parameter_counts(joints: JointArrays, has_orientation: bool) -> Floats:
+    """(h,) k of the BIC term: the numbers that fix a joint and where on it the segment starts."""
+    counts = {kind: float(parameter_count(kind, has_orientation)) for kind in set(joints.kinds)}
+    return np.array([counts[kind] for kind in joints.kinds])
 
 
 def parameter_count(kind: JointKind, has_orientation: bool) -> int:

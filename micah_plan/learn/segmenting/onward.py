@@ -23,7 +23,7 @@ from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
-from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.noise_fit import first_noise, misses, noises_left
 from micah_plan.learn.segmenting.occam import parameter_count
 from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses, windows
 from micah_plan.learn.segmenting.running_evidence import RunningEvidence
@@ -99,7 +99,7 @@ def segment_onward(
             return found, None
     fresh = segment_track(track, settings, use_actions)
     used = list(dict.fromkeys(piece.hypothesis for piece in fresh.segmentation.pieces))
-    moves = fresh.table.pool.moving[_which(fresh.segmentation)]
+    moves = fresh.table.pool.moving[fresh.segmentation.which]
     rows = np.tile(moves if moves.any() else ~moves, (len(known.joints), 1))
     pool = Hypotheses(known.joints, rows).joined(fresh.table.pool.hypotheses.take(used))
     owner = np.arange(len(known.joints))
@@ -117,8 +117,8 @@ def _with_rests(
         pool = pool.joined(window_hypotheses(track, ("rigid",), noise))
     found = _selected(pool, owner, track, noise, known, settings, use_actions, rng)
     for _ in range(_ROUNDS):
-        noise = refitted_noise(*misses(found.table.pool, _which(found.segmentation)), settings)
-        which = _which(found.segmentation)
+        which = found.segmentation.which
+        (noise,) = noises_left([(found.table.pool, which)], settings)
         new = [which == i for i in np.unique(which) if i >= len(owner)]
         own = [np.isin(which, np.flatnonzero(owner == i)) for i in range(len(known.joints))]
         owner = np.arange(len(known.joints))
@@ -247,9 +247,4 @@ def _surprise(errors: Floats, scale: Floats) -> Floats:
 
 def _errors(segmentation: Segmentation, table: EvidenceTable) -> Floats:
     """(n, d) errors of the steps under the joints that explain them."""
-    return misses(table.pool, _which(segmentation))[0]
-
-
-def _which(segmentation: Segmentation) -> Ints:
-    """(n,) hypothesis that explains each step."""
-    return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in segmentation.pieces])
+    return misses(table.pool, segmentation.which)[0]

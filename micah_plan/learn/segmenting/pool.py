@@ -46,7 +46,14 @@ class Hypotheses:
 
     def joined(self, other: Hypotheses) -> Hypotheses:
         """These and others."""
-        return Hypotheses(concatenated(self.joints, other.joints), np.concatenate([self.used, other.used]))
+        return all_of([self, other])
+
+
+def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
+    """The hypotheses of one pool after those of another."""
+    if len(pools) == 1:
+        return pools[0]
+    return Hypotheses(concatenated([one.joints for one in pools]), np.concatenate([one.used for one in pools]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +75,24 @@ class Pool:
     lever: Floats
     moving: Bools
 
+    def part(self, some: slice, hypotheses: Hypotheses) -> Pool:
+        """As some of the hypotheses see the rows."""
+        numbers = self.white[some], self.renewed[some], self.lever[some], self.moving[some]
+        return Pool(hypotheses, self.seen.take(some), *numbers)
+
 
 def pool_of(hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel) -> Pool:
     """Compare all rows of a track with joints; configurations are most likely under the noise's covariance."""
     joints = hypotheses.joints
     seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
-    weighed = seen.direction @ np.linalg.inv(noise.innovation)
-    information = np.where(joints.moving[:, None], np.sum(weighed * seen.direction, axis=2), 1.0)
+    weighed = np.linalg.inv(noise.innovation) @ seen.direction
+    information = np.where(joints.moving[:, None], (weighed * seen.direction).sum(axis=1), 1.0)
     information = np.maximum(information, 1e-12)
     # The closed form weighs position against rotation by one number; one Newton step brings in the whole covariance.
-    step = np.sum(weighed * seen.error, axis=2) / information
-    seen = Compared(seen.configuration + step, seen.error - step[..., None] * seen.direction, seen.direction)
-    share = weighed / information[..., None]
-    white, renewed = (np.median(share**2 @ part, axis=1) for part in (noise.white, noise.renewed))
+    step = (weighed * seen.error).sum(axis=1) / information
+    seen = Compared(seen.configuration + step, seen.error - step[:, None] * seen.direction, seen.direction)
+    parts = np.stack([noise.white, noise.renewed], axis=1) @ (weighed / information[:, None]) ** 2
+    white, renewed = np.median(parts, axis=2).T
     return Pool(hypotheses, seen, white, renewed, levers(joints, track.quaternion is not None), joints.moving)
 
 
@@ -99,15 +111,15 @@ def windows(rows: int) -> list[tuple[int, int]]:
 
 def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: NoiseModel) -> Hypotheses:
     """Joints of all kinds fitted in closed form to every window; moving ones where something moves beyond noise."""
-    n = len(track)
+    n, noise_of_row = len(track), noise.of_rows(1.0)
     of_kind: list[JointKind] = []
     used = []
     for start, end in windows(n):
         inside = np.zeros(n, dtype=bool)
         inside[start : end + 1] = True
-        moved = _spread(track.position[inside]) > _MOTION_STDS * noise.position_white
+        moved = _spread(track.position[inside]) > _MOTION_STDS * noise_of_row.position_white
         if track.quaternion is not None:
-            moved = moved or 2 * _spread(track.quaternion[inside]) > _MOTION_STDS * noise.rotation_white
+            moved = moved or 2 * _spread(track.quaternion[inside]) > _MOTION_STDS * noise_of_row.rotation_white
         for kind in kinds:
             if kind == "rigid" or (moved and not (kind == "screw" and end - start + 1 < n / 2 - 1)):
                 of_kind.append(kind)
@@ -119,11 +131,21 @@ def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: Noise
 
 def refitted(kinds: Sequence[JointKind], used: Bools, track: PartTrack, noise: NoiseModel) -> Hypotheses:
     """Joints of maximum likelihood of given kinds on given rows (h, n), those that the rows determine."""
-    if not len(kinds):
-        return Hypotheses(linear_fits([], used[:0], track.position, track.quaternion)[0], used[:0])
+    return all_refitted([(kinds, used)], track, noise)[0]
+
+
+def all_refitted(
+    wanted: Sequence[tuple[Sequence[JointKind], Bools]], track: PartTrack, noise: NoiseModel
+) -> list[Hypotheses]:
+    """The same of several sets of kinds and rows at once, each under one of as many noises."""
+    kinds = [kind for some, _ in wanted for kind in some]
+    used = np.concatenate([rows for _, rows in wanted])
     joints, fixed = linear_fits(kinds, used, track.position, track.quaternion)
+    own = np.repeat(np.arange(len(wanted)), [len(some) for some, _ in wanted])[fixed]
     chosen = Hypotheses(joints, used).take(np.flatnonzero(fixed))
-    return Hypotheses(fit_likelihood(chosen.joints, chosen.used, track, noise, _ITERATIONS), chosen.used)
+    own_noise = noise.take(own) if len(wanted) > 1 else noise
+    found = Hypotheses(fit_likelihood(chosen.joints, chosen.used, track, own_noise, _ITERATIONS), chosen.used)
+    return [found.take(np.flatnonzero(own == i)) for i in range(len(wanted))]
 
 
 def _spread(rows: Floats) -> float:

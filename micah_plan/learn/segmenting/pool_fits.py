@@ -35,12 +35,13 @@ def fit_likelihood(
         return joints
     # The used rows of each first; as many as any of them has, the others count nothing.
     index = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
-    order = np.take_along_axis(_known_before(used, min(_ORDER, len(noise.left) - 1)), index, axis=1)
+    order = np.take_along_axis(_known_before(used, min(_ORDER, noise.left.shape[1] - 1)), index, axis=1)
     used = np.take_along_axis(used, index, axis=1)
     poses = track.position[index], None if track.quaternion is None else track.quaternion[index]
     # Channels before rows: then one product of matrices per joint makes them independent.
-    scale = np.where(used[:, None], 1 / np.sqrt(noise.left.T[:, order]).swapaxes(0, 1), 0.0)
-    coefficients = np.ascontiguousarray(noise.coefficients[order, : order.max()].transpose(2, 0, 3, 1))
+    which = np.arange(len(noise))[:, None]
+    scale = np.where(used[:, None], 1 / np.sqrt(noise.left[which, order].swapaxes(1, 2)), 0.0)
+    coefficients = noise.coefficients[which, order, : order.max()].transpose(2, 0, 3, 1) * scale
     seen = compare_arrays(joints, *poses, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
     damping = np.full(len(joints), 1e-6)
@@ -49,7 +50,8 @@ def fit_likelihood(
         size = design.shape[1]
         columns = _whitened(design, coefficients[..., None, :], scale[..., None, :])
         columns = noise.decorrelation @ columns.reshape(len(joints), size, -1)
-        weight = (noise.dof + size) / (noise.dof + size + (innovation**2).sum(axis=1))
+        heavy = noise.dof[:, None] + size
+        weight = heavy / (heavy + (innovation**2).sum(axis=1))
         rows = columns.reshape(design.shape).swapaxes(1, 2)
         weighted = (rows * weight[:, None, None]).reshape(len(joints), design.shape[2], -1)
         damped = weighted @ rows.reshape(len(joints), design.shape[2], -1).swapaxes(1, 2)
@@ -76,10 +78,9 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
     """
-    h, n, d = seen.error.shape
+    h, d, n = seen.error.shape
     c = seen.configuration[:, None]
-    # Rows last: NumPy is slow at rows of three numbers.
-    points = np.ascontiguousarray((position - seen.error[:, :, -3:]).swapaxes(1, 2))
+    points = np.ascontiguousarray(position.swapaxes(-1, -2)) - seen.error[:, -3:]
     axis, turning = joints.axis[:, :, None], joints.turning[:, None, None]
     angle = np.where(turning, c, 0.0)
     cross = cross_matrix(joints.axis)
@@ -103,8 +104,8 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     design[~joints.moving, :, 6:] = 0.0
     design[:, 3:, 12] = np.where(joints.twisting[:, None, None], c, 0.0) * axis
     design = design[:, 6 - d :]
-    length = np.sqrt(np.einsum("htk,htk->ht", seen.direction, seen.direction))
-    along = (seen.direction / np.maximum(length, 1e-12)[..., None]).swapaxes(1, 2)[:, :, None]
+    length = np.sqrt((seen.direction**2).sum(axis=1, keepdims=True))
+    along = (seen.direction / np.maximum(length, 1e-12))[:, :, None]
     design -= along * (along * design).sum(axis=1, keepdims=True)
     return design
 
@@ -121,18 +122,18 @@ def _known_before(used: Bools, most: int) -> Ints:
 
 
 def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
-    """Values (h, d, ..., n) less their prediction from the rows before, in stds."""
+    """Values (h, d, ..., n) less their prediction from the rows before, in stds; coefficients count in stds too."""
     left = values * scale
     for lag, coefficient in enumerate(coefficients, start=1):
-        left[..., lag:] -= (coefficient * scale)[..., lag:] * values[..., :-lag]
+        left[..., lag:] -= coefficient[..., lag:] * values[..., :-lag]
     return left
 
 
 def _innovations(error: Floats, coefficients: Floats, scale: Floats, noise: NoiseModel) -> tuple[Floats, Floats]:
     """(h, d, n) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
-    innovation = noise.decorrelation @ _whitened(error.transpose(0, 2, 1), coefficients, scale)
-    size = innovation.shape[1]
-    cost = 0.5 * (noise.dof + size) * np.log1p((innovation**2).sum(axis=1) / (noise.dof + size)).sum(axis=1)
+    innovation = noise.decorrelation @ _whitened(error, coefficients, scale)
+    heavy = noise.dof[:, None] + error.shape[1]
+    cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)
     return innovation, cost
 
 

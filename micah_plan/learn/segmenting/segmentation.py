@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.coarsening import trust_in
-from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
+from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
-from micah_plan.learn.segmenting.noise import NoiseModel
-from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.noise import NoiseModel, stacked
+from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
 from micah_plan.learn.segmenting.occam import RARE_SCREW
-from micah_plan.learn.segmenting.pool import pool_of, refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
 from micah_plan.learn.segmenting.stops import rests_in_the_end, stopped_in_the_end
@@ -91,7 +91,7 @@ def segment_track(
             table = tabulated(pool, track, noise, use_actions, settings.rest, trust)
             proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    settled = [_settled(one, prior, settings, use_actions) for one in proposals]
+    settled = _settled(proposals, prior, settings, use_actions)
     best = _most_probable(settled, prior, settings, use_actions)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
         best = _unless_stopped(best, prior, settings)
@@ -107,8 +107,8 @@ def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSetting
     if stopped is None:
         return found
     table, segmentation = stopped
-    rival = _settled(replace(found, table=table, segmentation=segmentation), prior, settings, True)
-    return _most_probable([found, rival], prior, settings, True)
+    rivals = _settled([replace(found, table=table, segmentation=segmentation)], prior, settings, True)
+    return _most_probable([found, *rivals], prior, settings, True)
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
@@ -131,15 +131,14 @@ def _single(
     kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
     kinds = kinds or list(settings.kinds)
     whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
-    best: tuple[float, NoiseModel] | None = None
-    for i in range(len(whole)):
-        one = whole.take([i])
-        left = refitted_noise(*misses(pool_of(one, track, noise), np.zeros(len(track), dtype=np.int64)), settings)
-        table = tabulated(one, track, left, use_actions, settings.rest, trust)
-        total = shared(table, [0], prior, settings).log_probability
-        if best is None or total > best[0]:
-            best = total, left
-    return None if best is None else best[1]
+    if not len(whole):
+        return None
+    seen, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
+    left = noises_left([(seen, every + i) for i in range(len(whole))], settings)
+    ones = [whole.take([i]) for i in range(len(whole))]
+    tables = all_tabulated(ones, track, left, use_actions, settings.rest, trust)
+    totals = [shared(table, [0], prior, settings).log_probability for table in tables]
+    return left[int(np.argmax(totals))]
 
 
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
@@ -153,24 +152,41 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def _settled(start: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool) -> Segmented:
-    """Alternate between segments, their joints and the noise until the probability does not grow."""
-    best, now = start, start
-    track = start.track
+def _settled(
+    starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
+) -> list[Segmented]:
+    """Alternate between segments, their joints and the noise until no probability grows."""
+    best, open_ones = list(starts), dict(enumerate(starts))
     for _ in range(_MOST_ROUNDS):
-        used, rows = _rows_of_joints(now)
-        noise = _left(now.segmentation.pieces, now.table, settings)
-        kinds = [kind for _ in rows for kind in settings.kinds]
-        rivals = refitted(kinds, np.repeat(rows, len(settings.kinds), axis=0), track, noise)
-        pool = now.table.pool.hypotheses.take(used).joined(rivals)
-        table = tabulated(pool, track, noise, use_actions, settings.rest, now.table.trust)
-        now = Segmented(track, noise, selections(table, prior, settings)[0], table)
-        grown = now.log_probability - best.log_probability
-        if grown > 0:
-            best = now
-        if grown <= _CONVERGED:
+        if not open_ones:
             break
+        renewed = _renewed(list(open_ones.values()), prior, settings, use_actions)
+        for i, now in zip(tuple(open_ones), renewed, strict=True):
+            grown = now.log_probability - best[i].log_probability
+            best[i], open_ones[i] = now if grown > 0 else best[i], now
+            if grown <= _CONVERGED:
+                del open_ones[i]
     return best
+
+
+def _renewed(
+    found: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
+) -> list[Segmented]:
+    """Each with the noise that it leaves, its joints and their rivals fitted under that, and segments of these."""
+    track, kinds = found[0].track, list(settings.kinds)
+    noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
+    in_use = [_rows_of_joints(one) for one in found]
+    wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]
+    rivals = all_refitted(wanted, track, stacked(noises, [1] * len(noises)))
+    pools = [
+        one.table.pool.hypotheses.take(used).joined(more)
+        for one, (used, _), more in zip(found, in_use, rivals, strict=True)
+    ]
+    tables = all_tabulated(pools, track, noises, use_actions, settings.rest, found[0].table.trust)
+    return [
+        Segmented(track, noise, selections(table, prior, settings)[0], table)
+        for noise, table in zip(noises, tables, strict=True)
+    ]
 
 
 def _most_probable(
@@ -183,12 +199,13 @@ def _most_probable(
     different = _different(settled)
     close = [one for one in different if one.log_probability > different[0].log_probability - _CLOSE]
     totals = np.diag([one.log_probability for one in close])
-    for i, one in enumerate(close):
-        pool, used = one.table.pool.hypotheses, _rows_of_joints(one)[0]
-        for k, other in enumerate(close):
-            if k != i:
-                table = tabulated(pool, one.track, other.noise, use_actions, settings.rest, one.table.trust)
-                totals[i, k] = shared(table, used, prior, settings).log_probability
+    pairs = [(i, k) for i in range(len(close)) for k in range(len(close)) if i != k]
+    if pairs:
+        pools, noises = [close[i].table.pool.hypotheses for i, _ in pairs], [close[k].noise for _, k in pairs]
+        trust = close[0].table.trust
+        tables = all_tabulated(pools, close[0].track, noises, use_actions, settings.rest, trust)
+        for (i, k), table in zip(pairs, tables, strict=True):
+            totals[i, k] = shared(table, _rows_of_joints(close[i])[0], prior, settings).log_probability
     return close[int(np.argmax(totals.mean(axis=1)))]
 
 
@@ -273,12 +290,6 @@ def kind_probabilities(
     share = np.exp(best - best.max())
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
-
-
-def _left(pieces: Sequence[Piece], table: EvidenceTable, settings: LearnSettings) -> NoiseModel:
-    """The noise that the joints of pieces leave."""
-    which = np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in pieces])
-    return refitted_noise(*misses(table.pool, which), settings)
 
 
 def _prior(track: PartTrack, settings: LearnSettings) -> LengthPrior:

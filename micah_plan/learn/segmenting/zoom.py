@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.noise_fit import first_noise, misses, refitted_noise
+from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
 from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
 from micah_plan.learn.segmenting.steps import averaged
 from micah_plan.learn.settings import LearnSettings
@@ -108,8 +108,8 @@ def _scores(
     own = replace(settings, wander_durations=settings.wander_durations * share)
     later = starts >= row
     known = Hypotheses(joints, np.stack([~later, later]))
-    noise = first_noise(steps, own)
-    noise = refitted_noise(*misses(pool_of(known, steps, noise), later.astype(np.int64)), own)
+    seen = pool_of(known, steps, first_noise(steps, own))
+    (noise,) = noises_left([(seen, later.astype(np.int64))], own)
     density = tabulated(known, steps, noise, use_actions, settings.rest, 1.0, begun=True).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
