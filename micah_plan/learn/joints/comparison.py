@@ -51,6 +51,15 @@ class Compared:
         """Some of the joints."""
         return Compared(self.configuration[index], self.error[index], self.direction[index])
 
+    def where(self, condition: Bools, other: Compared) -> Compared:
+        """These joints where a condition (h,) holds, the other ones elsewhere."""
+        narrow, wide = condition[:, None], condition[:, None, None]
+        return Compared(
+            np.where(narrow, self.configuration, other.configuration),
+            np.where(wide, self.error, other.error),
+            np.where(wide, self.direction, other.direction),
+        )
+
 
 def compare_all(
     joints: Sequence[Joint], position: Floats, quaternion: Floats | None, rotation_length: float

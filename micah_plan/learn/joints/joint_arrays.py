@@ -75,16 +75,16 @@ class JointArrays:
         A displacement is a rotation vector about the base's origin and a translation; those of the base side carry
         the axis along, those of the part side act first and move only the part's origin.
         """
-        base, part = rotation_quaternion(step[:, :3]), rotation_quaternion(step[:, 6:9])
-        moving, turning = self.moving[:, None], self.turning[:, None]
-        position = rotated(base, rotated(part, self.position) + step[:, 9:12]) + step[:, 3:6]
-        axis = np.where(moving, rotated(base, self.axis), 0.0)
-        axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-        center = np.where(turning, rotated(base, self.center) + step[:, 3:6], 0.0)
+        base, part = rotation_quaternion(np.stack([step[:, :3], step[:, 6:9]]))
+        origin = rotated(part, self.position) + step[:, 9:12]
+        # Of every joint: its axis, a point of it and its origin, carried along by the base side.
+        carried = rotated(base, np.stack([self.axis, self.center, origin]))
+        axis = carried[0] / np.where(self.moving, np.sqrt((carried[0] ** 2).sum(axis=1)), 1.0)[:, None]
+        center = np.where(self.turning[:, None], carried[1] + step[:, 3:6], 0.0)
         quaternion = times(base, times(part, self.quaternion))
-        quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        quaternion /= np.sqrt((quaternion**2).sum(axis=1))[:, None]
         pitch = np.where(self.twisting, self.pitch + step[:, 12], 0.0)
-        return JointArrays(self.kinds, axis, center, position, quaternion, pitch)
+        return JointArrays(self.kinds, axis, center, carried[2] + step[:, 3:6], quaternion, pitch)
 
     def where(self, condition: Bools, other: JointArrays) -> JointArrays:
         """These joints where a condition (h,) holds, the other ones (of the same kinds) elsewhere."""

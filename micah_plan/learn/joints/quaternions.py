@@ -70,7 +70,7 @@ def rotated(quaternion: Floats, vector: Floats) -> Floats:
 
 def rotation_quaternion(vector: Floats) -> Floats:
     """Unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
-    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = np.sqrt((vector**2).sum(axis=-1, keepdims=True))
     return np.concatenate([0.5 * np.sinc(angle / (2 * np.pi)) * vector, np.cos(0.5 * angle)], axis=-1)
 
 

@@ -51,12 +51,13 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     index = np.take_along_axis(order, ranks, axis=1)
     design = parameter_design(joints, pool.seen.rows(index), track.position[index])
     scaling = noise.decorrelation * np.sqrt(noise.information_share / noise.left[:, -1])[:, None]
-    flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape).swapaxes(1, 2)
-    flat = flat.reshape(len(joints), len(_WIDTHS), -1) * _WIDTHS[:, None]
-    information = flat @ flat.swapaxes(1, 2) * (count / _SAMPLES)[:, None, None]
+    widths = _WIDTHS[: design.shape[2]]
+    flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape) * widths[:, None]
+    information = (flat @ flat.swapaxes(2, 3)).sum(axis=1) * (count / _SAMPLES)[:, None, None]
+    narrower = np.linalg.slogdet(np.eye(len(widths)) + trust * information)[1]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * np.linalg.slogdet(np.eye(13) + trust * information)[1])
+    return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * narrower)
 
 
 def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:

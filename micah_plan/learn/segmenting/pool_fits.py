@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.learn.joints.comparison import Compared, compare_arrays
-from micah_plan.learn.joints.joint_arrays import JointArrays
+from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
 from micah_plan.learn.joints.least_norm import least_norm
 from micah_plan.learn.joints.quaternions import cross_matrix, cross_of_units
 from micah_plan.learn.segmenting.noise import NoiseModel
@@ -16,8 +18,10 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
+PARAMETERS = 13  # of `JointArrays.moved`'s step
 _GAUGE = 1e-9  # directions of less relative information are redundant
 _CONVERGED = 0.02  # nats that the next step promises
+_DAMPING = 1e-6  # of the first step
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
 
@@ -33,47 +37,119 @@ def fit_likelihood(
     """
     if not len(joints):
         return joints
-    # The used rows of each first; as many as any of them has, the others count nothing.
+    now = _start(joints, used, track, noise)
+    done: list[tuple[JointArrays, Ints]] = []
+    for _ in range(iterations):
+        step, promise = now.step()
+        converged = promise < _CONVERGED
+        if converged.any():
+            done.append((now.joints.take(np.flatnonzero(converged)), now.place[converged]))
+            now, step = now.take(np.flatnonzero(~converged)), step[~converged]
+        if not len(step):
+            break
+        now = now.after(step)
+    done.append((now.joints, now.place))
+    order = np.argsort(np.concatenate([place for _, place in done]))
+    return concatenated([some for some, _ in done]).take(order)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """Joints that are being fitted, the rows of each and what they say.
+
+    Attributes:
+        joints, place: the h joints, and which of all those to be fitted they are.
+        position, quaternion: (h, n, 3), (h, n, 4) the used rows of each joint first; others count nothing.
+        coefficients, scale: (lags, h, d, n), (h, d, n) predictions from the rows before and 1/std of what they leave.
+        noise: of each joint, or of all.
+        seen, innovation, cost: of the rows under the joints: innovations (h, d, n) in stds and what they cost (h,).
+        damping: (h,) of the next step.
+    """
+
+    joints: JointArrays
+    place: Ints
+    position: Floats
+    quaternion: Floats | None
+    coefficients: Floats
+    scale: Floats
+    noise: NoiseModel
+    seen: Compared
+    innovation: Floats
+    cost: Floats
+    damping: Floats
+
+    def step(self) -> tuple[Floats, Floats]:
+        """(h, 13) steps of `JointArrays.moved`, and how much likelier they promise to make the rows (h,) [nats]."""
+        design = parameter_design(self.joints, self.seen, self.position)
+        h, d, numbers, _ = design.shape
+        columns = _whitened(design, self.coefficients[..., None, :], self.scale[..., None, :])
+        columns = (self.noise.decorrelation @ columns.reshape(h, d, -1)).reshape(design.shape)
+        heavy = self.noise.dof[:, None] + d
+        weighted = columns * (heavy / (heavy + (self.innovation**2).sum(axis=1)))[:, None, None]
+        damped = (weighted @ columns.swapaxes(2, 3)).sum(axis=1)
+        pull = (weighted @ self.innovation[..., None]).sum(axis=1)[..., 0]
+        diagonal = np.einsum("hii->hi", damped)
+        diagonal += self.damping[:, None] * diagonal
+        step = np.zeros((h, PARAMETERS))
+        step[:, :numbers] = np.clip(np.nan_to_num(least_norm(damped, pull, _GAUGE)), -1.0, 1.0)
+        return step, 0.5 * (step[:, :numbers] * pull).sum(axis=1)
+
+    def after(self, step: Floats) -> _Fits:
+        """The joints after a step, where it makes the rows likelier."""
+        trial = self.joints.moved(step)
+        seen = compare_arrays(trial, self.position, self.quaternion, self.noise.rotation_length)
+        innovation, cost = _innovations(seen.error, self.coefficients, self.scale, self.noise)
+        better = cost < self.cost
+        damping = np.where(better, self.damping / 10, np.maximum(self.damping, _DAMPING) * 100)
+        if better.all():
+            return replace(self, joints=trial, seen=seen, innovation=innovation, cost=cost, damping=damping)
+        return replace(
+            self,
+            joints=trial.where(better, self.joints),
+            seen=seen.where(better, self.seen),
+            innovation=np.where(better[:, None, None], innovation, self.innovation),
+            cost=np.where(better, cost, self.cost),
+            damping=damping,
+        )
+
+    def take(self, index: Ints) -> _Fits:
+        """Some of them."""
+        return _Fits(
+            joints=self.joints.take(index),
+            place=self.place[index],
+            position=self.position[index],
+            quaternion=None if self.quaternion is None else self.quaternion[index],
+            coefficients=self.coefficients[:, index],
+            scale=self.scale[index],
+            noise=self.noise if len(self.noise) == 1 else self.noise.take(index),
+            seen=self.seen.take(index),
+            innovation=self.innovation[index],
+            cost=self.cost[index],
+            damping=self.damping[index],
+        )
+
+
+def _start(joints: JointArrays, used: Bools, track: PartTrack, noise: NoiseModel) -> _Fits:
+    """The joints as they are, and the rows (h, n) that each is fitted to."""
     index = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
     order = np.take_along_axis(_known_before(used, min(_ORDER, noise.left.shape[1] - 1)), index, axis=1)
     used = np.take_along_axis(used, index, axis=1)
-    poses = track.position[index], None if track.quaternion is None else track.quaternion[index]
+    position, quaternion = track.position[index], None if track.quaternion is None else track.quaternion[index]
     # Channels before rows: then one product of matrices per joint makes them independent.
     which = np.arange(len(noise))[:, None]
     scale = np.where(used[:, None], 1 / np.sqrt(noise.left[which, order].swapaxes(1, 2)), 0.0)
     coefficients = noise.coefficients[which, order, : order.max()].transpose(2, 0, 3, 1) * scale
-    seen = compare_arrays(joints, *poses, noise.rotation_length)
+    seen = compare_arrays(joints, position, quaternion, noise.rotation_length)
     innovation, cost = _innovations(seen.error, coefficients, scale, noise)
-    damping = np.full(len(joints), 1e-6)
-    for _ in range(iterations):
-        design = parameter_design(joints, seen, poses[0])
-        size = design.shape[1]
-        columns = _whitened(design, coefficients[..., None, :], scale[..., None, :])
-        columns = noise.decorrelation @ columns.reshape(len(joints), size, -1)
-        heavy = noise.dof[:, None] + size
-        weight = heavy / (heavy + (innovation**2).sum(axis=1))
-        rows = columns.reshape(design.shape).swapaxes(1, 2)
-        weighted = (rows * weight[:, None, None]).reshape(len(joints), design.shape[2], -1)
-        damped = weighted @ rows.reshape(len(joints), design.shape[2], -1).swapaxes(1, 2)
-        pull = (weighted @ innovation.reshape(len(joints), -1, 1))[..., 0]
-        diagonal = np.einsum("hii->hi", damped)
-        diagonal += damping[:, None] * diagonal
-        step = np.clip(np.nan_to_num(least_norm(damped, pull, _GAUGE)), -1.0, 1.0)
-        if 0.5 * (step * pull).sum(axis=1).max() < _CONVERGED:
-            break
-        trial = joints.moved(step)
-        after = compare_arrays(trial, *poses, noise.rotation_length)
-        trial_innovation, trial_cost = _innovations(after.error, coefficients, scale, noise)
-        better = trial_cost < cost
-        joints, seen = trial.where(better, joints), _chosen(better, after, seen)
-        innovation = np.where(better[:, None, None], trial_innovation, innovation)
-        cost = np.where(better, trial_cost, cost)
-        damping = np.where(better, damping / 10, np.maximum(damping, 1e-6) * 100)
-    return joints
+    damping = np.full(len(joints), _DAMPING)
+    rows = position, quaternion, coefficients, scale, noise
+    return _Fits(joints, np.arange(len(joints)), *rows, seen, innovation, cost, damping)
 
 
 def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
     """(h, d, 13, n) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
+
+    Where all joints are rigid (h, d, 6, n): both sides would say the same.
 
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
@@ -81,13 +157,18 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     h, d, n = seen.error.shape
     c = seen.configuration[:, None]
     points = np.ascontiguousarray(position.swapaxes(-1, -2)) - seen.error[:, -3:]
+    every = np.arange(3)
+    if not joints.moving.any():
+        design = np.zeros((h, 6, 6, n))
+        design[:, every, every] = design[:, every + 3, every + 3] = 1.0
+        design[:, 3:, :3] = cross_of_units(points)
+        return design[:, 6 - d :]
     axis, turning = joints.axis[:, :, None], joints.turning[:, None, None]
     angle = np.where(turning, c, 0.0)
     cross = cross_matrix(joints.axis)
     turn = np.eye(3)[..., None] + np.sin(angle)[:, None] * cross[..., None]
     turn += (1 - np.cos(angle))[:, None] * (cross @ cross)[..., None]
-    design = np.zeros((h, 6, 13, n))
-    every = np.arange(3)
+    design = np.zeros((h, 6, PARAMETERS, n))
     design[:, every, every] = design[:, every + 3, every + 3] = 1.0
     design[:, 3:, :3] = cross_of_units(points)
     design[:, 3:, 9:12] = turn
@@ -135,12 +216,3 @@ def _innovations(error: Floats, coefficients: Floats, scale: Floats, noise: Nois
     heavy = noise.dof[:, None] + error.shape[1]
     cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)
     return innovation, cost
-
-
-def _chosen(condition: Bools, first: Compared, second: Compared) -> Compared:
-    wide = condition[:, None]
-    return Compared(
-        np.where(wide, first.configuration, second.configuration),
-        np.where(wide[..., None], first.error, second.error),
-        np.where(wide[..., None], first.direction, second.direction),
-    )
