@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.joints.comparison import compare_all
-from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.run import LearnedRun, learn_run, segment_run, with_joints
 from micah_plan.learn.segments import FittedPiece
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
@@ -44,9 +44,11 @@ def learn_acted_run(
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = track.duration / settings.resolution
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
-        again = learn_run(with_delayed_actions(track, channel.delay), settings, True, rng, learned, inlier)
+        delayed = with_delayed_actions(track, channel.delay)
+        again = segment_run(delayed, settings, True, learned.inlier, learned.segmented)
         if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
-            return again, _channel(again, track) or channel
+            moved = with_joints(again, settings, True, rng)
+            return moved, _channel(moved, track) or channel
     return learned, channel
 
 

@@ -94,7 +94,8 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
     edges: list[EdgeCertainty | None] = []
     for i, (run, track) in enumerate(zip(recording.runs, tracks, strict=True)):
         rng = np.random.default_rng([seed, i])
-        if is_long(track, find_inliers(track)):
+        inlier = find_inliers(track)
+        if is_long(track, inlier):
             learner = OnlineLearner(settings, method, seed, part=part, run=run)
             learner.take(track)
             own = list(learner.segments())
@@ -106,7 +107,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             segments += own
             edges.append(learner.edge().certainty)
             continue
-        one, sure_of_edge = _learned(track, method, settings, rng)
+        one, sure_of_edge = _learned(track, method, settings, rng, inlier)
         edges.append(sure_of_edge)
         chain = list(one.pieces)
         longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)

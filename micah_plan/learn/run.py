@@ -68,29 +68,67 @@ class LearnedRun:
     segmented: Segmented
 
 
+@dataclass(frozen=True, eq=False)
+class SegmentedRun:
+    """A run cut into segments of steps, its joints not yet fitted to rows.
+
+    Attributes:
+        track, inlier: its rows, and which are no outliers.
+        steps: the rows averaged.
+        segmented: the segments in steps, and what decided them.
+        posterior: over segmentations, in steps.
+    """
+
+    track: PartTrack
+    inlier: Bools
+    steps: Steps
+    segmented: Segmented
+    posterior: ChangepointPosterior
+
+
 def learn_run(
     track: PartTrack,
     settings: LearnSettings,
     use_actions: bool,
     rng: np.random.Generator,
-    known: LearnedRun | None = None,
     inlier: Bools | None = None,
 ) -> LearnedRun:
     """Segment a track and fit the joints of its segments to all of their rows.
 
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
-        known: what was learned from the same poses with other actions, to start from.
+    """
+    return with_joints(segment_run(track, settings, use_actions, inlier), settings, use_actions, rng)
+
+
+def segment_run(
+    track: PartTrack,
+    settings: LearnSettings,
+    use_actions: bool,
+    inlier: Bools | None = None,
+    known: Segmented | None = None,
+) -> SegmentedRun:
+    """Cut a track into segments.
+
+    Args:
+        inlier: (n,) rows that are no outliers; None: to be found.
+        known: what was found for the same poses with other actions, to start from.
     """
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings.resolution)
-    before = None if known is None else known.segmented
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, before)
-    noise = segmented.noise.of_rows(steps.size)
-    posterior = posterior_of(segmented, settings, use_actions)
-    segmented, log_odds, misfit = unless_free(segmented, track, inlier, noise, settings, use_actions)
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, known)
+    return SegmentedRun(track, inlier, steps, segmented, posterior_of(segmented, settings, use_actions))
+
+
+def with_joints(
+    found: SegmentedRun, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
+) -> LearnedRun:
+    """The run with joints fitted to all rows of its segments, and how sure they are."""
+    track, inlier, posterior = found.track, found.inlier, found.posterior
+    noise = found.segmented.noise.of_rows(found.steps.size)
+    segmented, log_odds, misfit = unless_free(found.segmented, track, inlier, noise, settings, use_actions)
     pieces = segmented.segmentation.pieces
-    fitted, places = fitted_pieces(pieces, segmented, steps, track, inlier, settings, use_actions, rng)
+    fitted, places = fitted_pieces(pieces, segmented, found.steps, track, inlier, settings, use_actions, rng)
     chain = chained(fitted, track, inlier, noise)
     free = -np.inf if misfit is None else log_odds
     kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]

@@ -63,13 +63,14 @@ class EvidenceTable:
         """
         return segment_sums(self.log_density)
 
-    def charged(self, index: Ints) -> Floats:
-        """(k, n, n) the same of k hypotheses, less what a segment pays for a joint of its own."""
-        n = self.log_density.shape[1]
+    @cached_property
+    def charged(self) -> Floats:
+        """(h, n, n) the same, less what a segment pays for a joint of its own."""
+        h, n, _ = self.sums.shape
         lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
-        costs = self.cost(index, lengths[:, None]).T
+        costs = np.ascontiguousarray(self.cost(np.arange(h), lengths[:, None]).T)
         # The cost of a segment depends on its length alone.
-        return np.asarray(self.sums[index] - sliding_window_view(costs, n, axis=1)[:, ::-1])
+        return np.asarray(self.sums - sliding_window_view(costs, n, axis=1)[:, ::-1])
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""

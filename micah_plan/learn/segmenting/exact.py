@@ -7,7 +7,7 @@ is best for a segment does not depend on the others, so it is chosen for all of 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from functools import lru_cache, reduce
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,15 +76,15 @@ class _Models:
     """
 
     def __init__(self, table: EvidenceTable, members: Sequence[int] | None, paid: Collection[int]) -> None:
-        index = range(len(table.rows)) if members is None else members
-        free = [i for i in index if i in paid]
-        charged = np.array([i for i in index if i not in paid], dtype=np.int64)
-        self._layers = {i: table.sums[i] for i in free}
-        if len(charged):
-            self._layers |= dict(zip(charged.tolist(), table.charged(charged), strict=True))
-        self._index = list(index)
-        self.best: Floats = reduce(np.maximum, (self._layers[i] for i in self._index))
+        self._layers = {
+            i: table.sums[i] if i in paid else table.charged[i]
+            for i in (range(len(table.rows)) if members is None else members)
+        }
+        first, *others = self._layers.values()
+        self.best: Floats = first.copy() if others else first
+        for layer in others:
+            np.maximum(self.best, layer, out=self.best)
 
     def which(self, start: int, end: int) -> int:
         """The hypothesis that is best for one segment."""
-        return max(self._index, key=lambda i: float(self._layers[i][start, end]))
+        return max(self._layers, key=lambda i: float(self._layers[i][start, end]))
