@@ -33,7 +33,13 @@ def twist(joint: Joint) -> Floats:
         return np.zeros(6)
     if joint.kind == "prismatic":
         return np.concatenate([np.zeros(3), axis])
-    return np.concatenate([axis, np.cross(center, axis) + joint.pitch * axis])
+    return np.concatenate([axis, _cross(center, axis) + joint.pitch * axis])
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Of two vectors (3,), without the overhead of NumPy's."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def origin(joint: Joint) -> RigidTransform:
@@ -130,8 +136,12 @@ def jacobian(joint: Joint, c: ArrayLike) -> Floats:
     The rotation is a vector of rad per unit of c, as an angular velocity: R(c + dc) ≈ exp(rotation dc) R(c).
     """
     xi = twist(joint)
-    positions = forward(joint, c).translation
-    return np.concatenate([np.broadcast_to(xi[:3], positions.shape), xi[3:] + np.cross(xi[:3], positions)], axis=1)
+    # The velocity of the origin at configuration 0, turned by the angle (Rodrigues).
+    velocity = xi[3:] + _cross(xi[:3], np.array(joint.position))
+    side = _cross(xi[:3], velocity)
+    angle = np.atleast_1d(np.asarray(c, dtype=float))[:, None]
+    turned = velocity + np.sin(angle) * side + (1 - np.cos(angle)) * _cross(xi[:3], side)
+    return np.concatenate([np.broadcast_to(xi[:3], turned.shape), turned], axis=1)
 
 
 def inverse_jacobian(

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
-from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate, matrices, turned_by
+from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate
 from micah_plan.learn.actions.channel_steps import command_of, fit_noise, noise_of, steps_of
+from micah_plan.learn.joints.quaternions import rotation_matrix, rotation_quaternion, times
 from micah_plan.learn.track import PartTrack
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -194,8 +195,8 @@ def test_noise_is_found_again(script):
 def test_rotations_compose_as_scipy_says():
     rng = np.random.default_rng(0)
     vector, rotation = rng.standard_normal((5, 3)), Rotation.random(5, rng=rng)
-    turned = turned_by(vector, rotation.as_quat())
-    assert np.allclose(matrices(turned), (Rotation.from_rotvec(vector) * rotation).as_matrix())
+    turned = times(rotation_quaternion(vector), rotation.as_quat())
+    assert np.allclose(rotation_matrix(turned), (Rotation.from_rotvec(vector) * rotation).as_matrix())
 
 
 def test_a_sharp_posterior_is_normal_with_its_information():
@@ -205,7 +206,7 @@ def test_a_sharp_posterior_is_normal_with_its_information():
     measured = design @ (gain * rotation.as_matrix().ravel())
     quadratic = Quadratic(1e4 * (design.T @ design)[None], 1e4 * (design.T @ measured)[None])
     channels, information = climb(quadratic, np.array([[0.0, 0, 0, 1]]), np.zeros(1), 30)
-    assert np.allclose(matrices(channels.rotation)[0], rotation.as_matrix(), atol=1e-3)
+    assert np.allclose(rotation_matrix(channels.rotation)[0], rotation.as_matrix(), atol=1e-3)
     assert np.exp(channels.log_gain[0]) == pytest.approx(gain, abs=1e-3)
     covariance = np.linalg.inv(information[0])
     center, log_gain = channels.rotation[0], float(channels.log_gain[0])

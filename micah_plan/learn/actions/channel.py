@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.actions.anchored import with_anchored_actions
-from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb, integrate, matrices, scan
+from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb, integrate, scan
 from micah_plan.learn.actions.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
-from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.joints.quaternions import conjugate, rotation_matrix, rotation_vector, times
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -298,7 +298,7 @@ def _spacings(walks: Floats) -> Floats:
 
 
 def _predicted(steps: Steps, command: Command, delay: float, rotation: Floats, log_gain: float) -> Floats:
-    m = np.exp(log_gain) * matrices(rotation[None]).ravel()
+    m = np.exp(log_gain) * rotation_matrix(rotation).ravel()
     return np.asarray(m @ steps.predictors(command, np.array([delay]))[0])
 
 

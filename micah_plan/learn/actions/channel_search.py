@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from micah_plan.learn.joints.quaternions import rotation_vector
+from micah_plan.learn.joints.quaternions import rotation_matrix, rotation_quaternion, rotation_vector, times
 
 Floats = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def climb(quadratic: Quadratic, rotation: Floats, log_gain: Floats, iterations: 
             break
         step[:, 3] = np.clip(step[:, 3], -1.0, 1.0)
         step[:, :3] /= np.maximum(np.sqrt(np.sum(step[:, :3] ** 2, axis=1, keepdims=True)), 1.0)
-        moved_rotation, moved_gain = turned_by(step[:, :3], rotation), log_gain + step[:, 3]
+        moved_rotation, moved_gain = times(rotation_quaternion(step[:, :3]), rotation), log_gain + step[:, 3]
         moved = _expanded(quadratic, moved_rotation, moved_gain)
         better = moved[0] > score
         rotation = np.where(better[:, None], moved_rotation, rotation)
@@ -123,7 +123,7 @@ def climb(quadratic: Quadratic, rotation: Floats, log_gain: Floats, iterations: 
 
 def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple[Floats, Floats, Floats]:
     """Score (d,), its slope (d, 4) and information (d, 4, 4) by (e, ln g)."""
-    matrix = np.exp(log_gain)[:, None, None] * matrices(rotation)
+    matrix = np.exp(log_gain)[:, None, None] * rotation_matrix(rotation)
     m = matrix.reshape(-1, 9)
     turned = np.matmul(_TURNS, matrix[:, None]).reshape(-1, 3, 9)
     jacobian = np.concatenate([turned, m[:, None]], axis=1)
@@ -133,25 +133,6 @@ def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple
     slope = np.matmul(jacobian, (quadratic.target - pulled)[..., None])[..., 0] - prior * _PRECISION
     information = jacobian @ quadratic.normal @ jacobian.transpose(0, 2, 1) + np.diag(_PRECISION)
     return score, slope, information
-
-
-def matrices(quaternion: Floats) -> Floats:
-    """(k, 3, 3) rotation matrices of unit quaternions (k, 4), scalar last."""
-    x, y, z, w = quaternion.T
-    entries = [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]
-    entries += [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]
-    entries += [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]
-    return np.stack(entries, axis=1).reshape(-1, 3, 3)
-
-
-def turned_by(vector: Floats, quaternion: Floats) -> Floats:
-    """(k, 4) unit quaternions of exp(vector) R, for rotation vectors (k, 3) [rad] and quaternions (k or 1, 4) of R."""
-    half = 0.5 * np.sqrt(np.sum(vector**2, axis=1))
-    a, b, c = (0.5 * np.sinc(half / np.pi)[:, None] * vector).T
-    d = np.cos(half)
-    x, y, z, w = quaternion.T
-    entries = [d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w]
-    return np.stack([*entries, d * w - a * x - b * y - c * z], axis=1)
 
 
 def _folded(normal: Floats) -> Floats:
@@ -216,8 +197,8 @@ def integrate(
         angle = np.linalg.norm(turns, axis=1)
         halves = np.sinc(0.5 * angle / np.pi) ** 2
         log_volume = np.where(angle < np.pi, np.log(np.maximum(halves, 1e-300)), -np.inf)
-        drawn = turned_by(turns, rotation[None])
-        log_value, gains, spread = _over_gains(quadratic.take(part), matrices(drawn).reshape(-1, 9))
+        drawn = times(rotation_quaternion(turns), rotation)
+        log_value, gains, spread = _over_gains(quadratic.take(part), rotation_matrix(drawn).reshape(-1, 9))
         log_value = (
             log_value + log_weight[part, None] - 0.5 * np.sum(rotation_vector(drawn) ** 2, axis=1) * _PRECISION[0]
         )
@@ -297,7 +278,7 @@ def _rotation_grid() -> tuple[Floats, Floats, Floats, Floats]:
     alpha, beta = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041
     spiral = np.stack([inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta)], 1)
     quaternions = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], spiral])
-    entries = matrices(quaternions).reshape(-1, 9)
+    entries = rotation_matrix(quaternions).reshape(-1, 9)
     log_prior = -0.5 * np.sum(rotation_vector(quaternions) ** 2, axis=1) * _PRECISION[0]
     return quaternions, _monomials(entries), entries, log_prior
 

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
-from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_vector, times
+from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_matrix, rotation_vector, times
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -89,7 +88,7 @@ def _turning(
     values, vectors = np.linalg.eigh(_squared(share, turns))
     axis = vectors[:, :, 2]
     across = np.eye(3) - axis[:, :, None] * axis[:, None]
-    matrices = Rotation.from_quat(quaternion).as_matrix()
+    matrices = rotation_matrix(quaternion)
     mean_matrix = across @ (share @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
     left = (across[:, None] @ matrices - mean_matrix[:, None]).reshape(len(share), -1, 3)
     right = (centred @ across).reshape(len(share), -1, 1)

@@ -74,6 +74,24 @@ def rotation_quaternion(vector: Floats) -> Floats:
     return np.concatenate([0.5 * np.sinc(angle / (2 * np.pi)) * vector, np.cos(0.5 * angle)], axis=-1)
 
 
+def rotation_matrix(q: Floats) -> Floats:
+    """(..., 3, 3) matrices of unit quaternions (..., 4)."""
+    squares = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
+    return np.asarray((squares @ _ENTRIES).reshape(*q.shape[:-1], 3, 3))
+
+
 def cross(a: Floats, b: Floats) -> Floats:
     """Cross products (..., 3): like np.cross without its overhead."""
     return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT])
+
+
+def _entries() -> Floats:
+    """(16, 9) matrix entries by products of two components: (w² - v'v) I + 2 v v' + 2 w [v]x."""
+    unit = np.eye(3)
+    entries = np.zeros((4, 4, 3, 3))
+    entries[:3, :3] = 2 * np.einsum("ia,jb->ijab", unit, unit) - np.einsum("ij,ab->ijab", unit, unit)
+    entries[3, 3], entries[3, :3] = unit, 2 * cross_matrix(unit)
+    return entries.reshape(16, 9)
+
+
+_ENTRIES = _entries()

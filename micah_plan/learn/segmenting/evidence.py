@@ -148,7 +148,10 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     heavy = noise.dof[:, None] + d - pool.moving[:, None]
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
     scaling = (noise.decorrelation[:, None] / np.sqrt(noise.left)[:, :, None]).swapaxes(0, 1)
-    squares = ((scaling @ noise.predicted_back(pool.seen.error)) ** 2).sum(axis=2)
+    squares = np.empty((len(scaling), h, n))
+    for one, left, square in zip(scaling, noise.predicted_back(pool.seen.error), squares, strict=True):
+        innovation = one @ left
+        np.einsum("hdn,hdn->hn", innovation, innovation, out=square)
     # The direction of motion is not counted here.
     precision = (scaling.swapaxes(2, 3) @ scaling).swapaxes(0, 1).reshape(len(noise), -1, d * d)
     information = precision @ (direction[:, :, None] * direction[:, None]).reshape(h, d * d, n)

@@ -36,17 +36,17 @@ def best_segmentation(
     """
     models = _Models(table, members, paid)
     n = table.log_density.shape[1]
-    columns = np.ascontiguousarray((models.best + _length_terms(prior, n)).T) - np.log(kinds)
+    worth = models.best + (_length_terms(prior, n) - np.log(kinds))
     # Of the rows before each, in one segment, in up to two, three, ...: as many passes as segments, each at once.
     best_before = np.full(n + 1, -np.inf)
     best_before[0] = 0.0
     while True:
-        scores = columns + best_before[:-1]
-        after = scores.max(axis=1)
+        scores = worth + best_before[:-1, None]
+        after = scores.max(axis=0)
         if np.array_equal(after, best_before[1:]):
             break
         best_before[1:] = after
-    last = np.append(0, scores.argmax(axis=1))
+    last = np.append(0, scores.argmax(axis=0))
     pieces: list[Piece] = []
     end = n
     while end > 0:

@@ -8,7 +8,7 @@ between channels (errors of rotation and position are tied by a lever arm) and h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -121,21 +121,19 @@ class NoiseModel:
         left /= np.sqrt(self.left[:, -1, None])
         return np.asarray(left @ self.decorrelation.swapaxes(1, 2))
 
-    def predicted_back(self, errors: Floats) -> Floats:
-        """(p + 1, h, d, n) errors (h, d, n) less their prediction from 0, 1, ... p rows before.
+    def predicted_back(self, errors: Floats) -> Iterator[Floats]:
+        """Errors (h, d, n) less their prediction from 0, 1, ... p rows before.
 
         By the lattice form: a row's error and that of the row before them, both told from the rows between.
         """
-        found = np.empty((self.left.shape[1], *errors.shape))
-        found[0] = behind = errors
-        for order in range(1, len(found)):
+        ahead = behind = errors
+        yield ahead
+        for order in range(1, self.left.shape[1]):
             reflection = self.coefficients[:, order, order - 1, :, None]
             delayed = np.zeros_like(behind)
             delayed[..., 1:] = behind[..., :-1]
-            ahead = found[order - 1]
-            behind = delayed - reflection * ahead
-            np.subtract(ahead, reflection * delayed, out=found[order])
-        return found
+            ahead, behind = ahead - reflection * delayed, delayed - reflection * ahead
+            yield ahead
 
     @cached_property
     def decorrelation(self) -> Floats:
