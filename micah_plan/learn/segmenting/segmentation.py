@@ -78,18 +78,15 @@ def segment_track(
     """
     prior = _prior(track, settings)
     if known is None:
-        fine = first_noise(track, settings)
-        trust = trust_in(fine, settings)
-        pool = window_hypotheses(track, settings.kinds, fine)
-        noises = [fine, _single(track, fine, trust, prior, settings, use_actions)]
+        tables = _from_two_noises(track, prior, settings, use_actions)
     else:
-        trust = known.table.trust
-        pool, noises = known.table.pool.hypotheses, [known.noise]
-    proposals = []
-    for noise in noises:
-        if noise is not None:
-            table = tabulated(pool, track, noise, use_actions, settings.rest, trust)
-            proposals += [Segmented(track, noise, one, table) for one in selections(table, prior, settings)]
+        table = known.table
+        tables = [
+            (known.noise, tabulated(table.pool.hypotheses, track, known.noise, use_actions, settings.rest, table.trust))
+        ]
+    proposals = [
+        Segmented(track, noise, one, table) for noise, table in tables for one in selections(table, prior, settings)
+    ]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = _settled(proposals, prior, settings, use_actions)
     best = _most_probable(settled, prior, settings, use_actions)
@@ -123,22 +120,30 @@ def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) ->
     return replace(found, table=table, segmentation=whole)
 
 
-def _single(
-    track: PartTrack, noise: NoiseModel, trust: float, prior: LengthPrior, settings: LearnSettings, use_actions: bool
-) -> NoiseModel | None:
-    """The noise that the single joint leaves which is the most probable one with the noise that it leaves."""
+def _from_two_noises(
+    track: PartTrack, prior: LengthPrior, settings: LearnSettings, use_actions: bool
+) -> list[tuple[NoiseModel, EvidenceTable]]:
+    """The joints of all windows under the noise of the rows' roughness, and under that which a single joint leaves.
+
+    The second is the noise left by the joint that is the most probable one with the noise that it leaves.
+    """
+    fine = first_noise(track, settings)
+    trust = trust_in(fine, settings)
+    pool = window_hypotheses(track, settings.kinds, fine)
     # Where something moves, what a rigid model leaves is motion, not noise.
     kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
     kinds = kinds or list(settings.kinds)
-    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
-    if not len(whole):
-        return None
-    seen, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
-    left = noises_left([(seen, every + i) for i in range(len(whole))], settings)
-    ones = [whole.take([i]) for i in range(len(whole))]
-    tables = all_tabulated(ones, track, left, use_actions, settings.rest, trust)
-    totals = [shared(table, [0], prior, settings).log_probability for table in tables]
-    return left[int(np.argmax(totals))]
+    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, fine)
+    noises, ones = [], [whole.take([i]) for i in range(len(whole))]
+    if ones:
+        seen, every = pool_of(whole, track, fine), np.zeros(len(track), dtype=np.int64)
+        noises = noises_left([(seen, every + i) for i in range(len(whole))], settings)
+    table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], use_actions, settings.rest, trust)
+    if not alone:
+        return [(fine, table)]
+    totals = [shared(one, [0], prior, settings).log_probability for one in alone]
+    single = noises[int(np.argmax(totals))]
+    return [(fine, table), (single, tabulated(pool, track, single, use_actions, settings.rest, trust))]
 
 
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
