@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class PartTrack:
     def duration(self) -> float:
         return float(self.time[-1] - self.time[0])
 
-    @property
+    @cached_property
     def rotation(self) -> Rotation | None:
         return None if self.quaternion is None else Rotation.from_quat(self.quaternion)
 

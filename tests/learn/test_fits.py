@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
@@ -88,10 +90,10 @@ def test_batches_see_rows_as_single_joints_do(orientation: bool) -> None:
         c = np.unwrap(inverse(joint, track.position, track.rotation, 0.2))
         assert np.allclose(seen.configuration[i], c, atol=1e-6)
         pose = forward(joint, c)
-        assert np.allclose(seen.error[i, :, -3:], track.position - pose.translation, atol=1e-6)
-        assert np.allclose(seen.direction[i], jacobian(joint, c)[:, -seen.direction.shape[2] :], atol=1e-6)
+        assert np.allclose(seen.error[i, -3:].T, track.position - pose.translation, atol=1e-6)
+        assert np.allclose(seen.direction[i].T, jacobian(joint, c)[:, -seen.direction.shape[1] :], atol=1e-6)
         if track.rotation is not None:
-            assert np.allclose(seen.error[i, :, :3], (track.rotation * pose.rotation.inv()).as_rotvec(), atol=1e-6)
+            assert np.allclose(seen.error[i, :3].T, (track.rotation * pose.rotation.inv()).as_rotvec(), atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -101,7 +103,7 @@ def test_the_design_is_the_derivative_of_the_errors_across_the_joint(kind: str, 
     track = rows_of(kind, orientation)
     seen = compare_arrays(joints, track.position, track.quaternion, 0.2)
     design = parameter_design(joints, seen, track.position)[0]
-    along = seen.direction[0] / np.maximum(np.linalg.norm(seen.direction[0], axis=1, keepdims=True), 1e-12)
+    along = seen.direction[0] / np.maximum(np.linalg.norm(seen.direction[0], axis=0), 1e-12)
     step = 1e-6 * np.eye(13)
     for k in range(13):
         # A rigid part has one side, only a screw has a pitch, and positions do not see a part-side turn.
@@ -112,8 +114,8 @@ def test_the_design_is_the_derivative_of_the_errors_across_the_joint(kind: str, 
             for sign in (1.0, -1.0)
         )
         slope = (behind - ahead) / 2e-6
-        slope = slope - along * np.sum(along * slope, axis=1, keepdims=True)
-        assert np.allclose(slope, design[:, k].T, atol=1e-5), k
+        slope = slope - along * np.sum(along * slope, axis=0)
+        assert np.allclose(slope, design[:, k], atol=1e-5), k
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -126,11 +128,11 @@ def test_fits_of_a_batch_end_where_no_small_step_is_likelier(kind: str, orientat
     best = fit_likelihood(joints, used, track, noise, 30)
 
     def cost(tried: JointArrays) -> float:
-        error = compare_arrays(tried, track.position, track.quaternion, noise.rotation_length).error[0]
-        size = error.shape[1]
-        by_order = [(noise.whitened(error, order) ** 2).sum(axis=1) for order in range(4)]
-        squared = np.array([by_order[min(row, 3)][row] for row in range(ROWS)])
-        return float((noise.dof + size) * np.log1p(squared / (noise.dof + size)).sum())
+        error = compare_arrays(tried, track.position, track.quaternion, noise.rotation_length).error
+        left = list(itertools.islice(noise.predicted_back(error), 4))
+        rows = [left[min(row, 3)][0, :, row] / np.sqrt(noise.left[0, min(row, 3)]) for row in range(ROWS)]
+        squared, heavy = (np.array(rows) ** 2).sum(axis=1), float(noise.dof[0]) + error.shape[1]
+        return float(heavy * np.log1p(squared / heavy).sum())
 
     rng = np.random.default_rng(1)
     assert all(cost(best.moved(2e-3 * rng.standard_normal((1, 13)))) > cost(best) for _ in range(20))
@@ -145,8 +147,8 @@ def test_noise_scales_come_from_the_rows() -> None:
     track = part_track(recording, 0, recording.parts[0])
     inlier = find_inliers(track)
     noise = first_noise(track.take(inlier.nonzero()[0]), LearnSettings())
-    assert noise.position_white == pytest.approx(0.003, rel=0.2)
-    assert noise.rotation_white == pytest.approx(0.02, rel=0.2)
+    assert noise.of_rows(1.0).position_white == pytest.approx(0.003, rel=0.2)
+    assert noise.of_rows(1.0).rotation_white == pytest.approx(0.02, rel=0.2)
     truth = np.linalg.norm(
         recording.position - forward(JOINTS["revolute"], moving_then_held("revolute", 150, 150)).translation, axis=1
     )

@@ -78,14 +78,10 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     rows = [np.flatnonzero(used[i]) for i in rigid]
     missed_by = np.array([_median(error[..., own]) for own in rows])
     along = np.moveaxis(direction[..., [own[len(own) // 2] for own in rows]], 2, 0) * reach[:, None]
-    count = np.array([len(own) for own in rows])
-    # The prior's covariance is diagonal but for the way along the joint: Sherman's and Morrison's formulas.
-    across = noise.slow[0] + noise.white[0]
-    known = np.linalg.inv(np.eye(len(across)) + count[:, None, None] * (across[:, None] * information))
-    gained = (along @ (count[:, None, None] * information @ known) * along).sum(axis=2)
-    size = np.log1p(gained) - np.linalg.slogdet(known)[1][:, None]
-    reached = (along**2 / across).sum(axis=2)
-    missed = (missed_by**2 / across).sum(axis=2) - (along * missed_by / across).sum(axis=2) ** 2 / (1 + reached)
+    prior = np.diag(noise.slow[0] + noise.white[0]) + along[..., :, None] * along[..., None, :]
+    count = np.array([len(own) for own in rows])[:, None, None, None]
+    size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
+    missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
     result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1) + denied[rigid])
     return result
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from micah_plan.learn.joints.comparison import Compared, compare_arrays
 from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
-from micah_plan.learn.joints.least_norm import least_norm
 from micah_plan.learn.joints.quaternions import cross_matrix, cross_of_units
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
@@ -20,7 +19,8 @@ Ints = NDArray[np.int64]
 
 PARAMETERS = 13  # of `JointArrays.moved`'s step
 _GAUGE = 1e-9  # directions of less relative information are redundant
-_CONVERGED = 0.02  # nats that the next step promises
+_TINY = 1e-300
+_CONVERGED = 1e-3  # nats that the next step promises
 _DAMPING = 1e-6  # of the first step
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
@@ -61,7 +61,7 @@ class _Fits:
         joints, place: the h joints, and which of all those to be fitted they are.
         position, quaternion: (h, n, 3), (h, n, 4) the used rows of each joint first; others count nothing.
         coefficients, scale: (lags, h, d, n), (h, d, n) predictions from the rows before and 1/std of what they leave.
-        noise: of each joint, or of all.
+        decorrelation, dof, rotation_length: (h, d, d), (h, 1), (h, 1) of the noise of each joint.
         seen, innovation, cost: of the rows under the joints: innovations (h, d, n) in stds and what they cost (h,).
         damping: (h,) of the next step.
     """
@@ -72,7 +72,9 @@ class _Fits:
     quaternion: Floats | None
     coefficients: Floats
     scale: Floats
-    noise: NoiseModel
+    decorrelation: Floats
+    dof: Floats
+    rotation_length: Floats
     seen: Compared
     innovation: Floats
     cost: Floats
@@ -83,22 +85,23 @@ class _Fits:
         design = parameter_design(self.joints, self.seen, self.position)
         h, d, numbers, _ = design.shape
         columns = _whitened(design, self.coefficients[..., None, :], self.scale[..., None, :])
-        columns = (self.noise.decorrelation @ columns.reshape(h, d, -1)).reshape(design.shape)
-        heavy = self.noise.dof[:, None] + d
+        columns = (self.decorrelation @ columns.reshape(h, d, -1)).reshape(design.shape)
+        heavy = self.dof + d
         weighted = columns * (heavy / (heavy + (self.innovation**2).sum(axis=1)))[:, None, None]
         damped = (weighted @ columns.swapaxes(2, 3)).sum(axis=1)
         pull = (weighted @ self.innovation[..., None]).sum(axis=1)[..., 0]
         diagonal = np.einsum("hii->hi", damped)
-        diagonal += self.damping[:, None] * diagonal
+        # What is redundant gets a step of next to no length.
+        diagonal += self.damping[:, None] * diagonal + _GAUGE * diagonal.max(axis=1, keepdims=True) + _TINY
         step = np.zeros((h, PARAMETERS))
-        step[:, :numbers] = np.clip(np.nan_to_num(least_norm(damped, pull, _GAUGE)), -1.0, 1.0)
+        step[:, :numbers] = np.clip(np.nan_to_num(np.linalg.solve(damped, pull[..., None])[..., 0]), -1.0, 1.0)
         return step, 0.5 * (step[:, :numbers] * pull).sum(axis=1)
 
     def after(self, step: Floats) -> _Fits:
         """The joints after a step, where it makes the rows likelier."""
         trial = self.joints.moved(step)
-        seen = compare_arrays(trial, self.position, self.quaternion, self.noise.rotation_length)
-        innovation, cost = _innovations(seen.error, self.coefficients, self.scale, self.noise)
+        seen = compare_arrays(trial, self.position, self.quaternion, self.rotation_length)
+        innovation, cost = _innovations(seen.error, self.coefficients, self.scale, self.decorrelation, self.dof)
         better = cost < self.cost
         damping = np.where(better, self.damping / 10, np.maximum(self.damping, _DAMPING) * 100)
         if better.all():
@@ -121,7 +124,9 @@ class _Fits:
             quaternion=None if self.quaternion is None else self.quaternion[index],
             coefficients=self.coefficients[:, index],
             scale=self.scale[index],
-            noise=self.noise if len(self.noise) == 1 else self.noise.take(index),
+            decorrelation=self.decorrelation[index],
+            dof=self.dof[index],
+            rotation_length=self.rotation_length[index],
             seen=self.seen.take(index),
             innovation=self.innovation[index],
             cost=self.cost[index],
@@ -139,11 +144,13 @@ def _start(joints: JointArrays, used: Bools, track: PartTrack, noise: NoiseModel
     which = np.arange(len(noise))[:, None]
     scale = np.where(used[:, None], 1 / np.sqrt(noise.left[which, order].swapaxes(1, 2)), 0.0)
     coefficients = noise.coefficients[which, order, : order.max()].transpose(2, 0, 3, 1) * scale
-    seen = compare_arrays(joints, position, quaternion, noise.rotation_length)
-    innovation, cost = _innovations(seen.error, coefficients, scale, noise)
+    own = np.zeros(len(joints), dtype=np.int64) if len(noise) == 1 else np.arange(len(joints))
+    of_noise = noise.decorrelation[own], noise.dof[own, None], noise.rotation_length[own]
+    seen = compare_arrays(joints, position, quaternion, of_noise[2])
+    innovation, cost = _innovations(seen.error, coefficients, scale, *of_noise[:2])
     damping = np.full(len(joints), _DAMPING)
-    rows = position, quaternion, coefficients, scale, noise
-    return _Fits(joints, np.arange(len(joints)), *rows, seen, innovation, cost, damping)
+    rows = position, quaternion, coefficients, scale
+    return _Fits(joints, np.arange(len(joints)), *rows, *of_noise, seen, innovation, cost, damping)
 
 
 def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
@@ -210,9 +217,11 @@ def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
     return left
 
 
-def _innovations(error: Floats, coefficients: Floats, scale: Floats, noise: NoiseModel) -> tuple[Floats, Floats]:
+def _innovations(
+    error: Floats, coefficients: Floats, scale: Floats, decorrelation: Floats, dof: Floats
+) -> tuple[Floats, Floats]:
     """(h, d, n) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
-    innovation = noise.decorrelation @ _whitened(error, coefficients, scale)
-    heavy = noise.dof[:, None] + error.shape[1]
+    innovation = decorrelation @ _whitened(error, coefficients, scale)
+    heavy = dof + error.shape[1]
     cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)
     return innovation, cost
