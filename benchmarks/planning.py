@@ -29,11 +29,11 @@ from time import process_time
 from typing import get_args
 
 import numpy as np
+from processor_clock import time_by_processor
 from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.scoring import goal_probability
-from micah_plan.planning import clock, tightening
 from micah_plan.planning.explain import explain
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.nominal import cost_of
@@ -80,8 +80,7 @@ class Row:
 
 def warm_up() -> None:
     """Load what planners load when they are first used, and let them time themselves by the processor."""
-    for module in (clock, tightening):
-        vars(module)["perf_counter"] = process_time
+    time_by_processor()
     for planner in get_args(Method):
         solve(load_problem(ROOT / "problems" / "drawer_open.yaml", {"planner.method": planner}))
 

@@ -1,8 +1,7 @@
 """A plan's programme that is kept: what is left of the plan is optimised again without building anything anew.
 
 What has been done is held fixed by bounds on its variables, its rows are let go, and the state of the knot where the
-plan is left is the belief of then. The expressions are expanded into scalar operations, which takes as long as a
-solution and makes each iteration several times faster; IPOPT starts from the plan and its multipliers.
+plan is left is the belief of then. IPOPT starts from the plan and its multipliers.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ class KeptProgramme:
         """Args: the programme of the whole plan, and its problem."""
         self._nlp, self._problem = nlp, problem
         programme: dict[str, Any] = {"x": ca.vertcat(*nlp.w), "f": nlp.cost, "g": ca.vertcat(*nlp.g)}
-        options = ipopt_options(problem.settings.time_limit_s)
-        options |= {"expand": True, "ipopt": options["ipopt"] | _WARM}
+        options = ipopt_options(problem.settings.time_limit_s, expand=True)
+        options["ipopt"] |= _WARM
         self._solver = ca.nlpsol("kept", "ipopt", programme, options)
         self._bounds = np.concatenate(nlp.w_lower), np.concatenate(nlp.w_upper)
         self._rows = nlp.rows.lower, nlp.rows.upper

@@ -101,7 +101,9 @@ class MixtureProgramme:
         w = ca.vertcat(ca.vec(self.states), ca.vec(self.inputs))
         most = np.repeat(self._limits.max_step[None], self._steps, axis=0).ravel()
         later = np.full(self._size * self._steps, np.inf)
-        solver = ca.nlpsol("mixture", "ipopt", {"x": w, "f": self.cost, "g": self.g}, ipopt_options(time_limit_s))
+        # All modes in every step are too many scalar operations: they take longer to build than they save.
+        options = ipopt_options(time_limit_s, expand=False)
+        solver = ca.nlpsol("mixture", "ipopt", {"x": w, "f": self.cost, "g": self.g}, options)
         found = solver(
             x0=np.concatenate([np.array(rolled).ravel(), inputs.ravel()]),
             lbx=np.concatenate([self._start, -later, -most]),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan, replan
 from micah_plan.planning.problem import Problem
 from micah_plan.planning.start_state import start_mode
+from micah_plan.workflow import solve
 
 
 @pytest.mark.parametrize(
@@ -132,3 +135,16 @@ def test_replanning_starts_from_the_belief() -> None:
 def test_planning_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     plan(door_problem(0.2, DOOR_SHUT))
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_twelve_dimensions_and_64_modes_are_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    script = importlib.import_module("planning_growth")
+    problem = script.cabinet_problem(doors=6, drawers=6, opened=12, steps=10)
+    assert (problem.automaton.n, len(problem.automaton.modes)) == (12, 64)
+    found = solve(problem)
+    assert found.outcome == "solved"
+    assert len(found.mode_sequence) == 7
+    assert found.success_probability is not None
+    assert found.success_probability >= 0.95

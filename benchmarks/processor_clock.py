@@ -1,0 +1,13 @@
+"""Planning that times itself by the processor: what else the machine does counts less."""
+
+from __future__ import annotations
+
+from time import process_time
+
+from micah_plan.planning import clock, tightening
+
+
+def time_by_processor() -> None:
+    """From now on, in this process, the timings of plans are seconds of the processor."""
+    for module in (clock, tightening):
+        vars(module)["perf_counter"] = process_time
