@@ -1,6 +1,6 @@
-"""A picture of a page, as in docs/images: `python docs/picture_of_page.py page.html picture.png [milliseconds]`.
+"""A picture of a page, as in docs/images: `python docs/picture_of_page.py page.html picture.png [share of the time]`.
 
-Needs Chromium. The page is shown after so many milliseconds of its own clock, in which it plays.
+Needs Chromium.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-_WINDOW = "1400,850"
+_SETTLED_MS = 3000
 
 
-def take_picture(page: Path, picture: Path, milliseconds: int = 14000) -> None:
-    """Write a PNG of a page.
+def take_picture(page: Path, picture: Path, share: float = 0.5, size: tuple[int, int] = (1400, 850)) -> None:
+    """Write a PNG of a page in a window of a size [px], a plan or model standing at a share of its time.
 
     Raises:
         CalledProcessError: if the browser fails.
@@ -24,13 +24,14 @@ def take_picture(page: Path, picture: Path, milliseconds: int = 14000) -> None:
             [  # noqa: S607
                 "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
                 "--use-gl=angle", "--use-angle=swiftshader", "--no-first-run", "--disable-sync",
-                "--disable-background-networking",
-                f"--user-data-dir={profile}", f"--window-size={_WINDOW}", f"--virtual-time-budget={milliseconds}",
-                f"--screenshot={picture.resolve()}", page.resolve().as_uri(),
+                "--disable-background-networking", "--hide-scrollbars",
+                f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}",
+                f"--virtual-time-budget={_SETTLED_MS}", f"--screenshot={picture.resolve()}",
+                f"{page.resolve().as_uri()}#t={share}",
             ],
             check=True, capture_output=True, timeout=120,
         )  # fmt: skip
 
 
 if __name__ == "__main__":
-    take_picture(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:4]))
+    take_picture(Path(sys.argv[1]), Path(sys.argv[2]), *map(float, sys.argv[3:4]))

@@ -1,0 +1,44 @@
+"""Pictures of the docs that show commands and pages, made anew: `python docs/make_pictures.py [site]`.
+
+With the folder of the built docs (`mkdocs build --site-dir site`) their start page is pictured too. Needs Chromium.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from picture_of_page import take_picture
+from picture_of_terminal import picture, run_session
+
+ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs" / "images"
+COMMANDS = (
+    "learn examples/demonstrations/microwave.csv -o {out}/microwave.yaml --figure {images}/microwave_segments.png",
+    "solve problems/microwave_close.yaml -o {out}/microwave_close.json --html {out}/microwave_close.html",
+    "solve problems/stapler_on_books.yaml -o {out}/stapler_on_books.json --html {out}/stapler_on_books.html",
+)
+PAGES = {"microwave_close": 0.6, "stapler_on_books": 0.36}
+"""Shares of the time at which the plans are pictured."""
+
+
+def main(site: str | None = None) -> None:
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place)
+        for command in COMMANDS:
+            arguments = shlex.split(command.format(out=out, images=IMAGES))
+            subprocess.run([sys.executable, "-m", "micah_plan", *arguments], cwd=ROOT, check=True)  # noqa: S603
+        for name, share in PAGES.items():
+            take_picture(out / f"{name}.html", IMAGES / f"{name}.png", share)
+    with tempfile.TemporaryDirectory() as place:
+        drawn = picture(run_session(Path(place)), "micah-plan")
+        (IMAGES / "terminal.svg").write_text(drawn + "\n", encoding="utf-8")
+    if site is not None:
+        take_picture(Path(site) / "index.html", IMAGES / "docs.png", size=(1400, 900))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])
