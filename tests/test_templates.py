@@ -16,6 +16,7 @@ from micah_plan import workflow
 from micah_plan.automaton.effects.conformance import check_form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
+from micah_plan.cli.console import title_of
 from micah_plan.errors import InputError
 from micah_plan.spec.model_file import load_model
 from micah_plan.spec.problem_file import load_problem
@@ -97,6 +98,14 @@ def test_a_problem_for_a_learned_model_solves_as_it_is(tmp_path: Path, repositor
     written = write_template("problem", tmp_path / "mine", model=repository / "models" / f"{name}.yaml")
     assert [check_file(path).faults for path in written if path.suffix == ".yaml"] == [(), ()]
     assert workflow.solve(load_problem(written[0])).outcome == "solved"
+
+
+@pytest.mark.parametrize(
+    ("file", "title"),
+    [("mine/problem.yaml", "mine"), ("mine/model.yaml", "mine"), ("a/drawer_open.yaml", "drawer_open")],
+)
+def test_a_page_is_called_after_the_folder_where_the_file_has_a_common_name(file: str, title: str) -> None:
+    assert title_of(Path(file)) == title
 
 
 def test_only_a_problem_is_made_for_a_model(tmp_path: Path, repository: Path) -> None:

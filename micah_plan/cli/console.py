@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -39,6 +40,11 @@ def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], No
         print(json.dumps(summary, allow_nan=False))
     else:
         human()
+
+
+def title_of(file: Path) -> str:
+    """What the page of a file is called: as the file, or as its folder where the file says nothing."""
+    return file.resolve().parent.name if file.stem in ("problem", "model") else file.stem
 
 
 def print_warnings(warnings: Sequence[str]) -> None:

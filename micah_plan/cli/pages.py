@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from micah_plan.cli import tables
-from micah_plan.cli.console import print_summary, progress_bar
+from micah_plan.cli.console import print_summary, progress_bar, title_of
 from micah_plan.cli.options import JsonFlag
 from micah_plan.errors import InputError
 from micah_plan.outputs import PAGE, Output, check_outputs
@@ -75,17 +75,17 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
     if kind == "model":
         from micah_plan.spec.model_file import load_model
 
-        return page.model_page(load_model(file), title=file.stem)
+        return page.model_page(load_model(file), title=title_of(file))
     if kind == "plan":
         from micah_plan.spec.plan_file import load_plan
 
         stored = load_plan(file)
-        return page.plan_page(stored.plan, stored.problem, title=file.stem)
+        return page.plan_page(stored.plan, stored.problem, title=title_of(file))
     recording = workflow.read(file)
     if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
-        return page.recording_page(recording, None, title=file.stem)
+        return page.recording_page(recording, None, title=title_of(file))
     try:
         learned = workflow.learn(recording, progress=progress)
     except InputError as error:
         raise error.located(file) from None
-    return page.recording_page(recording, learned.graph, title=file.stem)
+    return page.recording_page(recording, learned.graph, title=title_of(file))

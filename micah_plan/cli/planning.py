@@ -12,7 +12,7 @@ import typer
 
 from micah_plan import summaries
 from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar
+from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar, title_of
 from micah_plan.cli.options import JsonFlag, OutputPath, Seed
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 
@@ -59,7 +59,7 @@ def solve(
     if html is not None:
         from micah_plan.view.page import plan_page
 
-        replace_file(html, plan_page(plan, asked, title=problem.stem).encode())
+        replace_file(html, plan_page(plan, asked, title=title_of(problem)).encode())
     if figure is not None and plan.trajectory is not None:
         from micah_plan.view.figures import belief_figure, save_figure
 
