@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,8 @@ from micah_plan.sweep.schedule import finished_cases
 from micah_plan.sweep.table import results_table, timings_path, timings_table
 from micah_plan.sweep.workers import ExecutorWorkers, Workers, process_workers
 
-_EXECUTOR_IN_FLIGHT = 16
+# More than any executor has workers.
+_EXECUTOR_IN_FLIGHT = 1000
 Progress = Callable[[str, float], None]
 
 
@@ -75,9 +76,10 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
         unfinished = [case for key, case in distinct.items() if key not in journal.finished]
         resumed = len(distinct) - len(unfinished)
         told = _told(progress, resumed, len(distinct))
-        for case, run in finished_cases(unfinished, workers):
-            journal.append(case.key, run)
-            told(run)
+        with closing(finished_cases(unfinished, workers)) as ended:
+            for case, run in ended:
+                journal.append(case.key, run)
+                told(run)
         runs = [journal.finished[case.key] for case in cases]
     results = tuple(run.result for run in runs)
     replace_file(output, results_table(sweep, cases, results, output.suffix))

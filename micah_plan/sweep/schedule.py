@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import replace
 
@@ -21,8 +21,8 @@ class SweepStoppedError(MicahError):
     """The workers cannot go on; what was finished is in the journal."""
 
 
-def finished_cases(cases: Sequence[Case], workers: Workers) -> Iterator[tuple[Case, CaseRun]]:
-    """Every case with its run, in the order in which they end.
+def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[Case, CaseRun], None, None]:
+    """Every case with its run, in the order in which they end; closed early, it takes back what has not begun.
 
     When a process of a pool dies, all cases handed over are lost and nobody knows which one killed it. They are tried
     again one at a time, so that it is only the guilty one that in the end becomes a failure.
@@ -34,24 +34,28 @@ def finished_cases(cases: Sequence[Case], workers: Workers) -> Iterator[tuple[Ca
     waiting, suspects = deque(cases), deque[Case]()
     running: dict[Future[CaseRun], Case] = {}
     attempts: Counter[str] = Counter()
-    while waiting or suspects or running:
-        intact = _hand_over(waiting, suspects, running, workers)
-        done = wait(running, return_when=FIRST_COMPLETED if intact else ALL_COMPLETED).done
-        if any(isinstance(_error(future), BrokenExecutor) for future in done):
-            intact, done = False, wait(running).done
-        for future in done:
-            case, error = running.pop(future), _error(future)
-            attempts[case.key] += 1
-            if error is None:
-                yield case, replace(future.result(), attempts=attempts[case.key])
-            elif not _is_death(error):
-                raise _stopped(error) from error
-            elif attempts[case.key] < MOST_ATTEMPTS:
-                suspects.append(case)
-            else:
-                yield case, worker_died(MOST_ATTEMPTS, error)
-        if not intact and not workers.renew():
-            raise SweepStoppedError(f"the executor broke; {_GO_ON}")
+    try:
+        while waiting or suspects or running:
+            intact = _hand_over(waiting, suspects, running, workers)
+            done = wait(running, return_when=FIRST_COMPLETED if intact else ALL_COMPLETED).done
+            if any(isinstance(_error(future), BrokenExecutor) for future in done):
+                intact, done = False, wait(running).done
+            for future in done:
+                case, error = running.pop(future), _error(future)
+                attempts[case.key] += 1
+                if error is None:
+                    yield case, replace(future.result(), attempts=attempts[case.key])
+                elif not _is_death(error):
+                    raise _stopped(error) from error
+                elif attempts[case.key] < MOST_ATTEMPTS:
+                    suspects.append(case)
+                else:
+                    yield case, worker_died(MOST_ATTEMPTS, error)
+            if not intact and not workers.renew():
+                raise SweepStoppedError(f"the executor broke; {_GO_ON}")
+    finally:
+        for future in running:
+            future.cancel()
 
 
 def _hand_over(

@@ -6,15 +6,18 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+from micah_plan.errors import MicahError
 from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import solve_case
+
+T = TypeVar("T")
 
 
 class Workers(Protocol):
@@ -66,14 +69,13 @@ class ProcessWorkers:
         return 2 * self._count
 
     def submit(self, case: Case) -> Future[CaseRun]:
-        # The pool starts processes here; they inherit what this thread blocks.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return self._pool.submit(solve_case, case)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return self._submit(solve_case, case)
 
     def renew(self) -> bool:
+        if self._first_begun.exception() is not None:
+            raise MicahError(
+                "no worker process can start; a script that runs a sweep must do it below `if __name__ == '__main__':`"
+            )
         self.close()
         self._begin()
         return True
@@ -84,10 +86,19 @@ class ProcessWorkers:
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._watched.close()
 
+    def _submit(self, function: Callable[..., T], *arguments: object) -> Future[T]:
+        # The pool starts processes here; they inherit what this thread blocks.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return self._pool.submit(function, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
     def _begin(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._watched, self._held = context.Pipe(duplex=False)
         self._pool = ProcessPoolExecutor(self._count, context, _live_with_parent, (self._watched,))
+        self._first_begun = self._submit(os.getpid)
 
 
 @contextmanager

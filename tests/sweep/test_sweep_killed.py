@@ -17,8 +17,11 @@ from pathlib import Path
 import pytest
 from sweep_examples import ROOT, Inline
 
-from micah_plan.spec.sweep_file import load_sweep
+from micah_plan.spec.sweep_document import SWEEP_FORMAT
+from micah_plan.spec.sweep_file import load_sweep, sweep_of
 from micah_plan.sweep.run import run_sweep
+from micah_plan.sweep.solve_case import solve_case
+from micah_plan.sweep.table import results_table
 
 pytestmark = pytest.mark.slow
 CASES, MOST_SECONDS = 30, 120.0
@@ -171,6 +174,37 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(
     assert output.read_bytes() == expected
     assert workers[0].wait() == -signal.SIGKILL
     assert [worker.poll() for worker in workers[1:]] == [None, None]
+
+
+def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="the plant needs the extra 'sim'")
+    names = [f"problems/{name}.yaml" for name in ("drawer_open", "microwave_close_by_arm", "drawer_behind_door")]
+    grid = {"planner.method": ["rrt", "pomdp-hd"], "planner.verification_trials": [100]}
+    execute = {"plant": "mujoco", "trials": 1}
+    sweep = sweep_of({"format": SWEEP_FORMAT, "problems": names, "grid": grid, "execute": execute}, ROOT)
+    run_sweep(sweep, tmp_path / "r.csv", workers=2)
+    cases = list(sweep.cases())
+    backwards = {case.key: solve_case(case).result for case in reversed(cases)}
+    assert (
+        results_table(sweep, cases, [backwards[case.key] for case in cases], ".csv")
+        == (tmp_path / "r.csv").read_bytes()
+    )
+    assert {result.outcome for result in backwards.values()} == {"solved"}
+
+
+def test_a_script_whose_workers_cannot_start_is_told_so(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
+    script = f"""
+from micah_plan.spec.sweep_file import load_sweep
+from micah_plan.sweep.run import run_sweep
+run_sweep(load_sweep({str(undisturbed[0])!r}), "r.csv", workers=1)
+"""
+    (tmp_path / "script.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=MOST_SECONDS, check=False
+    )
+    assert done.returncode == 1
+    assert "no worker process can start; a script that runs a sweep must do it below" in done.stderr
+    assert lines_of(tmp_path / "r.csv") == 1, "no case was given up"
 
 
 def test_no_scheduler_is_one_line(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:

@@ -180,7 +180,7 @@ def test_outputs_destroy_nothing(tmp_path: Path) -> None:
 
 def test_a_process_pool_does_not_outlive_its_owner() -> None:
     workers = ProcessWorkers(1)
-    process = workers._pool.submit(os.getpid).result()
+    process = workers._first_begun.result()
     workers.close()
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
