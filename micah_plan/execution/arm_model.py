@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.errors import InputError
-from micah_plan.execution.held_mjcf import GUEST_MEETS, GUEST_TYPE
+from micah_plan.execution.held_mjcf import ARM_MEETS, ARM_TYPE
 from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.checked_robot import NO_LIMIT
@@ -34,7 +34,7 @@ def attach_arm(mujoco: Any, world: Any, description: RobotDescription, arm: Arm,
     for body in robot.bodies:
         body.gravcomp = 1.0
     for geom in robot.geoms:
-        geom.contype, geom.conaffinity = GUEST_TYPE, GUEST_MEETS
+        geom.contype, geom.conaffinity = ARM_TYPE, ARM_MEETS
     for name in arm.joints:
         joint = robot.joint(name)
         joint.actgravcomp = True

@@ -1,7 +1,7 @@
 """A held object, and the bodies around it, as MJCF text.
 
-Names that the plant looks up: geoms ``scene/BODY/..``, and of the object joint ``swing``, equality ``latch``, and the
-bodies `hand` and the two parts. ``swing`` is 0 at the datum.
+Names that the plant looks up: bodies ``scene/BODY``, and of the object joint ``swing``, equality ``latch``, bodies
+``hand`` and the two parts. ``swing`` is 0 at the datum.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from micah_plan.scene.body import Body
 
 # What all names of the object begin with once it is in the world.
 OBJECT = "object/"
-# What meets the bodies of the scene, and nothing else: the object, and an arm.
-GUEST_TYPE, GUEST_MEETS = 2, 1
+# Who meets whom (geoms meet if the type of one is among what the other meets): the scene meets all but what is fixed
+# in it; an arm meets the part that swings, but not the one that it holds.
 _FIXED, _LOOSE = {"contype": "1", "conaffinity": "2"}, {"contype": "3", "conaffinity": "3"}
-_OBJECT = {"contype": str(GUEST_TYPE), "conaffinity": str(GUEST_MEETS)}
+_HELD, _MOVING = {"contype": "2", "conaffinity": "1"}, {"contype": "6", "conaffinity": "1"}
+ARM_TYPE, ARM_MEETS = 2, 5
 # Contacts give by some hundredths of a millimetre under a hand's force.
 _CONTACT = {"solref": "0.004 1", "solimp": "0.95 0.99 0.0005", "condim": "4"}
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.0001"}
@@ -40,7 +41,8 @@ def scene_mjcf(scene: tuple[Body, ...], parameters: HeldParameters) -> str:
     root = _root()
     # An arm's joints are stiff and light: their damping is integrated implicitly.
     options = {"timestep": "0.001", "cone": "elliptic", "integrator": "implicitfast"}
-    add(root, "option", {"gravity": numbers((0.0, 0.0, -9.81)), **options})
+    option = add(root, "option", {"gravity": numbers((0.0, 0.0, -9.81)), **options})
+    add(option, "flag", {"filterparent": "disable"})  # fingers and the part that swings in them do meet
     world = add(root, "worldbody", {})
     for body in scene:
         place = {"pos": numbers(body.position), "quat": scalar_first(body.quaternion)}
@@ -51,9 +53,8 @@ def scene_mjcf(scene: tuple[Body, ...], parameters: HeldParameters) -> str:
         solids = [shape for shape in body.shapes if isinstance(shape, Primitive)]
         if len(solids) < len(body.shapes):
             raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
-        for number, (shape, mass) in enumerate(zip(solids, _masses(solids, body.mass or 0.0), strict=True)):
-            name = {"name": f"scene/{body.name}/{number}"}
-            add(stands, "geom", {**geometry(shape, mass), **kind, **_CONTACT, **_friction(parameters), **name})
+        for shape, mass in zip(solids, _masses(solids, body.mass or 0.0), strict=True):
+            add(stands, "geom", {**geometry(shape, mass), **kind, **_CONTACT, **_friction(parameters)})
     return _text(root)
 
 
@@ -106,7 +107,7 @@ def _object(hand: ElementTree.Element, grip: Grip, turns: bool, parameters: Held
     if grip.pivots:
         spring = {"stiffness": str(parameters.pivot_stiffness), "damping": str(parameters.pivot_damping)}
         add(held, "joint", {"name": "pivot", "axis": "0 1 0", "pos": numbers(grip.point), **spring})
-    _shapes(held, grip.held, "held", parameters)
+    _shapes(held, grip.held, _HELD, parameters)
     moving = add(held, "body", {"name": grip.moving.name})
     kind = {"type": "hinge", "axis": "0 -1 0"} if turns else {"type": "slide", "axis": "0 0 1"}
     stop = {"limited": "true", "range": numbers((-grip.travel, 0.0))}
@@ -114,13 +115,12 @@ def _object(hand: ElementTree.Element, grip: Grip, turns: bool, parameters: Held
     stiff = {f"{key}{kind}": value for key, value in _RIGID.items() for kind in ("limit", "friction")}
     resistance = {"frictionloss": str(parameters.joint_friction), "damping": str(parameters.joint_damping)}
     add(moving, "joint", {"name": "swing", **kind, **stop, **stiff, **resistance})
-    _shapes(moving, grip.moving, "moving", parameters)
+    _shapes(moving, grip.moving, _MOVING, parameters)
 
 
-def _shapes(body: ElementTree.Element, part: HeldPart, name: str, parameters: HeldParameters) -> None:
-    for number, (shape, mass) in enumerate(zip(part.shapes, _masses(part.shapes, parameters.mass), strict=True)):
-        named = {"name": f"{name}/{number}"}
-        add(body, "geom", {**geometry(shape, mass), **_OBJECT, **_CONTACT, **_friction(parameters), **named})
+def _shapes(body: ElementTree.Element, part: HeldPart, kind: dict[str, str], parameters: HeldParameters) -> None:
+    for shape, mass in zip(part.shapes, _masses(part.shapes, parameters.mass), strict=True):
+        add(body, "geom", {**geometry(shape, mass), **kind, **_CONTACT, **_friction(parameters)})
 
 
 def _masses(shapes: Sequence[Primitive], mass: float) -> list[float]:

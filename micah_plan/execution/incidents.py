@@ -18,6 +18,7 @@ _LARGEST_PUSH_N = 2.0
 # A loose body that moves [m] or tilts [rad] by more than this counts as knocked over.
 LARGEST_SHIFT = 0.01
 LARGEST_TILT = 0.1
+_SCENE, _OBJECT = 0, 1
 
 
 class Watch:
@@ -26,12 +27,13 @@ class Watch:
     def __init__(self, mujoco: Any, model: Any, touchable: set[str]) -> None:
         """Args: touchable: bodies that the object, but no arm, may push against."""
         self._mj, self._model = mujoco, model
-        names = [model.geom(i).name.split("/") for i in range(model.ngeom)]
-        self._body = {i: name[1] for i, name in enumerate(names) if name[0] == "scene"}
-        self._is_scene = np.array([name[0] == "scene" for name in names])
-        self._object = {i for i in range(model.ngeom) if model.geom(i).name.startswith(OBJECT)}
-        owner = model.geom_bodyid
-        self._loose = {int(owner[i]): name for i, name in self._body.items() if model.body_dofnum[owner[i]]}
+        self._owner = model.geom_bodyid
+        owners = [model.body(int(i)).name for i in self._owner]
+        self._name = [name.partition("/")[2] for name in owners]
+        kinds = ("scene/", OBJECT)  # and the rest is the arm: of two that meet, the later kind hit the earlier one
+        self._kind = np.array([[name.startswith(kind) for kind in (*kinds, "")].index(True) for name in owners])
+        free = np.flatnonzero((self._kind == _SCENE) & (model.body_dofnum[self._owner] > 0))
+        self._loose = {int(self._owner[i]): self._name[i] for i in free}
         self._touchable = touchable
         self._pose: dict[int, Floats] = {}
         self.incident = ""
@@ -52,19 +54,17 @@ class Watch:
 
     def _hit(self, data: Any) -> str:
         push = np.zeros(6)
-        guests = ~self._is_scene[data.contact.geom].all(axis=1)  # what rests on other bodies of the scene is no hit
-        for number in np.flatnonzero(guests):
-            contact = data.contact[int(number)]
-            ends = int(contact.geom1), int(contact.geom2)
-            scene, guest = ends if ends[0] in self._body else ends[::-1]
-            body, is_object = self._body[scene], guest in self._object
-            loose = int(self._model.geom_bodyid[scene]) in self._loose
-            self._mj.mj_contactForce(self._model, data, int(number), push)
-            forbidden = not loose and not (is_object and body in self._touchable)
-            if contact.dist < -LARGEST_PENETRATION or (forbidden and push[0] > _LARGEST_PUSH_N):
-                what = "it" if is_object else f"the arm's {self._link(guest)}"
+        met = (self._kind[data.contact.geom] != _SCENE).any(axis=1)  # what rests on other bodies of the scene is no hit
+        for number in map(int, np.flatnonzero(met)):
+            contact = data.contact[number]
+            hit, by = sorted((int(contact.geom1), int(contact.geom2)), key=lambda geom: int(self._kind[geom]))
+            name, is_object = self._name[hit], self._kind[by] == _OBJECT
+            allowed = int(self._owner[hit]) in self._loose or (is_object and name in self._touchable)
+            self._mj.mj_contactForce(self._model, data, number, push)
+            if contact.dist < -LARGEST_PENETRATION or (not allowed and push[0] > _LARGEST_PUSH_N):
+                what = "it" if is_object else f"the arm's {self._name[by]}"
                 depth = max(0.0, -1e3 * contact.dist)
-                return f"{what} hit '{body}' at {data.time:.1f} s with {push[0]:.0f} N, {depth:.1f} mm deep"
+                return f"{what} hit '{name}' at {data.time:.1f} s with {push[0]:.0f} N, {depth:.1f} mm deep"
         return ""
 
     def _knocked(self, data: Any) -> str:
@@ -76,6 +76,3 @@ class Watch:
                 how = f"it had moved by {1e3 * shift:.0f} mm and tilted by {tilt:.2f} rad"
                 return f"'{name}' was knocked over: at {data.time:.1f} s {how}"
         return ""
-
-    def _link(self, geom: int) -> str:
-        return str(self._model.body(int(self._model.geom_bodyid[geom])).name).rpartition("/")[2]

@@ -101,6 +101,16 @@ def test_out_of_reach_is_told(plant):
     assert "the arm's tool could not come nearer than" in plant.truth().incident
 
 
+def test_an_arm_in_the_way_of_the_swinging_part_is_told(problem, posture):
+    low = replace(problem, grasp=replace(problem.grasp, position=(-0.03, 0.0, -0.055)))
+    plant = HeldPlant(low, posture=posture)
+    plant.reset(np.random.default_rng(10))
+    move(plant, [0.0, 0.0, 0.0])
+    assert plant.truth().incident.startswith("the arm's ")
+    assert " hit 'lower_arm' at " in plant.truth().incident
+    plant.close()
+
+
 def test_joints_that_do_not_move_the_tool_stay(problem, posture):
     robot = problem.robot
     sliding = (
