@@ -5,6 +5,7 @@ MeshCat's own server listens on all interfaces and takes no address, so the self
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
@@ -51,6 +52,11 @@ class PageServer(ThreadingTCPServer):
     def url(self) -> str:
         """Where a browser on this machine finds the page."""
         return f"http://{LOOPBACK}:{self.port}/"
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """What a browser that goes away in the middle of the page leaves behind is no error of ours."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
 
     def answer(self, path: str, host: str) -> tuple[int, str, str]:
         """Status, media type and body of a request.

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 from micah_plan import workflow
 from micah_plan.planning.plan import Plan
 from micah_plan.spec.problem_file import load_problem
+from micah_plan.view.live import PageServer
 from micah_plan.view.page import calibration_page, model_page, plan_page, recording_page
 
 if TYPE_CHECKING:
@@ -145,13 +147,19 @@ def test_keys_and_the_button_play_and_step(show: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_line_in_the_charts_follows_the_slider(show: Any) -> None:
+def test_slider_and_charts_follow_each_other(show: Any) -> None:
     shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850})
     places = []
     for share in (0.1, 0.5):
         shown.drag_to(share)
         places.append(float(shown.page.locator("#charts .cursor").first.get_attribute("x1")))
     assert places[1] - places[0] > 100
+    box = shown.page.locator("#charts svg").first.bounding_box()
+    left, right = (box["x"] + box["width"] * edge / 420 for edge in (66, 412))  # of the panel in its drawing
+    shown.page.mouse.click(left + 0.75 * (right - left), box["y"] + 40)
+    assert shown.time() == pytest.approx(0.75 * 10.02 / 10.82, abs=0.01)
+    shown.page.mouse.click(left - 20, box["y"] + 40)
+    assert shown.time() == 0.0
 
 
 @pytest.mark.slow
@@ -195,6 +203,23 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     shown = show(calibration_page(workflow.calibrate(drawer.automaton, runs), "drawer"), "")
     assert shown.page.inner_text("h1") == "drawer"
     assert shown.page.locator("svg").count() > 0
+
+
+@pytest.mark.slow
+def test_the_served_page_is_the_page(show: Any, browser: Browser) -> None:
+    text = model_page(door())
+    with PageServer(lambda: text) as server:
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        page, messages = browser.new_page(viewport=WINDOW), []
+        page.on("console", lambda message: messages.append(message.text))
+        page.goto(f"{server.url}#t=0.25")
+        page.wait_for_selector("body.ready")
+        served = Shown(page, messages)
+        assert np.abs(served.pixels() - show(text, "#t=0.25").pixels()).max() < 0.1
+        page.close()
+        server.shutdown()
+    assert [message for message in messages if EXPECTED not in message] == []
 
 
 @pytest.mark.slow

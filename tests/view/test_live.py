@@ -95,6 +95,22 @@ def test_other_paths_and_other_names_for_this_machine_are_refused(server: PageSe
         assert answer(server.port, Host=name)[0] == 403, name
 
 
+def test_what_is_no_request_harms_nobody(server: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
+    for sent in (
+        b"",
+        b"\x00\xff\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET /" + b"a" * 100_000,
+        b"POST / HTTP/1.1\r\n\r\n",
+    ):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
+            connection.sendall(sent)
+            # Closed at once, with a reset: whatever is written to it then fails.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
+    assert answer(server.port) == (200, "first")
+    assert capsys.readouterr().err == ""
+
+
 def test_a_port_that_is_taken_is_bad_input(server: PageServer) -> None:
     with pytest.raises(InputError, match=r"port \d+ of 127\.0\.0\.1 cannot be had.*--port"):
         PageServer(str, server.port)

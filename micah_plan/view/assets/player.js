@@ -42,6 +42,26 @@
     });
   }
 
+  // Press or drag in a chart, and the player goes to that place.
+  function setUpCharts(seek) {
+    cursors.forEach((cursor, i) => {
+      const frames = data.charts[i];
+      if (!cursor || !frames.length) return;
+      const drawing = cursor.ownerSVGElement;
+      const go = (event) => {
+        if (event.buttons !== 1) return;
+        const x = new DOMPoint(event.clientX, event.clientY).matrixTransform(drawing.getScreenCTM().inverse()).x;
+        const next = frames.findIndex((frame) => frame[1] >= x);
+        if (next < 0) return seek(frames[frames.length - 1][0]);
+        const [a, b] = [frames[Math.max(next - 1, 0)], frames[next]];
+        seek(a[0] + (b[1] > a[1] ? (x - a[1]) / (b[1] - a[1]) : 1) * (b[0] - a[0]));
+      };
+      drawing.style.cursor = "col-resize";
+      drawing.style.touchAction = "pan-y";
+      for (const event of ["pointerdown", "pointermove"]) drawing.addEventListener(event, go);
+    });
+  }
+
   function setUpScene() {
     viewer.set_property(["Background"], "top_color", dark ? [0.07, 0.09, 0.11] : [0.86, 0.9, 0.94]);
     viewer.set_property(["Background"], "bottom_color", dark ? [0.13, 0.16, 0.19] : [0.985, 0.988, 0.992]);
@@ -133,6 +153,7 @@
     }
     button.addEventListener("click", () => setPlaying(!playing));
     slider.addEventListener("input", () => { setPlaying(false); show(Number(slider.value)); });
+    setUpCharts((seconds) => { setPlaying(false); show(seconds); });
     document.addEventListener("keydown", (event) => {
       if (event.target.tagName === "INPUT" && event.target.type !== "range") return;
       if (event.ctrlKey || event.metaKey || event.altKey) return;
