@@ -90,8 +90,10 @@ def missing_modes(
     if len(e) < _FEWEST_ROWS or high - low < 1e-9:
         return ()
     smooth = _smooth(place, v, low, high)
-    noise = _scatter(e - smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0])
-    e = np.clip(e / noise, -_OUTLIER, _OUTLIER)
+    gradual = smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0]
+    noise = _scatter(e - gradual)
+    # Bad rows are those far from what changes gradually, not those that the model as it is misses by much.
+    e = gradual / noise + np.clip((e - gradual) / noise, -_OUTLIER, _OUTLIER)
     scaled = v / lane.command_size
     cuts, otherwise = _pieces(place, scaled, e, low, high)
     if not 0 < cuts.size <= _MOST_CUTS or not any(otherwise):

@@ -91,6 +91,10 @@ def short_steps(c, u, k, memory):
     return c + 0.8 * u
 
 
+def feeble(c, u, k, memory):
+    return c + 0.1 * u + 0.004
+
+
 def late(c, u, k, memory):
     past = memory.setdefault("past", [0.0, 0.0])
     past.append(u)

@@ -55,6 +55,15 @@ def test_what_changes_gradually_or_everywhere_is_none(door, plant) -> None:
     assert told(door, getattr(plants, plant), 1) == ()
 
 
+def test_a_model_that_is_wrong_everywhere_and_by_much_lacks_no_mode(door) -> None:
+    """Residuals of twenty times the noise are no bad rows."""
+    moved = plants.runs_of(plants.feeble, 8, 50, 1, noise=0.0005, disturbance=0.0002)
+    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
+    errors = np.zeros_like(lane.z)
+    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, END)[:, :-1]
+    assert missing_modes(lane, errors, np.arange(len(lane.run)) % 4) == ()
+
+
 @pytest.mark.parametrize("seed", [3, 7])
 def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
     (lane,) = lanes(door, tracks(door, recorded(plants.honest, 1)))
