@@ -46,7 +46,7 @@ class Planted:
     Attributes:
         plant: of one step; truth: names of all effects that it has, none if the library has no such effect.
         parameter, value: of the first one, where the plant has the library's form.
-        shape, turn: what differs in the poses and in the actions, see `planted_effects.door_recording`.
+        shape, turn, press: what differs in the poses and in the actions, see `planted_effects.door_recording`.
         halves: whether the model has a mode for each half of the range.
         goals: where the hand aims, so that what is at an end is seen; None: seldom there.
     """
@@ -57,6 +57,7 @@ class Planted:
     value: float = np.nan
     shape: Callable[..., Any] | None = None
     turn: Any = None
+    press: float = 0.0
     halves: bool = False
     goals: tuple[float, float] | None = None
 
@@ -64,7 +65,10 @@ class Planted:
 PLANTED: dict[str, Planted] = {
     "gain": Planted(plants.short_steps, ("gain",), "gain", 0.8),
     "bias": Planted(plants.creeping, ("bias",), "bias", 0.004),
-    "frame_rotation": Planted(plants.honest, ("frame_rotation",), "rotation_3", _ANGLE, turn=_TURN),
+    "frame_rotation": Planted(
+        plants.honest, ("frame_rotation",), "rotation_3", _ANGLE, turn=_TURN, press=0.3 * plants.RADIUS * plants.STEP
+    ),
+    "frame_rotation of a hand that pulls straight": Planted(plants.honest, ("frame_rotation",), turn=_TURN),
     "delay": Planted(plants.late, ("delay",), "steps", 2.0),
     "lag": Planted(plants.slow, ("lag",), "steps", float(1.0 / np.log(2.0))),
     "saturation": Planted(plants.weak, ("saturation",), "largest", 0.025),
@@ -125,12 +129,14 @@ def change(planted: Planted) -> float:
     changes: list[float] = []
     quiet = plants.runs_of(planted.plant, 20, 50, 0, noise=0.0, disturbance=0.0, goals=planted.goals, changes=changes)
     if planted.shape is not None or planted.turn is not None:
-        plain = plants.door_recording(quiet)
-        other = plants.door_recording(quiet, shape=planted.shape, turn=planted.turn)
+        plain = plants.door_recording(quiet, press=planted.press)
+        other = plants.door_recording(quiet, shape=planted.shape, turn=planted.turn, press=planted.press)
         moved = other.position - plain.position
         if planted.turn is not None:
-            # Along the motion: a step is carried out by less than the turned action says of it.
-            moved = (1.0 - np.cos(_ANGLE)) * np.nan_to_num(plain.action)
+            # Along the motion: by how much the turned action says otherwise than what is carried out.
+            angle = np.concatenate([z for z, _ in quiet])
+            tangent = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+            moved = (np.nan_to_num(other.action - plain.action) * tangent).sum(axis=1, keepdims=True)
         changes = (np.linalg.norm(moved, axis=1) / plants.RADIUS).tolist()
     felt = np.array([abs(c) for c in changes if abs(c) > 1e-9])
     return float(np.sqrt(np.mean(felt**2)))
@@ -143,7 +149,8 @@ def trial(name: str, size: float, runs: int, seed: int) -> Trial:
     hand = {"noise": noise, "disturbance": DISTURBANCE * noise, "goals": planted.goals}
     moved = plants.runs_of(planted.plant, runs, 50, seed, **hand)
     across = plants.RADIUS * noise
-    recording = plants.door_recording(moved, across=across, seed=seed, shape=planted.shape, turn=planted.turn)
+    differs = {"shape": planted.shape, "turn": planted.turn, "press": planted.press}
+    recording = plants.door_recording(moved, across=across, seed=seed, **differs)
     found = calibrate(door(halves=planted.halves), recording)
     floor = noise * np.sqrt(2.0 * READ**2 + DISTURBANCE**2)
     if any(effect.effect.name in ("screw_pitch", "axis_offset") for effect in found.effects):

@@ -363,6 +363,7 @@ def _missing_mode(mode: MissingMode) -> dict[str, Any]:
     }
     return {"coordinate": mode.coordinate, "unit": mode.unit, **ends, "gain": mode.gain, "bias": mode.bias} | {
         "evidence": mode.evidence,
+        "modes": list(mode.modes),
         "sentence": str(mode),
     }
 

@@ -17,6 +17,7 @@ from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
+from micah_plan.residual.added_mode import with_missing_modes
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.geometry import geometry_findings, scatter_across
 from micah_plan.residual.growth import LEAST_EVIDENCE
@@ -24,7 +25,7 @@ from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.simulation import GATES, Kind
-from micah_plan.residual.trace import Finding, LaneTrace, trace
+from micah_plan.residual.trace import Finding, LaneTrace, is_ambiguous, trace
 from micah_plan.residual.verdict import Verdict, overall
 
 Floats = NDArray[np.float64]
@@ -127,6 +128,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     traces = tuple(
         trace(lane, _shared(progress, number, len(able)) if progress else None) for number, lane in enumerate(able)
     )
+    corrected, traces = with_missing_modes(corrected, traces, measured)
     found = [_geometry_effect(own.effect, own.std, own.evidence) for own in geometry]
     for one in traces:
         found += [_found(one.lane, finding) for finding in one.findings]
@@ -287,6 +289,13 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
                 f"{name}: {' and '.join(left_out)} was not added: single steps get better but the roll-out worse "
                 f"(x {one.longer:.2f}), so something else is missing as well"
             )
+        unsure = " and ".join(finding.part.name for finding in one.findings if is_ambiguous(lane, finding))
+        if unsure and lane.repeats_one_motion:
+            notes.append(f"{name}: all runs are alike, so {unsure} may come from the place or from earlier commands")
+        if one.closest:
+            notes.append(
+                f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
+            )
         if abs(one.correlation) > 0.25:
             notes.append(f"{name}: what remains is correlated in time ({one.correlation:.2f} from step to step)")
     return tuple(notes)
@@ -298,6 +307,8 @@ def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) 
             return effect.experiment
     for one in traces:
         for mode in one.missing_modes:
+            if mode.modes:
+                continue
             return experiments.for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
         if one.verdict in ("partly", "unexplained"):
             low, high = one.lane.visited

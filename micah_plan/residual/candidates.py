@@ -17,8 +17,10 @@ from micah_plan.residual.simulation import GATES, Term
 
 Floats = NDArray[np.float64]
 
-# A share of the action across the joint below this says nothing of its frame.
+# Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
 _ACROSS = 0.1
+# A turn may make commands as long as the actions, give or take what a gain is uncertain by.
+_AS_LONG = 1.02
 # A threshold that lies further away than this share of the range is no shifted one but another stop.
 _LARGEST_SHIFT = 0.15
 _NEVER_GATED = (-np.inf,) * GATES
@@ -67,9 +69,7 @@ def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
     same, name = [], part.name
     if name == "gain":
         same += [] if lane.visits_end() else ["sensor_scale"]
-        # Turning a command along the joint can only shorten it.
-        may_turn = abs(part.starts[0, 0]) < 1.0 and _frame_rotation(lane) is None
-        same += ["frame_rotation"] if may_turn and lane.action is not None else []
+        same += ["frame_rotation"] if _may_be_a_turn(part.starts[0, 0], lane) else []
     if name == "bias":
         same += [] if lane.visits_end() else ["drift"]
         same += ["gravity"] if lane.unit == "m" else []
@@ -130,17 +130,33 @@ def _drift(lane: Lane) -> _Made:
 
 
 def _frame_rotation(lane: Lane) -> _Made:
-    """Only where actions have a share across the joint; else a turned frame is a gain."""
+    """Only where actions across the joint have a life of their own.
+
+    A small turn adds to each command a share of the action across the joint. Where that follows the command along it (a
+    hand that always pushes at one angle, the chord of a long step) it adds what a gain or a saturation would.
+    """
     if lane.action is None:
         return None
-    action = lane.action.reshape(-1, 3)
-    tangent = jacobian(lane.joint, lane.z.ravel())[:, 3:]
-    along = (action * tangent).sum(axis=1) ** 2 / np.maximum((tangent**2).sum(axis=1), 1e-12)
-    total = (action**2).sum()
-    if total <= 0 or np.sqrt(max(total - along.sum(), 0.0) / total) < _ACROSS:
+    rows = lane.counted_starts
+    tangent, u = jacobian(lane.joint, lane.z[rows])[:, 3:], lane.u[rows]
+    squared = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
+    across = np.cross(lane.action[rows], tangent) / squared
+    along = np.stack([np.ones_like(u), u, u * np.abs(u), u * u], axis=1)
+    own = across - along @ np.linalg.lstsq(along, across, rcond=1e-9)[0]
+    if np.sqrt(np.mean(own**2, axis=0)).max() < _ACROSS * lane.command_size:
         return None
     turns = np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)])
     return turns, (0, 1, 2), [0.3] * 3
+
+
+def _may_be_a_turn(gain: float, lane: Lane) -> bool:
+    """Whether a gain may be a turned frame: turned along the joint, actions can say no more than they are long."""
+    if lane.action is None or _frame_rotation(lane) is not None:
+        return False
+    rows = lane.counted_starts
+    arm2 = (jacobian(lane.joint, lane.z[rows])[:, 3:] ** 2).sum(axis=1)
+    longest2 = float((lane.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
+    return gain**2 * float((lane.u[rows] ** 2).sum()) < _AS_LONG**2 * longest2
 
 
 def _delay(_: Lane) -> _Made:
@@ -179,7 +195,6 @@ def _spring(lane: Lane) -> _Made:
     low, high = lane.visited
     rests = (low, 0.5 * (low + high), high)
     starts = [[stiffness, rest, ahead] for rest in rests for stiffness in (0.05,) for ahead in (0.0, 1.0)]
-    starts += [[-0.05, 0.5 * (low + high), 0.0]]
     return np.array(starts), (0, 1), [0.1, 0.5 * (high - low) + 1e-6]
 
 

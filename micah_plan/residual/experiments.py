@@ -43,7 +43,10 @@ def for_unexplained(where: str) -> str:
 
 def for_missing_mode(place: float, unit: str) -> str:
     """The experiment for a mode that the automaton lacks."""
-    return f"record slow motion through {place:.3g} {unit} in both directions and learn the model again, with that mode"
+    return (
+        f"record slow motion through {place:.3g} {unit} in both directions and learn the model again, with that mode: "
+        "micah-plan learn RECORDING.csv -o MODEL.yaml"
+    )
 
 
 def for_nothing(rows: int, moved: float, unit: str) -> str:

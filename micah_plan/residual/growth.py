@@ -120,7 +120,15 @@ def _pairs(
         grown += scored_all(search, head, rest, told, share, share + 0.4 / len(kept))
     grown = [one for one in grown if not one.is_idle]
     grown += [variant for one in ranked(grown)[:2] for variant in _variants(search, one, base)]
-    return ranked(grown)[:_TRIED]
+    return _plainest_first(grown)[:_TRIED]
+
+
+def _plainest_first(options: Sequence[Scored]) -> list[Scored]:
+    """Best first, but of those that are as good as the best the plainest effects first."""
+    order = ranked(options)
+    close = [one for one in order if order[0].over(one)[0] <= TIE]
+    plainest = sorted(close, key=lambda one: sum(_plainness(name) for name in one.names))
+    return [*plainest, *order[len(close) :]]
 
 
 def scored_all(
@@ -177,9 +185,7 @@ def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
     options = [one for one in options if one.squared < base.squared]
     if not options:
         return None
-    best = ranked(options)[0].over(base)[0]
-    close = [one for one in options if one.over(base)[0] >= best - TIE]
-    return min(close, key=lambda one: _plainness(one.names[-1]))
+    return _plainest_first(options)[0]
 
 
 def _plainness(name: str) -> int:

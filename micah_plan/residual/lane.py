@@ -25,6 +25,8 @@ MOST_ROWS = 20_000
 # With fewer runs than this, stretches of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
+# Correlation of place and time from which on they say the same.
+_ALIKE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,14 @@ class Lane:
         low, high = self.visited
         reach = 0.03 * (high - low)
         return low < self.lower + reach or high > self.upper - reach
+
+    @property
+    def repeats_one_motion(self) -> bool:
+        """Whether all runs pass the same places at the same times, so that place and time cannot be told apart."""
+        place, time = self.z[self.counted], self.time[self.counted]
+        if not (np.std(place) > 0 and np.std(time) > 0):
+            return False
+        return abs(float(np.corrcoef(place, time)[0, 1])) > _ALIKE
 
     @property
     def command_size(self) -> float:

@@ -53,6 +53,7 @@ class MissingMode:
         low, high: of the range [rad or m]; infinite where the range has no end in what was seen.
         gain: what is carried out of a command there; bias: what is added to each step [rad or m].
         evidence: by how much held-out rows are predicted better than by a smooth change [nats].
+        modes: names of those that the new automaton has for it; empty: it has none.
     """
 
     coordinate: str
@@ -62,6 +63,7 @@ class MissingMode:
     gain: float
     bias: float
     evidence: float
+    modes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         ends = [f"from {self.low:.3g} {self.unit} on"] if np.isfinite(self.low) else []
@@ -70,7 +72,8 @@ class MissingMode:
         moves += (
             f" and {self.bias:+.2g} {self.unit} added to each step" if abs(self.bias) > 1e-3 * abs(self.gain) else ""
         )
-        return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}"
+        added = f"; the new model has it as {', '.join(self.modes)}" if self.modes else ""
+        return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}{added}"
 
 
 def missing_modes(

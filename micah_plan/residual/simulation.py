@@ -145,16 +145,28 @@ class _Run:
         spread = slope**2 * self.variance + self.r
         if kind == "rollout":
             return error, spread
+        gone = self._let_go(error, slope) if self.is_held else None
         if kind == "one_step":
             self.c = self.c + error / slope
             return error, spread
         gain = self.variance * slope / spread
+        if gone is not None:
+            gain = np.where(gone, 1.0 / slope, gain)
         self.c = self.c + gain * error
         if self.is_bounded:
             low, high = self._ends_at(t - 1)
             self.c = np.minimum(np.maximum(self.c, low), high)
-        self.variance = self.variance * (1.0 - gain * slope)
+        left = self.variance * (1.0 - gain * slope)
+        self.variance = left if gone is None else np.where(gone, self.r / slope**2, left)
         return error, spread
+
+    def _let_go(self, error: Floats, slope: Any) -> Any:
+        """Whether a part is measured further from an end than it takes to leave it: then it never arrived there."""
+        at_low, at_high = self.at_ends
+        gone_low = at_low & (self.release[0] > 0) & (error > self.release[0] * slope)
+        gone_high = at_high & (self.release[1] > 0) & (-error > self.release[1] * slope)
+        self.at_ends = at_low & ~gone_low, at_high & ~gone_high
+        return gone_low | gone_high
 
     def _sensor(self, t: int, like: Floats) -> tuple[Any, Any]:
         """Offset and slope of the reading at row t; sensors are affine."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import Candidate, candidates, indistinguishable, smooth
 from micah_plan.residual.growth import (
     LEAST_EVIDENCE,
@@ -54,7 +55,8 @@ class Finding:
         part: its term and parameters, gates included; those that were fitted are medians.
         interval: (size, 2) at `interval.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
-        tied: names of other effects that would do as well in its place.
+        tied: names of other effects that would do as well in its place; same: those of them that do exactly the same in
+            all motion that this recording has.
         is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse.
     """
 
@@ -62,6 +64,7 @@ class Finding:
     interval: Floats
     evidence: float
     tied: tuple[str, ...]
+    same: tuple[str, ...] = ()
     is_added: bool = True
 
 
@@ -77,7 +80,8 @@ class LaneTrace:
         correlation, white_probability: largest autocorrelation of the innovations that remain, and how probable it were
             if they were white.
         longer: by how much what was found but not added would make the roll-out longer, as a factor; 1 if nothing was.
-        missing_modes: that the automaton lacks; the new one has a correction without a name in their place.
+        missing_modes: that the automaton lacks; a correction without a name is in their place (or see `added_mode`).
+        closest: names of the effects that came closest, where a correction without a name predicts better.
         final: what a new automaton should have: the chosen model, with the correction if it is worth it.
     """
 
@@ -95,6 +99,7 @@ class LaneTrace:
     white_probability: float
     longer: float = 1.0
     missing_modes: tuple[MissingMode, ...] = ()
+    closest: tuple[str, ...] = ()
 
 
 def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
@@ -116,21 +121,21 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         # An idle correction predicts as the model without it, which is among them.
         rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
         modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rivals)
-    if modes:
+    is_outdone = _is_outdone(chosen, loose) and shortens(search, loose, search.nominal)
+    closest = chosen.names if is_outdone and not modes else ()
+    if modes or is_outdone:
         # Effects that act everywhere only imitate what a mode of its own does in one place.
         growth = Growth(search.nominal, growth.alternatives)
-        chosen = search.nominal
+        chosen, is_enough = search.nominal, False
     told(f"{lane.coordinate}: what remains", 0.9)
-    remaining = chosen if is_enough else _smoothed(search, chosen)
+    remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
     correlation, chance = search.whiteness(chosen)
     size = float(np.sqrt(chosen.squared / lane.counted.sum()))
     is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
     is_left = is_worth(remaining, chosen, lane)
-    # Several effects together that predict worse than a correction without a name only imitate it.
-    is_outdone = len(chosen.parts) > 1 and loose.over(chosen)[0] > LEAST_EVIDENCE
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
-    is_suspect = is_wandering or is_outdone or named is not chosen or bool(modes)
     findings = _findings(search, named, growth.alternatives)
+    is_suspect = is_wandering or named is not chosen or bool(modes) or any(is_ambiguous(lane, one) for one in findings)
     fraction = 0.0 if modes else _fraction_left(search.nominal, named, [loose, remaining])
     final = remaining if is_left and shortens(search, remaining, chosen) else chosen
     return LaneTrace(
@@ -148,7 +153,31 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         correlation=correlation,
         white_probability=chance,
         longer=_longer(search, growth.blocked) if not chosen.parts else 1.0,
+        closest=closest,
     )
+
+
+def _is_outdone(chosen: Scored, loose: Scored) -> bool:
+    """Whether effects only imitate what a correction without a name does.
+
+    One is the plainer of the two: only evidence as for an effect speaks against it. Two together must have that
+    evidence themselves: nearly any smooth curve is a sum of two effects.
+    """
+    if not chosen.parts or loose.is_idle:
+        return False
+    return chosen.over(loose)[0] < (-LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE)
+
+
+def is_ambiguous(lane: Lane, finding: Finding) -> bool:
+    """Whether other motion could show that an effect is of another kind than it seems.
+
+    It is tied with one of another kind; or it depends on the place, and the runs are so alike that what depends on
+    earlier commands looks the same.
+    """
+    own = finding.part.term.form.layer
+    if own == "force" and lane.repeats_one_motion:
+        return True
+    return any(form(name).layer != own for name in finding.tied if name not in finding.same)
 
 
 def _longer(search: Search, blocked: Scored | None) -> float:
@@ -199,7 +228,7 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
         same = indistinguishable(part, search.lane) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
-        found.append(Finding(replace(part, starts=values), interval, evidence, tied))
+        found.append(Finding(replace(part, starts=values), interval, evidence, tied, same))
     return tuple(sorted(found, key=lambda finding: -finding.evidence))
 
 

@@ -41,7 +41,7 @@ def runs_of(plant, count, rows, seed, *, noise=0.003, disturbance=0.001, goals=N
     return found
 
 
-def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None):
+def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None, press=0.0):
     """Poses of a handle 0.3 m from a vertical hinge, and chords of the commanded turns as actions.
 
     Args:
@@ -49,12 +49,14 @@ def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None):
             their own, as much at the handle.
         shape: (K,) angles to (K, 3) true places of the handle; a circle if None.
         turn: rotation matrix by which actions are turned before they are written.
+        press: std [m] of what the hand asks for across the motion, where the hinge does not let it go.
     """
-    rng = np.random.default_rng(seed)
+    rng, hand = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     columns = {name: [] for name in ("time", "position", "quaternion", "action", "run")}
     for number, (z, u) in enumerate(runs, start=1):
         place = _point if shape is None else shape
         action = place(z + u) - place(z)
+        action = action + press * hand.standard_normal((len(z), 1)) * np.stack([np.cos(z), np.sin(z), 0 * z], axis=1)
         action = action if turn is None else action @ turn.T
         action[-1] = np.nan
         beside = across * rng.standard_normal((len(z), 2))
@@ -122,6 +124,11 @@ def slow(c, u, k, memory):
 
 def weak(c, u, k, memory):
     return c + min(max(u, -0.025), 0.025)
+
+
+def tiring(c, u, k, memory):
+    """The larger a step, the smaller the share of it that is made."""
+    return c + u / (1.0 + 1.2 * abs(u) / STEP)
 
 
 def creeping(c, u, k, memory):

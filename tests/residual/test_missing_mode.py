@@ -72,16 +72,16 @@ def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
     assert missing_modes(lane, wandering, np.arange(len(lane.run)) % 4) == ()
 
 
-def test_calibration_names_it_with_its_place_and_what_to_do(door) -> None:
+def test_calibration_writes_it_into_the_automaton(door) -> None:
     found = calibrate(door, recorded(plants.short_far_out, 5))
-    assert found.verdict == "partly"
-    assert found.effects == ()
-    summary = calibrated(found, 0.0)
-    (mode,) = summary["missing_modes"]
+    (effect,) = found.effects
+    (mode,) = calibrated(found, 0.0)["missing_modes"]
     assert mode["from"] == pytest.approx(0.6, abs=0.05)
     assert mode["to"] is None
-    assert "has a mode that the model lacks" in mode["sentence"]
+    assert mode["modes"] == [one.name for one in found.automaton.modes[1:]] == list(effect.effect.modes)
+    assert "the new model has it as revolute from" in mode["sentence"]
+    assert effect.effect.name == "gain"
+    assert effect.effect.values[0] == pytest.approx(0.75, abs=0.02)
     assert any("mode that the model lacks" in note for note in found.notes)
-    assert "learn the model again" in found.experiment
     assert "Modes that are missing" in calibration_page(found, "door")
-    assert found.after.one_step < 0.8 * found.before.one_step
+    assert found.after.one_step < 1.1 * found.noise_floor < 0.8 * found.before.one_step

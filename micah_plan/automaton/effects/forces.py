@@ -15,7 +15,7 @@ class Spring(EffectForm):
     sentence = "The joint is pulled towards a rest position, the more the further it is from it."
     source = "Hogan, Impedance control, J. Dyn. Sys. Meas. Control 1985: equilibrium of a spring and a compliant hand"
     parameters = (
-        Parameter("stiffness", "1", 0.0, -0.9, 0.9),
+        Parameter("stiffness", "1", 0.0, 0.0, 0.9),
         Parameter("rest", "coordinate"),
         Parameter("ahead", "1", None, 0.0, 1.0),
     )

@@ -21,7 +21,7 @@ def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]
     for mode in automaton.modes:
         if not any(mode.input_matrix[coordinate]):
             continue
-        bounds = [_bound(h, coordinate) for h in mode.invariant.half_spaces]
+        bounds = [bound_of(h, coordinate) for h in mode.invariant.half_spaces]
         lows.append(max((value for value, is_lower in filter(None, bounds) if is_lower), default=-math.inf))
         highs.append(min((value for value, is_lower in filter(None, bounds) if not is_lower), default=math.inf))
     return (min(lows), max(highs)) if lows else (0.0, 0.0)
@@ -85,7 +85,7 @@ def _held(moving: Joint, at: float, before: Joint) -> Joint:
     return rigid(pose.translation, pose.rotation.as_quat(), at)
 
 
-def _bound(half_space: HalfSpace, coordinate: int) -> tuple[float, bool] | None:
+def bound_of(half_space: HalfSpace, coordinate: int) -> tuple[float, bool] | None:
     """Value and whether it is a lower bound, of a half-space on this coordinate alone."""
     along = [i for i, weight in enumerate(half_space.a) if weight]
     if along != [coordinate] or any(half_space.b):
@@ -124,7 +124,7 @@ def _moved_region(region: Region, i: int, old: float | None, by: float) -> Regio
     """The region with its half-spaces on coordinate i alone moved: those at `old`, or all if that is None."""
     rows = []
     for half_space in region.half_spaces:
-        bound = _bound(half_space, i)
+        bound = bound_of(half_space, i)
         if bound is None or (old is not None and abs(bound[0] - old) > _SAME):
             rows.append(half_space)
         else:

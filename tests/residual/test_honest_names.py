@@ -1,0 +1,73 @@
+"""A name is given only to what the recording can tell from everything else."""
+
+from __future__ import annotations
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import revolute
+from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.candidates import candidates, indistinguishable
+from micah_plan.residual.lane import lanes
+
+SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+TURN = np.array([[np.cos(0.6), np.sin(0.6), 0.0], [-np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def door():
+    """Swings from 0 to 1.2 rad."""
+    only = Segment(SWING, 0, 0, 99, 0.0, plants.LENGTH, (0.0, plants.LENGTH), 0.001, 0.003, 0.0, 1.0)
+    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (only,)),)))
+
+
+def lane_of(door, **how):
+    moved = plants.runs_of(plants.honest, 4, 40, 1, noise=0.001)
+    (lane,) = lanes(door, tracks(door, plants.door_recording(moved, **how)))
+    return lane, {part.name: part for part in candidates(lane)}
+
+
+def test_actions_that_follow_the_joint_say_nothing_of_their_frame(door) -> None:
+    for turn in (None, TURN):
+        lane, able = lane_of(door, turn=turn)
+        assert "frame_rotation" not in able
+        # Then a turn and a gain are the same.
+        assert "frame_rotation" in indistinguishable(able["gain"], lane)
+
+
+def test_actions_across_the_joint_tell_their_frame(door) -> None:
+    lane, able = lane_of(door, turn=TURN, press=0.3 * plants.RADIUS * plants.STEP)
+    assert "frame_rotation" in able
+    assert "frame_rotation" not in indistinguishable(able["gain"], lane)
+
+
+def test_a_curve_that_no_effect_has_gets_no_name(door) -> None:
+    found = calibrate(door, plants.door_recording(plants.runs_of(plants.tiring, 8, 40, 2, noise=0.001)))
+    assert found.verdict == "unexplained"
+    assert found.effects == ()
+    assert any("came closest" in note for note in found.notes)
+    assert found.after.one_step < 1.15 * found.noise_floor < 0.8 * found.before.one_step
+
+
+def alike(count, rows, seed):
+    """Runs of a sagging hinge that all make the same motion."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(count):
+        c, z = 0.1, []
+        for _ in range(rows):
+            z.append(c + 0.001 * rng.standard_normal())
+            c += 0.05 - 0.03 * np.cos(2.0 * c)
+        found.append((np.array(z), np.full(rows, 0.05)))
+    return found
+
+
+def test_runs_that_are_all_alike_do_not_tell_place_from_time(door) -> None:
+    found = calibrate(door, plants.door_recording(alike(6, 18, 0)))
+    assert found.traces[0].lane.repeats_one_motion
+    assert found.verdict != "explained"
+    lane, _ = lane_of(door)
+    assert not lane.repeats_one_motion
