@@ -116,11 +116,21 @@ def test_a_port_that_is_taken_is_bad_input(server: PageServer) -> None:
         PageServer(str, server.port)
 
 
+def listen_to_interrupts() -> None:
+    """Tests that run in the background of a shell ignore them, and so would the command that they start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 def test_the_command_serves_until_it_is_interrupted_and_ends_well(repository: Path) -> None:
     command = [sys.executable, "-W", "error", "-m", "micah_plan", "show", "models/drawer.yaml", "--live", "--json"]
     with subprocess.Popen(
-        command, cwd=repository, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command,
+        cwd=repository,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=listen_to_interrupts,
     ) as process:
         try:
             assert process.stdout is not None
