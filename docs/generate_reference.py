@@ -48,7 +48,7 @@ INTRODUCTIONS = {
         "Sweep file",
         "problems/sweeps/drawer.yaml",
         "What `micah-plan sweep` solves: problems, values to try in them, and seeds. See "
-        "[many at once](../concepts/sweep.md).",
+        "[many at once](../guides/sweep.md).",
     ),
     "plan": (
         "Plan file",

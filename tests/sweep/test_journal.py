@@ -97,6 +97,20 @@ def test_a_damaged_line_within_is_told_with_its_number(written: bytes, tmp_path:
         Journal(path)
 
 
+@settings(max_examples=100, deadline=None)
+@given(at=st.integers(0, 600), removed=st.integers(0, 20), put=st.binary(max_size=20))
+def test_a_damaged_journal_is_read_or_refused_in_one_line(
+    written: bytes, tmp_path_factory: pytest.TempPathFactory, at: int, removed: int, put: bytes
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / "r.csv.journal"
+    path.write_bytes(written[:at] + put + written[at + removed :])
+    try:
+        said = f"{len(read_journal(path))} finished"
+    except InputError as error:
+        said = str(error)
+    assert len(said.splitlines()) == 1
+
+
 def test_numbers_must_be_finite() -> None:
     data = json.loads(json.dumps(run_data(CaseRun(CaseResult("solved", "", cost=1.0)))))
     data["result"]["cost"] = float("inf")
