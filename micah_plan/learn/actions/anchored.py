@@ -61,7 +61,7 @@ def with_anchored_actions(
     local = (action @ first + 1j * (action @ second)) * np.exp(-1j * np.concatenate([calm for _, _, calm in found]))
     # A push and a pull have one direction: angles are doubled.
     doubled = local**2 / np.maximum(np.abs(local), 1e-300)
-    around = np.convolve(doubled, np.ones(2 * _NEAR + 1), mode="same")
+    around = np.convolve(doubled, np.ones(2 * _NEAR + 1))[_NEAR : _NEAR + len(doubled)]
     turned, weight = 0.5 * np.angle(doubled * around.conj()), np.abs(doubled) * np.abs(around)
     power = float(weight @ error**2)
     share = 0.0 if power == 0.0 else float(np.clip((weight * error) @ turned / power, 0.0, 1.0))
