@@ -73,5 +73,6 @@ def _read(mujoco: Any, description: RobotDescription) -> Any:
         spec.compile()
     except ValueError as error:
         said = " ".join(str(error).split())[:160]
-        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path) from None
+        remedy = "correct the file; meshes must be .stl or .obj"
+        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path, remedy=remedy) from None
     return spec

@@ -14,6 +14,7 @@ from micah_plan.execution.follower import PlanFollower
 from micah_plan.execution.trials import make_plant
 from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.recording.csv_file import read_csv, write_csv
+from micah_plan.robot.tool_path import ArmFailure
 
 TRACKER = {"position_noise": 0.003, "rotation_noise": 0.03}
 
@@ -148,6 +149,16 @@ def test_a_replan_without_result_keeps_the_old_plan_and_is_not_asked_for_ever():
     result = run(problem, pulling(), replan=asked.append)
     assert 1 <= len(asked) <= 5
     assert result.replans == 0
+
+
+def test_a_new_plan_that_the_arm_cannot_follow_is_refused_and_told():
+    problem = replace(PULL, start=Start((0.15,), (0.01,)))
+    ahead = straight(["sliding"] * 5, list(np.linspace(0.15, 0.25, 5)), 0.002)
+    stuck = ArmFailure(2, "joint limit", ("elbow",), 0.1, "joint limit of 'elbow' (upper)", "")
+    result = run(problem, pulling(), replan=lambda _: ahead, ask_arm=lambda *_: stuck, max_steps=4)
+    assert result.replans == 0
+    assert set(result.refusals) == {"the arm cannot follow: joint limit of 'elbow' (upper)"}
+    assert "the last because the arm cannot follow: joint limit of 'elbow' (upper)" in result.reason
 
 
 def test_a_late_transition_is_waited_for():
