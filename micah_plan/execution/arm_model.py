@@ -13,6 +13,7 @@ from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.checked_robot import NO_LIMIT
 from micah_plan.robot.load_arm import check_robot
+from micah_plan.robot.solids import mesh_hulls
 from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.scene.robot_description import RobotDescription
 
@@ -30,7 +31,7 @@ def attach_arm(mujoco: Any, world: Any, description: RobotDescription, arm: Arm,
     Raises:
         InputError: if MuJoCo cannot use the robot's file.
     """
-    robot = _read(mujoco, description)
+    robot = _read(mujoco, description, arm)
     for body in robot.bodies:
         body.gravcomp = 1.0
     for geom in robot.geoms:
@@ -58,14 +59,19 @@ def fix_to_tool(world: Any, tool: str, body: Any, pose: RigidTransform, prefix: 
     holder.attach_body(body, prefix, "")
 
 
-def _read(mujoco: Any, description: RobotDescription) -> Any:
+def _read(mujoco: Any, description: RobotDescription, arm: Arm) -> Any:
     checked = check_robot(description)
     root = parse_xml(checked.text, description.path)
     if checked.kind == "urdf":  # its meshes have whole paths
         options = Element("compiler", {"strippath": "false"}, root.line)
         root.children.append(Element("mujoco", {}, root.line, [options]))
+    hulls = mesh_hulls(arm)
     try:
         spec = mujoco.MjSpec.from_string(write_xml(root))
+        for mesh in spec.meshes:  # the hulls that planning has, whatever the format of the file
+            hull = hulls.get((mesh.file, tuple(mesh.scale)))
+            if hull is not None:
+                mesh.file, mesh.scale, mesh.uservert = "", np.ones(3), hull.ravel()
         # Links that are fixed to each other are merged otherwise, and the tool with them.
         spec.compiler.fusestatic = False
         spec.compiler.balanceinertia = True
@@ -73,6 +79,5 @@ def _read(mujoco: Any, description: RobotDescription) -> Any:
         spec.compile()
     except ValueError as error:
         said = " ".join(str(error).split())[:160]
-        remedy = "correct the file; meshes must be .stl or .obj"
-        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path, remedy=remedy) from None
+        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path) from None
     return spec

@@ -65,6 +65,12 @@ def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     return tuple(found)
 
 
+def mesh_hulls(arm: Arm) -> dict[tuple[str, Vector3], Floats]:
+    """(k, 3) corners [m] of the convex hulls that stand for the robot's meshes, scaled, by file and scale."""
+    meshes = [item for item in arm.geometry.geometryObjects if isinstance(item.geometry, coal.ConvexBase)]
+    return {(item.meshPath, _vector(item.meshScale)): _corners(item.geometry) for item in meshes if item.meshPath}
+
+
 def _drawn(geometry: Any, position: Vector3, quaternion: Quaternion, color: str) -> Shape:
     if isinstance(geometry, coal.Box):
         return Primitive("box", _vector(2 * geometry.halfSide), position, quaternion, color)

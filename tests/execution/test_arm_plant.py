@@ -126,6 +126,22 @@ def test_joints_that_do_not_move_the_tool_stay(problem, posture):
     plant.close()
 
 
+def test_meshes_are_the_hulls_that_planning_has_in_formats_that_mujoco_does_not_read(problem, posture, tmp_path):
+    corners = [(x, y, z) for x in (-0.025, 0.025) for y in (-0.095, 0.095) for z in (-0.03, 0.03)]
+    faces = ("0 1 3 2", "4 6 7 5", "0 4 5 1", "2 3 7 6", "0 2 6 4", "1 5 7 3")
+    lines = ["OFF", "8 6 0", *(f"{x} {y} {z}" for x, y, z in corners), *(f"4 {face}" for face in faces)]
+    (tmp_path / "palm.off").write_text("\n".join(lines) + "\n")
+    before, box, after = problem.robot.text.rpartition('<box size="0.05 0.19 0.06"/>')
+    robot = replace(problem.robot, text=f'{before}<mesh filename="palm.off"/>{after}', folder=str(tmp_path))
+    assert box
+    plant = HeldPlant(replace(problem, robot=robot), posture=posture)
+    assert plant._model.nmesh == 1
+    np.testing.assert_allclose(np.sort(np.abs(plant._model.mesh_vert), axis=None)[-8:], 0.095, atol=1e-6)
+    plant.reset(np.random.default_rng(11))
+    assert plant.truth().incident == ""
+    plant.close()
+
+
 def test_a_robot_that_mujoco_cannot_use_is_one_line(problem, posture):
     heavy = problem.robot.text.replace('ixx="0.0184682"', 'ixx="-1"')
     with pytest.raises(InputError, match="MuJoCo cannot use the robot"):
