@@ -9,6 +9,7 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem
 
 from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries, with_shifted_thresholds
+from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.limits import limits_of
@@ -94,6 +95,10 @@ def test_the_programme_kept_answers_as_a_new_one(problem: Problem, knots: tuple[
         costs = [cost_of(here, limits, found) for found in (followed, new)]
         assert costs[0] == pytest.approx(costs[1], rel=0.03, abs=1e-4)
         assert np.abs(followed.means - new.means).max() < 0.3 * limits.max_step.max()
+        if not any(q.pins for q in problem.automaton.modes):  # else the belief's mean moves to the pin only in part
+            inputs = followed.inputs[~followed.is_transition]
+            driven = simulate(problem.automaton, mode, followed.means[0].tolist(), inputs)
+            np.testing.assert_allclose(followed.means[[0, *(time_knots(followed) + 1)]], driven.states, atol=1e-6)
     assert (horizon.kept, horizon.built) == (len(knots), 0)
 
 
