@@ -152,9 +152,10 @@ def _sample_guard(
     before += list(_draw(states, automaton.mode(edge.source), landmarks, rng, count))
     pairs: dict[tuple[int, int], None] = {}
     for x in (_on_boundary(states, edge, x) for x in before):
-        after = _after(problem, edge, x)
+        # Also where the edge leads nowhere: it is in the way, and a corridor beside it needs states.
+        number, after = modes[edge.source].add(x), _after(problem, edge, x)
         if modes[edge.target].states.contains(after):
-            pairs[modes[edge.source].add(x), modes[edge.target].add(after)] = None
+            pairs[number, modes[edge.target].add(after)] = None
     return np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
 
 

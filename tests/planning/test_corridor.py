@@ -12,7 +12,7 @@ from planning_examples import planar_problem, with_settings
 from scipy.sparse.csgraph import connected_components
 
 from micah_plan.automaton.hybrid import Edge
-from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.mode_motion import motions_of
 from micah_plan.planning.mode_search import roadmap_of, search_modes
@@ -78,7 +78,12 @@ def test_faces_lead_through_windows_of_bodies_where_uniform_states_and_bridges_d
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     script = importlib.import_module("corridors")
-    states, found = script.counts(script.corridor(3, 2, 0.03), samples=32, seeds=4)
-    assert states < 100
-    assert (found["faces"], found["uniform"], found["bridges"]) == (4, 0, 0)
+    windows = script.corridor(3, 2, 0.03)
+    free, stuck = windows.automaton.modes
+    nowhere = replace(stuck, invariant=box([5.0] * 3, [6.0] * 3, 3, ["x0", "x1", "x2"]))
+    leads_nowhere = replace(windows, automaton=replace(windows.automaton, modes=(free, nowhere)))
+    for problem in (windows, leads_nowhere):
+        states, found = script.counts(problem, samples=32, seeds=3)
+        assert states < 100
+        assert (found["faces"], found["uniform"], found["bridges"]) == (3, 0, 0)
     assert script.counts(script.corridor(2, 2, 0.03), samples=128, seeds=4)[1]["bridges"] >= 2
