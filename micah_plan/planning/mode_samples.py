@@ -235,8 +235,9 @@ def _at(states: Polytope, held: Booleans, x: Floats) -> Polytope | None:
 
 def _held(mode: Mode) -> Booleans:
     """(n,) the coordinates that a mode neither moves nor pins."""
-    pinned = np.isin(np.arange(len(mode.B)), [pin.coordinate for pin in mode.pins])
-    return np.asarray(~mode.B.any(axis=1) & ~pinned)
+    held = np.asarray(~mode.B.any(axis=1))
+    held[[pin.coordinate for pin in mode.pins]] = False
+    return held
 
 
 def _after(problem: Problem, edge: Edge, x: Floats) -> Floats:

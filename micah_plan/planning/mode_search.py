@@ -188,9 +188,10 @@ def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
     for number, state in enumerate(states):
         numbers.setdefault((state + 0.0).tobytes(), number)
     grown, links = _grow_prm(states[list(numbers.values())] + 0.0, deadline)
-    vertices = [numbers[state.tobytes()] for state in grown]
-    pairs = {(vertices[i], vertices[j]) for i, j in links}
-    return np.array(sorted(pairs | {(j, i) for i, j in pairs}), dtype=np.int64).reshape(-1, 2)
+    vertices = np.array([numbers[state.tobytes()] for state in grown], dtype=np.int64)
+    pairs = vertices[np.array(links, dtype=np.int64).reshape(-1, 2)]
+    both = np.concatenate([pairs, pairs[:, ::-1]]) @ [len(points), 1]
+    return np.stack(np.divmod(np.unique(both), len(points)), axis=1)
 
 
 def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[int, int]]]:
