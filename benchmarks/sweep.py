@@ -47,6 +47,7 @@ class Run:
         seconds: wall-clock time from start to table [s].
         cpu_seconds: of all processes that ended by themselves or with the run [s].
         cases_per_second: over the wall-clock time.
+        busy: share of that time that a worker spent on cases that were finished, on average over the workers.
         same: whether its table is that of the first run, byte for byte.
         repeated: cases that the journal has twice.
     """
@@ -55,6 +56,7 @@ class Run:
     seconds: float
     cpu_seconds: float
     cases_per_second: float
+    busy: float
     same: bool
     repeated: int
 
@@ -125,9 +127,11 @@ def _run(folder: Path, number: int, way: Way, cases: int) -> Run:
     if len(set(keys)) != cases:
         sys.exit(f"{way.name}: {len(set(keys))} of {cases} cases are in the journal")
     same = output.read_bytes() == (folder / "0.csv").read_bytes()
-    run = Run(way.name, seconds, _cpu_seconds() - cpu, cases / seconds, same, len(keys) - len(set(keys)))
+    busy = _solving_seconds(folder / f"{number}.timings.csv") / (seconds * (way.dask_workers or int(way.options[1])))
+    run = Run(way.name, seconds, _cpu_seconds() - cpu, cases / seconds, busy, same, len(keys) - len(set(keys)))
     print(
-        f"{run.name:<28} {run.seconds:7.1f} s {run.cpu_seconds:7.1f} s CPU {run.cases_per_second:6.2f} cases/s  "
+        f"{run.name:<28} {run.seconds:7.1f} s {run.cpu_seconds:7.1f} s CPU {run.cases_per_second:6.2f} cases/s "
+        f"{100 * run.busy:4.0f} % busy  "
         f"{'same bytes' if run.same else 'OTHER BYTES'}, {run.repeated} repeated",
         flush=True,
     )
@@ -186,6 +190,12 @@ def _cpu_seconds() -> float:
     """Of all processes that this one started and that have ended, and of theirs [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
+
+
+def _solving_seconds(timings: Path) -> float:
+    """Over all cases, from loading to the result [s]."""
+    with timings.open(newline="") as file:
+        return sum(float(row["total_s"]) for row in csv.DictReader(file))
 
 
 def _outcomes(table: Path) -> Counter[str]:

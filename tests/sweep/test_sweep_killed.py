@@ -44,11 +44,22 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
     return folder / "sweep.yaml", (folder / "r.csv").read_bytes()
 
 
+def listen_to_interrupts() -> None:
+    """Tests that run in the background of a shell ignore them, and so would the command that they start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start(sweep: Path, output: Path, *options: str) -> subprocess.Popen[str]:
     """The command, leader of a process group of its own, as a terminal starts it."""
     command = [sys.executable, "-m", "micah_plan", "sweep", str(sweep), "-o", str(output), *options]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0, cwd=output.parent
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        process_group=0,
+        cwd=output.parent,
+        preexec_fn=listen_to_interrupts,
     )
 
 
