@@ -24,6 +24,7 @@ from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.pure_error import correctable_share
 from micah_plan.residual.simulation import GATES, Kind
 from micah_plan.residual.trace import Finding, LaneTrace, is_ambiguous, trace
 from micah_plan.residual.verdict import Verdict, overall
@@ -298,6 +299,12 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
             )
         if abs(one.correlation) > 0.25:
             notes.append(f"{name}: what remains is correlated in time ({one.correlation:.2f} from step to step)")
+            able = correctable_share(lane, one.search.errors(one.final, "one_step"))
+            if able is not None:
+                notes.append(
+                    f"{name}: steps from alike places with alike commands still differ: no correction of mode, "
+                    f"configuration, direction and speed could take out more than {100 * able:.0f} % of squared errors"
+                )
     return tuple(notes)
 
 

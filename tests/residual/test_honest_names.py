@@ -13,6 +13,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.candidates import candidates, indistinguishable
 from micah_plan.residual.lane import lanes
+from micah_plan.residual.pure_error import correctable_share
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 TURN = np.array([[np.cos(0.6), np.sin(0.6), 0.0], [-np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
@@ -51,6 +52,18 @@ def test_a_curve_that_no_effect_has_gets_no_name(door) -> None:
     assert found.effects == ()
     assert any("came closest" in note for note in found.notes)
     assert found.after.one_step < 1.15 * found.noise_floor < 0.8 * found.before.one_step
+
+
+@pytest.mark.parametrize(
+    ("plant", "low", "high"), [("swaying", 0.0, 0.2), ("rippled", 0.55, 0.8), ("honest", 0.0, 0.1)]
+)
+def test_what_a_correction_could_take_out_is_told_from_alike_steps(door, plant, low, high) -> None:
+    """Of squared errors of which noise makes a fourth where the plant is not honest."""
+    moved = plants.runs_of(getattr(plants, plant), 10, 50, 2, noise=0.0024, disturbance=0.0008)
+    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
+    errors = np.zeros_like(lane.z)
+    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, plants.LENGTH)[:, :-1]
+    assert low <= correctable_share(lane, errors * lane.counted) <= high
 
 
 def alike(count, rows, seed):
