@@ -26,7 +26,7 @@ from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.pure_error import correctable_share
 from micah_plan.residual.simulation import GATES, Kind
-from micah_plan.residual.trace import Finding, LaneTrace, is_ambiguous, trace
+from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
 Floats = NDArray[np.float64]
@@ -136,7 +136,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     found.sort(key=lambda effect: -effect.evidence)
     improved = with_effect(corrected, *_to_add(traces))
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
-    floor = _together([one.search.noise_floor(one.final) for one in traces], traces)
+    # The better of what was added and what was only found: what is left out is no noise.
+    floor = _together([min(map(one.search.noise_floor, (one.final, one.chosen))) for one in traces], traces)
     if geometry:
         before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
         across, arm = scatter_across(corrected, measured)
@@ -186,9 +187,16 @@ def _found(lane: Lane, finding: Finding) -> FoundEffect:
         ),
         sentence=own.sentence,
         source=own.source,
-        experiment=experiments.separating(own.name, finding.tied[0]) if finding.tied else "",
+        experiment=_experiment(lane, finding),
         is_added=finding.is_added,
     )
+
+
+def _experiment(lane: Lane, finding: Finding) -> str:
+    """What would tell an effect from those it may be taken for; empty if there are none."""
+    if finding.tied:
+        return experiments.separating(finding.part.name, finding.tied[0])
+    return experiments.for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
 
 
 def _geometry_effect(effect: Effect, std: Sequence[float], evidence: float) -> FoundEffect:
@@ -284,15 +292,16 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
         notes += [f"{mode} ({mode.evidence:.0f} nats over any gradual change)" for mode in one.missing_modes]
-        left_out = [finding.part.name for finding in one.findings if not finding.is_added]
-        if left_out:
+        left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
+        if left_out and any(may_remember(lane, finding) for finding in one.findings):
             notes.append(
-                f"{name}: {' and '.join(left_out)} was not added: single steps get better but the roll-out worse "
+                f"{name}: {left_out} was not added: with runs like these it may as well come from earlier commands"
+            )
+        elif left_out:
+            notes.append(
+                f"{name}: {left_out} was not added: single steps get better but the roll-out worse "
                 f"(x {one.longer:.2f}), so something else is missing as well"
             )
-        unsure = " and ".join(finding.part.name for finding in one.findings if is_ambiguous(lane, finding))
-        if unsure and lane.repeats_one_motion:
-            notes.append(f"{name}: all runs are alike, so {unsure} may come from the place or from earlier commands")
         if one.closest:
             notes.append(
                 f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"

@@ -36,6 +36,11 @@ def separating(one: str, other: str) -> str:
     return known or f"vary size and direction of the commands over the whole range, to tell {one} from {other}"
 
 
+def for_alike_runs(name: str) -> str:
+    """The experiment where all runs make the same motion."""
+    return f"start elsewhere, and stop on the way: if it is {name}, only the place matters and not what went before"
+
+
 def for_unexplained(where: str) -> str:
     """The experiment for what no effect explains."""
     return f"repeat slow and fast motions in both directions {where}, with rests in between"

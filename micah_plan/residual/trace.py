@@ -57,7 +57,8 @@ class Finding:
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place; same: those of them that do exactly the same in
             all motion that this recording has.
-        is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse.
+        is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse, nor if it
+            may as well come from earlier commands.
     """
 
     part: Candidate
@@ -135,9 +136,12 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     is_left = is_worth(remaining, chosen, lane)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, named, growth.alternatives)
-    is_suspect = is_wandering or named is not chosen or bool(modes) or any(is_ambiguous(lane, one) for one in findings)
+    is_suspect = is_wandering or named is not chosen or bool(modes) or any(_is_ambiguous(lane, one) for one in findings)
     fraction = 0.0 if modes else _fraction_left(search.nominal, named, [loose, remaining])
+    is_added = named is chosen and not any(may_remember(lane, one) for one in findings)
     final = remaining if is_left and shortens(search, remaining, chosen) else chosen
+    if findings and not is_added:
+        final = search.nominal
     return LaneTrace(
         lane=lane,
         search=search,
@@ -145,7 +149,7 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         chosen=chosen,
         remaining=remaining,
         final=final,
-        findings=tuple(replace(finding, is_added=named is chosen) for finding in findings),
+        findings=tuple(replace(finding, is_added=is_added) for finding in findings),
         ranking=tuple(ranking),
         missing_modes=modes,
         verdict=verdict(len(named.parts) + len(modes), is_left, is_suspect, fraction),
@@ -168,16 +172,26 @@ def _is_outdone(chosen: Scored, loose: Scored) -> bool:
     return chosen.over(loose)[0] < (-LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE)
 
 
-def is_ambiguous(lane: Lane, finding: Finding) -> bool:
-    """Whether other motion could show that an effect is of another kind than it seems.
+def _is_ambiguous(lane: Lane, finding: Finding) -> bool:
+    """Whether other motion could show that an effect is of another kind than it seems."""
+    own = finding.part.term.form.layer
+    return may_remember(lane, finding) or any(form(name).layer != own for name in _rivals(finding))
 
-    It is tied with one of another kind; or it depends on the place, and the runs are so alike that what depends on
-    earlier commands looks the same.
+
+def may_remember(lane: Lane, finding: Finding) -> bool:
+    """Whether it is open if an effect comes from this command or from earlier ones.
+
+    It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
+    earlier commands looks the same. What a wrong guess does to a plan is worse than doing nothing.
     """
     own = finding.part.term.form.layer
     if own == "force" and lane.repeats_one_motion:
         return True
-    return any(form(name).layer != own for name in finding.tied if name not in finding.same)
+    return any((form(name).layer == "memory") != (own == "memory") for name in _rivals(finding))
+
+
+def _rivals(finding: Finding) -> list[str]:
+    return [name for name in finding.tied if name not in finding.same]
 
 
 def _longer(search: Search, blocked: Scored | None) -> float:
@@ -196,7 +210,9 @@ def _silent(message: str, fraction: float) -> None:
 def _smoothed(search: Search, base: Scored) -> Scored:
     """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
     lane = search.lane
-    kinds = (True, False) if lane.counted.sum() >= _ROWS_FOR_SMOOTH else (True,)
+    # Where all runs are alike a function of the place could be one of time.
+    is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
+    kinds = (True, False) if is_enough else (True,)
     return ranked([search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds])[0]
 
 

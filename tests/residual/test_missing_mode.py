@@ -73,7 +73,7 @@ def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
 
 
 def test_calibration_writes_it_into_the_automaton(door) -> None:
-    found = calibrate(door, recorded(plants.short_far_out, 5))
+    found = calibrate(door, recorded(plants.short_far_out, 5, runs=6))
     (effect,) = found.effects
     (mode,) = calibrated(found, 0.0)["missing_modes"]
     assert mode["from"] == pytest.approx(0.6, abs=0.05)
