@@ -201,6 +201,12 @@ def test_a_new_plan_starts_where_the_arm_is_or_is_refused(problem, posture):
     assert len(pilot.refusals) == 1
 
 
-def test_parameters_of_the_arm_are_numbers_that_make_sense(problem):
+def test_a_problem_file_sets_the_parameters_of_a_held_object(problem):
+    changed = load_problem(PROBLEM, {"plant.joint_friction": 0.3, "plant.joint_deflection": 0.04, "plant.mass": 0.2})
+    stated = held_parameters(changed)
+    assert (stated.joint_friction, stated.joint_deflection, stated.mass) == (0.3, 0.04, 0.2)
+    assert stated.pivot_stiffness == held_parameters(problem).pivot_stiffness
+    with pytest.raises(InputError, match="unknown plant parameter 'latch_force'"):
+        held_parameters(load_problem(PROBLEM, {"plant.latch_force": 5.0}))
     with pytest.raises(InputError, match="joint_deflection"):
-        replace(held_parameters(problem), joint_deflection=float("nan"))
+        replace(stated, joint_deflection=float("nan"))
