@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,9 @@ from micah_plan.cli.console import title_of
 from micah_plan.errors import InputError
 from micah_plan.spec.model_file import load_model
 from micah_plan.spec.problem_file import load_problem
+from micah_plan.spec.sweep_file import load_sweep
 from micah_plan.spec.yaml_lines import read_yaml
+from micah_plan.sweep.run import run_sweep
 from micah_plan.templates.effect import SpeedDrag
 from micah_plan.templates.first_problem import first_problem
 from micah_plan.templates.write import write_template
@@ -35,6 +38,16 @@ def test_the_problem_solves_as_it_is(tmp_path: Path, kind: str, modes: tuple[str
     assert plan.outcome == "solved"
     assert tuple(dict.fromkeys(plan.mode_sequence)) == modes
     assert (plan.arm is not None) is has_arm
+
+
+@pytest.mark.slow
+def test_the_sweep_runs_as_it_is(tmp_path: Path) -> None:
+    write_template("sweep", tmp_path)
+    with ThreadPoolExecutor(1) as executor:
+        done = run_sweep(load_sweep(tmp_path / "sweep.yaml"), tmp_path / "results.csv", executor=executor)
+    assert len(done.results) == 12
+    assert {result.outcome for result in done.results} == {"solved"}
+    assert sum(result.successes or 0 for result in done.results) > 50
 
 
 def test_what_the_comment_on_the_guard_says_is_so(tmp_path: Path) -> None:
