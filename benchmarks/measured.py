@@ -60,13 +60,25 @@ def row(name: str, found: Calibration) -> str:
     sizes = (found.before.one_step, found.after.one_step, found.noise_floor, found.before.rollout, found.after.rollout)
     said = "; ".join(described(one) for one in found.effects) or "nothing with a name"
     modes = "".join(f"; {mode}" for one in found.traces for mode in one.missing_modes)
+    sizes += (final_error(found, is_after=False), final_error(found, is_after=True))
     return f"| {name} | {found.verdict} | {said}{modes} | " + " | ".join(f"{size:.2g}" for size in sizes) + " |"
+
+
+def final_error(found: Calibration, *, is_after: bool) -> float:
+    """Mean size of the roll-out's error in the last row of each stretch, held out from the fit [rad or m]."""
+    ends = []
+    for one in found.traces:
+        errors = one.search.errors(one.final if is_after else one.nominal, "rollout")
+        last = one.lane.counted.shape[1] - 1 - np.argmax(one.lane.counted[:, ::-1], axis=1)
+        ends.append(np.abs(errors[np.arange(len(last)), last]))
+    return float(np.mean(np.concatenate(ends)))
 
 
 def main() -> None:
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
-    print("| recording | verdict | what was found | one step before | after | floor | roll-out before | after |")
-    print("| --- " * 8 + "|")
+    head = "recording | verdict | what was found | one step before | after | floor | roll-out before | after"
+    print(f"| {head} | final before | after |")
+    print("| --- " * 10 + "|")
     for path in sorted((data / "executions").rglob("*.csv")):
         recording = read_recording(path)
         print(row(path.stem, calibrate(model_of(path.stem, recording), recording)), flush=True)
