@@ -55,8 +55,7 @@ class Finding:
         part: its term and parameters, gates included; those that were fitted are medians.
         interval: (size, 2) at `interval.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
-        tied: names of other effects that would do as well in its place; same: those of them that do exactly the same in
-            all motion that this recording has.
+        tied: names of other effects that would do as well in its place.
         is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse, nor if it
             may as well come from earlier commands.
     """
@@ -65,7 +64,6 @@ class Finding:
     interval: Floats
     evidence: float
     tied: tuple[str, ...]
-    same: tuple[str, ...] = ()
     is_added: bool = True
 
 
@@ -136,11 +134,12 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     is_left = is_worth(remaining, chosen, lane)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, named, growth.alternatives)
-    is_suspect = is_wandering or named is not chosen or bool(modes) or any(_is_ambiguous(lane, one) for one in findings)
+    is_open = any(may_remember(lane, one) for one in findings)
+    is_suspect = is_wandering or named is not chosen or bool(modes) or is_open
     fraction = 0.0 if modes else _fraction_left(search.nominal, named, [loose, remaining])
-    is_added = named is chosen and not any(may_remember(lane, one) for one in findings)
+    is_added = named is chosen and not is_open
     final = remaining if is_left and shortens(search, remaining, chosen) else chosen
-    if findings and not is_added:
+    if is_open:
         final = search.nominal
     return LaneTrace(
         lane=lane,
@@ -172,12 +171,6 @@ def _is_outdone(chosen: Scored, loose: Scored) -> bool:
     return chosen.over(loose)[0] < (-LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE)
 
 
-def _is_ambiguous(lane: Lane, finding: Finding) -> bool:
-    """Whether other motion could show that an effect is of another kind than it seems."""
-    own = finding.part.term.form.layer
-    return may_remember(lane, finding) or any(form(name).layer != own for name in _rivals(finding))
-
-
 def may_remember(lane: Lane, finding: Finding) -> bool:
     """Whether it is open if an effect comes from this command or from earlier ones.
 
@@ -187,11 +180,7 @@ def may_remember(lane: Lane, finding: Finding) -> bool:
     own = finding.part.term.form.layer
     if own == "force" and lane.repeats_one_motion:
         return True
-    return any((form(name).layer == "memory") != (own == "memory") for name in _rivals(finding))
-
-
-def _rivals(finding: Finding) -> list[str]:
-    return [name for name in finding.tied if name not in finding.same]
+    return any((form(name).layer == "memory") != (own == "memory") for name in finding.tied)
 
 
 def _longer(search: Search, blocked: Scored | None) -> float:
@@ -244,7 +233,7 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
         same = indistinguishable(part, search.lane) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
-        found.append(Finding(replace(part, starts=values), interval, evidence, tied, same))
+        found.append(Finding(replace(part, starts=values), interval, evidence, tied))
     return tuple(sorted(found, key=lambda finding: -finding.evidence))
 
 
