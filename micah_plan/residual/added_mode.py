@@ -14,14 +14,17 @@ from micah_plan.residual.lane import lanes
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.trace import LaneTrace, trace
 
+# A piece between changepoints is a line in the command.
+_AS_FOUND = ("gain", "bias")
+
 
 def with_missing_modes(
     automaton: HybridAutomaton, traces: tuple[LaneTrace, ...], measured: Sequence[Track]
 ) -> tuple[HybridAutomaton, tuple[LaneTrace, ...]]:
     """The automaton with the modes that traces miss, and the traces on it, if that is clear.
 
-    It is if effects in the new modes alone predict held-out rows no worse than the correction without a name that would
-    stand in their place. Else both are as given.
+    It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
+    the correction without a name that would stand in their place. Else both are as given.
     """
     split = automaton
     for one in traces:
@@ -40,7 +43,8 @@ def with_missing_modes(
 def _is_clear(old: LaneTrace, new: LaneTrace) -> bool:
     if not old.missing_modes:
         return True
-    is_inside = any(part.term.modes for part in new.chosen.parts)
+    parts = new.chosen.parts
+    is_inside = bool(parts) and all(part.term.modes and part.name in _AS_FOUND for part in parts)
     return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
 
 
