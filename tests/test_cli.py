@@ -211,7 +211,7 @@ def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):
             ("predict", "models/drawer.yaml", "examples/demonstrations/microwave.csv"),
             ["microwave.csv", "drawer", "door"],
         ),
-        (("predict", "problems/drawer_open.yaml", "examples/demonstrations/drawer.csv"), ["drawer_open.yaml", "model"]),
+        (("predict", "models/parts/drawer.yaml", "examples/demonstrations/drawer.csv"), ["parts/drawer.yaml", "model"]),
         (("execute", "models/drawer.yaml", "-o", "runs.csv"), ["drawer.yaml"]),
         (("show", "README.md", "-o", "page.html"), ["README.md"]),
     ],
