@@ -72,6 +72,7 @@ def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
     assert missing_modes(lane, wandering, np.arange(len(lane.run)) % 4) == ()
 
 
+@pytest.mark.slow
 def test_calibration_writes_it_into_the_automaton(door) -> None:
     found = calibrate(door, recorded(plants.short_far_out, 5, runs=6))
     (effect,) = found.effects
