@@ -6,30 +6,10 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
-from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import revolute, rigid
-from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.view.calibration_page import calibration_page
-
-SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
-
-
-@pytest.fixture
-def door():
-    """Swings from 0 to 1.2 rad and is rigid there."""
-    end = plants.LENGTH
-    shut = forward(SWING, end)[0]
-    held = rigid(shut.translation, shut.rotation.as_quat(), end)
-
-    def segment(joint, start, first):
-        return Segment(joint, 0, first, first + 9, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
-
-    edge = KinematicEdge(BASE, "door", (segment(SWING, 0.0, 0), segment(held, end, 10)))
-    return build_automaton(KinematicGraph((edge,)))
 
 
 def found_in(door, plant, *, runs=8, rows=40, seed=3):

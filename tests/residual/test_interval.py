@@ -6,28 +6,11 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
-from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import revolute, rigid
-from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.candidates import candidates
 from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import lanes
 from micah_plan.residual.search import Search
-
-SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
-
-
-@pytest.fixture(scope="module")
-def door():
-    """Swings from 0 to 1.2 rad and is rigid there."""
-    end = plants.LENGTH
-    shut = forward(SWING, end)[0]
-    held = rigid(shut.translation, shut.rotation.as_quat(), end)
-    rows = [(SWING, 0.0, 0), (held, end, 10)]
-    segments = [Segment(j, 0, k, k + 9, at, end, (at, end), 0.001, 0.003, 0.0, 1.0) for j, at, k in rows]
-    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", tuple(segments)),)))
 
 
 def interval_of(door, plant, name, seed, goals=None):

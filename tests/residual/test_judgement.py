@@ -6,27 +6,11 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
-from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import revolute, rigid
-from micah_plan.automaton.kinematics import forward
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.prediction import predict_recording, rmse
 
-SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 NOISE, MOVED = 0.004, 0.001
-
-
-@pytest.fixture(scope="module")
-def door():
-    """Swings from 0 to 1.2 rad and is rigid there."""
-    end = plants.LENGTH
-    shut = forward(SWING, end)[0]
-    held = rigid(shut.translation, shut.rotation.as_quat(), end)
-    rows = [(SWING, 0.0, 0), (held, end, 10)]
-    segments = [Segment(j, 0, k, k + 9, at, end, (at, end), 0.001, 0.003, 0.0, 1.0) for j, at, k in rows]
-    return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", tuple(segments)),)))
 
 
 def judged(door, plant, *, runs=10, rows=50, seed=0, goals=None):
