@@ -20,18 +20,20 @@ import numpy as np
 
 from micah_plan import workflow
 from micah_plan.automaton.hybrid import Noise
+from micah_plan.documents.model_file import load_model
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.closed_loop import execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.execution.scoring import goal_error, true_state
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
-from micah_plan.planning.verification import is_in_goal
+from micah_plan.execution.scoring import true_state
 from micah_plan.recording.value import Recording
-from micah_plan.spec.model_file import load_model
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 ROOT = Path(__file__).resolve().parents[1]
 TRIALS = 4
@@ -179,8 +181,8 @@ def executed(problem: Problem, plan: Plan, plant: Tampered, seeds: range) -> Rou
         for _ in range(WAIT):
             plant.apply(still)
         mode, x = true_state(problem.automaton, plant.truth())
-        errors.append(goal_error(problem.goal, x))
-        successes += is_in_goal(problem.goal, mode, x)
+        errors.append(problem.goal.error(x))
+        successes += problem.goal.contains(mode, x)
         logs.append(result.recording)
     return Round(np.array(errors), successes, concatenated(logs))
 

@@ -27,12 +27,15 @@ from objects import DOOR_OPEN, drawer, microwave  # noqa: E402
 from saving import add_json, save_json  # noqa: E402
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
+from micah_plan.documents.model_file import load_model  # noqa: E402
 from micah_plan.execution.mujoco_plant import MujocoPlant  # noqa: E402
 from micah_plan.execution.physical_parameters import PhysicalParameters  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
 from micah_plan.planning.pomdp_hd import replan  # noqa: E402
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start  # noqa: E402
-from micah_plan.spec.model_file import load_model  # noqa: E402
+from micah_plan.task.goal import Goal  # noqa: E402
+from micah_plan.task.problem import Problem  # noqa: E402
+from micah_plan.task.settings import PlannerSettings  # noqa: E402
+from micah_plan.task.start import Start  # noqa: E402
 from micah_plan.workflow import solve  # noqa: E402
 
 TRACKER = {"position_noise": 0.003, "rotation_noise": 0.03, "position_wander": 0.001, "rotation_wander": 0.01}

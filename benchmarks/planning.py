@@ -33,14 +33,15 @@ from processor_clock import time_by_processor
 from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.scoring import goal_probability
+from micah_plan.planning.baselines.open_loop import cost_of
 from micah_plan.planning.explain import explain
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.nominal import cost_of
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Method, Problem
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Method
 from micah_plan.workflow import execute, solve
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -101,8 +102,8 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
         verify=times.get("verify", 0.0),
     )
     if plan.trajectory is None:
-        obstacles = explain(problem, plan).obstacles
-        return replace(basis, reason=obstacles[0].sentence if obstacles else plan.reason)
+        findings = explain(problem, plan).findings
+        return replace(basis, reason=findings[0].sentence if findings else plan.reason)
     begin = process_time()
     ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
     spent = process_time() - begin

@@ -22,7 +22,10 @@ from processor_clock import time_by_processor
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, below, box, input_above
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 from micah_plan.workflow import solve
 
 OPEN, TOLERANCE = 0.5, 0.05

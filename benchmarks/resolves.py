@@ -22,22 +22,22 @@ import numpy as np
 from planning_growth import cabinet_problem
 from saving import add_json, save_json
 
+from micah_plan.documents.problem_file import load_problem
+from micah_plan.planning.baselines.open_loop import cost_of
+from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.mode_search import search_modes
-from micah_plan.planning.nominal import cost_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.pomdp_hd import plan, trajectory_of
-from micah_plan.planning.problem import Problem, Start
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
-from micah_plan.planning.remembering import forgetting, remembering
 from micah_plan.planning.replanning import with_memory
-from micah_plan.planning.start_state import start_mode
-from micah_plan.planning.transcription import transcribe
-from micah_plan.planning.transcription_guess import PhaseGuess, guess
-from micah_plan.planning.transcription_solve import BeliefPath, solve
-from micah_plan.planning.transcription_state import pack
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.transcription.guess import PhaseGuess, guess
+from micah_plan.planning.transcription.layout import pack
+from micah_plan.planning.transcription.programme import transcribe
+from micah_plan.planning.transcription.solve import BeliefPath, solve
 from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start, start_mode
 
 ROOT = Path(__file__).resolve().parent.parent
 OFF = 0.5
@@ -75,7 +75,7 @@ def timed(answer: Callable[[], BeliefPath]) -> tuple[BeliefPath, float]:
 
 def measure(path: Path, beliefs: int, seed: int) -> Row | None:
     """Both ways from the same beliefs; None if there is no plan."""
-    problem = remembering(load_problem(path))
+    problem = with_input_memory(load_problem(path))
     trajectory = plan(problem, seed).trajectory
     if trajectory is None:
         return None
@@ -109,10 +109,10 @@ def measure(path: Path, beliefs: int, seed: int) -> Row | None:
 
 def sequences(name: str, problem: Problem, seed: int) -> str:
     """A line: iterations of the mode sequences that share their first modes with one before, started in two ways."""
-    problem = remembering(problem)
+    problem = with_input_memory(problem)
     mode = start_mode(problem.automaton, problem.start)[0]
     problem = replace(problem, start=replace(problem.start, mode=mode))
-    limits, compiled, plain = limits_of(problem), compile_automaton(problem.automaton), forgetting(problem)
+    limits, compiled, plain = limits_of(problem), compile_automaton(problem.automaton), without_input_memory(problem)
     found = search_modes(plain, limits_of(plain), mode or "", seed).sequences
     before: list[tuple[tuple[PhaseGuess, ...], BeliefPath]] = []
     own, other = [], []

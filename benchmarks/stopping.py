@@ -17,11 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.trials import TrialStatistics, run_trials
 from micah_plan.planning.pomdp_hd import replan
-from micah_plan.planning.problem import Problem, Start
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parent.parent / "problems"

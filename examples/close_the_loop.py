@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from micah_plan import workflow
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.trials import TrialStatistics, run_trials
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Problem
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 FRICTION = 25.0

@@ -20,9 +20,9 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.pose import command
-from micah_plan.planning.problem import Start
 from micah_plan.recording.csv_file import write_csv
 from micah_plan.recording.value import Recording
+from micah_plan.task.start import Start
 
 Floats = NDArray[np.float64]
 

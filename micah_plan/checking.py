@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from micah_plan.documents.kind import FileKind, kind_of
+from micah_plan.documents.model_file import load_model
+from micah_plan.documents.parts_file import load_parts
+from micah_plan.documents.plan_file import load_plan
+from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.sweep_file import load_sweep
 from micah_plan.errors import InputError
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.suspicion import suspicions
-from micah_plan.spec.kind import FileKind, kind_of
-from micah_plan.spec.model_file import load_model
-from micah_plan.spec.parts_file import load_parts
-from micah_plan.spec.plan_file import load_plan
-from micah_plan.spec.problem_file import load_problem
-from micah_plan.spec.sweep_file import load_sweep
 
 
 @dataclass(frozen=True, eq=False)

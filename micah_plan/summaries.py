@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.misfit import misfit_of
 from micah_plan.errors import InputError
-from micah_plan.planning.plan import Plan
+from micah_plan.task.plan import Plan
 
 if TYPE_CHECKING:
     from micah_plan.checking import FileCheck
@@ -186,7 +186,7 @@ def solved(plan: Plan) -> dict[str, Any]:
         "success_probability": plan.success_probability,
         "success_interval": None if plan.success_interval is None else list(plan.success_interval),
         "verification_trials": plan.verification_trials,
-        "obstacles": obstacles(plan),
+        "findings": findings(plan),
         "warnings": list(plan.warnings),
         "arm": None
         if plan.arm is None
@@ -202,9 +202,9 @@ def solved(plan: Plan) -> dict[str, Any]:
     }
 
 
-def obstacles(plan: Plan) -> list[dict[str, Any]]:
+def findings(plan: Plan) -> list[dict[str, Any]]:
     """What stands in the way of a plan."""
-    return [asdict(obstacle) for obstacle in plan.obstacles]
+    return [asdict(finding) for finding in plan.findings]
 
 
 def explained(explanation: Explanation) -> dict[str, Any]:

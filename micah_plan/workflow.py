@@ -19,15 +19,15 @@ import numpy as np
 from micah_plan import __version__
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.automaton.input_memory import left_out
 from micah_plan.automaton.learned_channel import with_learned_channel
-from micah_plan.automaton.memory_states import left_out
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
-from micah_plan.planning.deadline import Deadline, TimeLimitError
-from micah_plan.planning.plan import ArmTrajectory, Obstacle, Plan, Trajectory
-from micah_plan.planning.problem import Method as PlanningMethod
-from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Method as PlanningMethod
 
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
@@ -155,23 +155,23 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Pl
     from micah_plan.robot.along_plan import arm_along
 
     begin, says = time.perf_counter(), "the arm cannot follow the plan: "
-    arm: ArmTrajectory | Obstacle
+    arm: ArmTrajectory | Finding
     try:
         found = arm_along(problem, plan.trajectory, seed, deadline=deadline)
-        arm = found if isinstance(found, ArmTrajectory) else _arm_obstacle(plan, plan.trajectory, found)
+        arm = found if isinstance(found, ArmTrajectory) else _arm_finding(plan, plan.trajectory, found)
     except TimeLimitError as over:
         says, (sentence, _, remedy) = "", over.reason.rpartition("; ")
-        arm = Obstacle("arm", sentence, remedy, plan.mode_sequence)
+        arm = Finding("arm", sentence, remedy, plan.mode_sequence)
     spent = time.perf_counter() - begin
     plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
     if isinstance(arm, ArmTrajectory):
         return replace(plan, arm=arm)
     reason = f"{says}{arm.sentence}; {arm.remedy}"
-    return replace(plan, outcome="not_verified", reason=reason, obstacles=(arm, *plan.obstacles))
+    return replace(plan, outcome="not_verified", reason=reason, findings=(arm, *plan.findings))
 
 
-def _arm_obstacle(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Obstacle:
-    return Obstacle(
+def _arm_finding(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Finding:
+    return Finding(
         level="arm",
         sentence=arm.sentence,
         remedy=arm.remedy,
@@ -186,9 +186,9 @@ def _arm_obstacle(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Obstac
 def _planner(method: PlanningMethod) -> Callable[..., Plan]:
     """The planner of that name, loaded only now: each brings a heavy library along."""
     if method == "direct":
-        from micah_plan.planning.direct import plan
+        from micah_plan.planning.baselines.direct import plan
     elif method == "rrt":
-        from micah_plan.planning.kinodynamic_rrt import plan
+        from micah_plan.planning.baselines.rrt import plan
     else:
         from micah_plan.planning.pomdp_hd import plan
     return plan

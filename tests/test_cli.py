@@ -12,8 +12,8 @@ import pytest
 from micah_plan import cli, workflow
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.documents.model_file import dump_model, load_model
 from micah_plan.recording.read import read_recording
-from micah_plan.spec.model_file import dump_model, load_model
 
 
 @pytest.fixture(scope="module")
@@ -197,8 +197,8 @@ def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):
     assert explained.returncode == 1
     told = only_json(explained)
     assert told["level"] == "search"
-    assert told["obstacles"] == found["obstacles"]
-    assert "add the missing transition to the model" in told["obstacles"][0]["remedy"]
+    assert told["findings"] == found["findings"]
+    assert "add the missing transition to the model" in told["findings"][0]["remedy"]
     assert told["lines"] == micah("explain", tmp_path / "plan.json").stdout.splitlines()
 
 

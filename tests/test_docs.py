@@ -15,8 +15,8 @@ from types import ModuleType
 
 import pytest
 
+from micah_plan.documents.schema import schema
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.spec.schema import schema
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))

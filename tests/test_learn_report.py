@@ -14,9 +14,9 @@ from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit,
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, revolute, rigid
 from micah_plan.automaton.kinematics import forward
+from micah_plan.documents.model_file import load_model
 from micah_plan.learn import learn as learning
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.spec.model_file import load_model
 
 DEMONSTRATION = "examples/demonstrations/microwave.csv"
 STDS = (0.1, 0.1, 0.05, 0.02, 0.03)

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 import micah_plan
-from micah_plan.spec.yaml_lines import read_yaml
+from micah_plan.documents.yaml_lines import read_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -18,8 +18,8 @@ def diff(
     as_json: JsonFlag = False,
 ) -> None:
     """Say what differs between two models: what calibration added, or what two recordings taught."""
-    from micah_plan.spec.model_difference import differences
-    from micah_plan.spec.model_file import load_model
+    from micah_plan.documents.model_difference import differences
+    from micah_plan.documents.model_file import load_model
 
     found = differences(load_model(before), load_model(after))
     summary = {"differences": [{"place": d.place, "before": d.before, "after": d.after} for d in found]}

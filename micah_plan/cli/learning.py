@@ -39,10 +39,10 @@ def learn(
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
+    from micah_plan.documents.model_file import dump_model
+    from micah_plan.documents.parts_file import load_parts
     from micah_plan.files import replace_file
     from micah_plan.learn.settings import FEWEST_ROWS
-    from micah_plan.spec.model_file import dump_model
-    from micah_plan.spec.parts_file import load_parts
 
     written = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
     check_outputs((recording, parts), written)

@@ -73,11 +73,11 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
 
     kind = _kind_of(file)
     if kind == "model":
-        from micah_plan.spec.model_file import load_model
+        from micah_plan.documents.model_file import load_model
 
         return page.model_page(load_model(file), title=title_of(file))
     if kind == "plan":
-        from micah_plan.spec.plan_file import load_plan
+        from micah_plan.documents.plan_file import load_plan
 
         stored = load_plan(file)
         return page.plan_page(stored.plan, stored.problem, title=title_of(file))

@@ -41,9 +41,9 @@ def solve(
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
+    from micah_plan.documents.plan_file import timings_path, write_plan, write_timings
+    from micah_plan.documents.problem_file import load_problem
     from micah_plan.files import replace_file
-    from micah_plan.spec.plan_file import timings_path, write_plan, write_timings
-    from micah_plan.spec.problem_file import load_problem
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
@@ -75,8 +75,8 @@ def explain(
     as_json: JsonFlag = False,
 ) -> None:
     """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
+    from micah_plan.documents.plan_file import load_plan
     from micah_plan.planning.explain import explain as explained
-    from micah_plan.spec.plan_file import load_plan
 
     stored = load_plan(plan)
     explanation = explained(stored.problem, stored.plan)
@@ -97,8 +97,8 @@ def execute(
 ) -> None:
     """Execute a plan in closed loop and write the runs as a recording."""
     from micah_plan import workflow
+    from micah_plan.documents.plan_file import load_plan, require_executable
     from micah_plan.recording.read import write_recording
-    from micah_plan.spec.plan_file import load_plan, require_executable
 
     check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
     stored = load_plan(plan)

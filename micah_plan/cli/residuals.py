@@ -44,10 +44,10 @@ def predict(
 
 def _automaton_of(path: Path) -> HybridAutomaton:
     """The model in a file, or that of the problem in it."""
-    from micah_plan.spec.kind import kind_of
-    from micah_plan.spec.model_file import load_model
-    from micah_plan.spec.plan_file import load_plan
-    from micah_plan.spec.problem_file import load_problem
+    from micah_plan.documents.kind import kind_of
+    from micah_plan.documents.model_file import load_model
+    from micah_plan.documents.plan_file import load_plan
+    from micah_plan.documents.problem_file import load_problem
 
     kind = kind_of(path)
     if kind == "problem":
@@ -64,8 +64,8 @@ def calibrate(
 ) -> None:
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
     from micah_plan import workflow
-    from micah_plan.spec.model_difference import differences
-    from micah_plan.spec.model_file import dump_model, load_model
+    from micah_plan.documents.model_difference import differences
+    from micah_plan.documents.model_file import dump_model, load_model
 
     check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
     automaton = load_model(model)

@@ -30,8 +30,8 @@ def schema(
     ] = None,
 ) -> None:
     """Print the JSON Schema of a file, with which editors complete, explain and check it."""
+    from micah_plan.documents.schema import schema as described
     from micah_plan.files import replace_file
-    from micah_plan.spec.schema import schema as described
 
     check_outputs((), (Output("-o", output, PLAN),))
     text = json.dumps(described(kind.value), indent=2)

@@ -15,8 +15,8 @@ from micah_plan.cli.options import JsonFlag
 from micah_plan.errors import InputError
 
 if TYPE_CHECKING:
-    from micah_plan.sweep.case import Sweep
     from micah_plan.sweep.workers import Workers
+    from micah_plan.task.sweep import Sweep
 
 
 def sweep(
@@ -32,7 +32,7 @@ def sweep(
     as_json: JsonFlag = False,
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
-    from micah_plan.spec.sweep_file import load_sweep
+    from micah_plan.documents.sweep_file import load_sweep
     from micah_plan.sweep.journal import journal_path, read_journal
     from micah_plan.sweep.run import check_sweep_outputs, run_on
     from micah_plan.sweep.summary import counted, swept

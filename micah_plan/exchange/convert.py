@@ -6,14 +6,14 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
+from micah_plan.documents.model_file import dump_model, load_model
+from micah_plan.documents.plan_file import load_plan
 from micah_plan.errors import InputError, shown
 from micah_plan.exchange.joint_trajectory import trajectory_json, trajectory_mcap
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
 from micah_plan.files import replace_file
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.spec.model_file import dump_model, load_model
-from micah_plan.spec.plan_file import load_plan
 
 Kind = Literal["recording", "plan", "model"]
 RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from micah_plan.documents.plan_file import StoredPlan, require_executable
 from micah_plan.execution.held_parameters import parameters_of
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, write_log
-from micah_plan.spec.plan_file import StoredPlan, require_executable
 
 TOPIC = "/joint_trajectory"
 

@@ -15,12 +15,11 @@ from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, AskArm, ContinuePlan, Pilot, Replan
 from micah_plan.execution.plant import Command, Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration
-from micah_plan.execution.scoring import goal_error, goal_probability, true_state
-from micah_plan.planning.plan import ArmTrajectory, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import coasted, remembering
-from micah_plan.planning.verification import is_in_goal
+from micah_plan.execution.scoring import goal_probability, true_state
+from micah_plan.planning.input_memory import coasted, with_input_memory
 from micah_plan.recording.value import Recording
+from micah_plan.task.plan import ArmTrajectory, Trajectory
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +90,7 @@ def execute(
         replan: gives a trajectory from a belief, or None if there is none; None: never replan.
         continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
     """
-    automaton, known = problem.automaton, remembering(problem)
+    automaton, known = problem.automaton, with_input_memory(problem)
     longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
     log, pilot = RunLog(automaton), Pilot(known, trajectory, arm, ask_arm, replan, continue_plan)
     measurement = plant.reset(rng)
@@ -117,12 +116,12 @@ def _result(
 ) -> TrialResult:
     """How an execution ended."""
     mode, x = true_state(problem.automaton, truth)
-    confidence = _lasting_probability(remembering(problem), beliefs[-1])
+    confidence = _lasting_probability(with_input_memory(problem), beliefs[-1])
     return TrialResult(
         recording=recording,
-        success=is_in_goal(problem.goal, mode, x),
+        success=problem.goal.contains(mode, x),
         reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x, truth.incident),
-        final_error=goal_error(problem.goal, x),
+        final_error=problem.goal.error(x),
         final_mode=mode,
         final_x=x,
         confidence=confidence,
@@ -173,7 +172,7 @@ def _ending(problem: Problem, pilot: Pilot, beliefs: list[HybridBelief], confide
 
 
 def _reason(problem: Problem, ending: str, mode: str, x: Floats, incident: str) -> str:
-    if is_in_goal(problem.goal, mode, x):
+    if problem.goal.contains(mode, x):
         return ending
     misses = [
         f"{problem.automaton.coordinates[i].name} is {abs(x[i] - value):.4g} {problem.automaton.coordinates[i].unit} "
@@ -181,6 +180,6 @@ def _reason(problem: Problem, ending: str, mode: str, x: Floats, incident: str) 
         for i, value, tolerance in problem.goal.target
         if abs(x[i] - value) > tolerance
     ]
-    if problem.goal.modes and mode not in problem.goal.modes:
+    if not problem.goal.admits(mode):
         misses.append(f"the true mode is {mode}, not {' or '.join(problem.goal.modes)}")
     return f"{ending}, but {' and '.join([incident, *misses] if incident else misses)}"

@@ -11,12 +11,11 @@ from scipy.stats import chi2
 
 from micah_plan.automaton.transition import Step, step
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.input_memory import coasted, own_size
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import coasted, own_size
-from micah_plan.planning.verification import is_in_goal
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 Fit = Literal["on_plan", "strayed", "lagging", "finished", "off_plan"]
@@ -98,7 +97,7 @@ class PlanFollower:
             if not plan.is_transition[knot]:
                 after = self._undisturbed(mode, x, self._planned(mode, x, knot))
                 mode, x = after.mode, after.x
-        return is_in_goal(self._problem.goal, mode, x)
+        return self._problem.goal.contains(mode, x)
 
     def _undisturbed(self, mode: str, x: Floats, u: Floats) -> Step:
         return step(self._automaton, mode, x, u, np.zeros_like(x))

@@ -8,7 +8,7 @@ import numpy as np
 
 from micah_plan.errors import InputError, shown
 from micah_plan.execution.physical_parameters import PhysicalParameters, known_numbers
-from micah_plan.planning.problem import Problem
+from micah_plan.task.problem import Problem
 
 _MAY_BE_ZERO = {
     "contact_friction", "spread", "joint_friction", "joint_damping", "pivot_stiffness", "pivot_damping",

@@ -20,8 +20,8 @@ from micah_plan.execution.incidents import Watch
 from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
-from micah_plan.planning.problem import Hold, Problem
-from micah_plan.planning.start_state import sample_start
+from micah_plan.task.problem import Hold, Problem
+from micah_plan.task.start import sample_start
 
 Floats = NDArray[np.float64]
 

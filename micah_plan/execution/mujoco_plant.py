@@ -17,8 +17,7 @@ from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
-from micah_plan.planning.problem import Start
-from micah_plan.planning.start_state import sample_start
+from micah_plan.task.start import Start, sample_start
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.follower import Advice, PlanFollower
-from micah_plan.planning.plan import ArmTrajectory, Trajectory
-from micah_plan.planning.problem import Problem
+from micah_plan.task.plan import ArmTrajectory, Trajectory
+from micah_plan.task.problem import Problem
 
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure

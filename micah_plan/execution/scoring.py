@@ -10,7 +10,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Truth
 from micah_plan.execution.pose import configuration
-from micah_plan.planning.problem import Goal
+from micah_plan.task.goal import Goal
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
     """
     total = 0.0
     for number, mode in enumerate(automaton.modes):
-        if goal.modes and mode.name not in goal.modes:
+        if not goal.admits(mode.name):
             continue
         std = np.sqrt(np.maximum(np.sum(belief.factors[number] ** 2, axis=1), 1e-24))
         outside = 0.0
@@ -32,11 +32,6 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
             outside += 1.0 - float(inside)
         total += float(belief.weights[number]) * max(0.0, 1.0 - outside)
     return total
-
-
-def goal_error(goal: Goal, x: Floats) -> float:
-    """Largest distance of a constrained coordinate of x (n,) from its target [rad or m]; 0 if none is constrained."""
-    return max((abs(float(x[index]) - value) for index, value, _ in goal.target), default=0.0)
 
 
 def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:

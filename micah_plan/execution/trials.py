@@ -21,9 +21,9 @@ from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.pilot import AskArm, ContinuePlan
 from micah_plan.execution.plant import Plant
-from micah_plan.planning.plan import ArmTrajectory, Plan, Trajectory
-from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
+from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 PlantKind = Literal["nominal", "mujoco"]

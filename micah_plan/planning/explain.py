@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from micah_plan.planning.obstacles import endpoint_obstacles
-from micah_plan.planning.plan import Candidate, Level, Obstacle, Outcome, Plan
-from micah_plan.planning.problem import Problem
+from micah_plan.planning.findings import endpoint_findings
+from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan
+from micah_plan.task.problem import Problem
 
 # In the order in which they are checked.
 _LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification", "arm")
@@ -20,47 +20,47 @@ class Explanation:
         outcome: of the plan.
         summary: one sentence on the whole.
         level: at which it failed; None if it is solved.
-        obstacles: what stands in the way, first the first level that failed and the cheapest mode sequence.
+        findings: what stands in the way, first the first level that failed and the cheapest mode sequence.
         lines: all of it to be read, one sentence each.
     """
 
     outcome: Outcome
     summary: str
     level: Level | None
-    obstacles: tuple[Obstacle, ...]
+    findings: tuple[Finding, ...]
     lines: tuple[str, ...]
 
 
 def explain(problem: Problem, plan: Plan) -> Explanation:
     """What a plan (of any outcome, also one read from a file) ran into.
 
-    A plan file of an older version does not tell obstacles; then start and goal are checked again, and for the rest its
+    A plan file of an older version does not tell findings; then start and goal are checked again, and for the rest its
     own sentence stands.
     """
-    known = plan.obstacles
+    known = plan.findings
     if plan.outcome == "no_plan":
-        known = endpoint_obstacles(problem) or known
-    obstacles = tuple(sorted(known, key=lambda obstacle: _LEVELS.index(obstacle.level)))
+        known = endpoint_findings(problem) or known
+    findings = tuple(sorted(known, key=lambda finding: _LEVELS.index(finding.level)))
     if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
-        obstacles = tuple(sorted(obstacles, key=lambda obstacle: obstacle.level not in ("verification", "arm")))
-    level = None if plan.outcome == "solved" or not obstacles else obstacles[0].level
+        findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))
+    level = None if plan.outcome == "solved" or not findings else findings[0].level
     lines = [_outcome_line(plan, level)]
-    for obstacle in obstacles:
-        lines += obstacle_lines(obstacle)
-    if not obstacles and plan.outcome != "solved":
+    for finding in findings:
+        lines += finding_lines(finding)
+    if not findings and plan.outcome != "solved":
         lines.append("the file tells no details, it was written by an older version: solve the problem again")
     lines += [_candidate_line(candidate) for candidate in plan.candidates]
-    return Explanation(plan.outcome, plan.reason, level, obstacles, tuple(lines))
+    return Explanation(plan.outcome, plan.reason, level, findings, tuple(lines))
 
 
-def obstacle_lines(obstacle: Obstacle) -> list[str]:
-    """Place and sentence of an obstacle, and its remedy."""
-    place: str = obstacle.level
-    place += f", {' -> '.join(obstacle.modes)}" if obstacle.modes else ""
-    if obstacle.knot is not None:
-        place += f", knot {obstacle.knot} in mode '{obstacle.mode}'"
-    lines = [f"{place}: {obstacle.sentence}"]
-    return [*lines, f"  remedy: {obstacle.remedy}"] if obstacle.remedy else lines
+def finding_lines(finding: Finding) -> list[str]:
+    """Place and sentence of a finding, and its remedy."""
+    place: str = finding.level
+    place += f", {' -> '.join(finding.modes)}" if finding.modes else ""
+    if finding.knot is not None:
+        place += f", knot {finding.knot} in mode '{finding.mode}'"
+    lines = [f"{place}: {finding.sentence}"]
+    return [*lines, f"  remedy: {finding.remedy}"] if finding.remedy else lines
 
 
 def _outcome_line(plan: Plan, level: Level | None) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.turning import matrix_after
+from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import linear_step, steps_of_memory
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 

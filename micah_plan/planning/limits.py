@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.planning.problem import Problem
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.planning.plan import Trajectory
+from micah_plan.task.plan import Trajectory
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

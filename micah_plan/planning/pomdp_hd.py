@@ -12,22 +12,22 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.planning.clock import Clock
-from micah_plan.planning.deadline import Deadline, TimeLimitError
 from micah_plan.planning.feedback import belief_lqr
+from micah_plan.planning.findings import endpoint_findings, finding_of_reason, finding_of_status, findings_of
+from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.mode_search import ModeSequence, SearchResult, search_modes
-from micah_plan.planning.obstacles import endpoint_obstacles, obstacle_of_reason, obstacle_of_status, obstacles_of
-from micah_plan.planning.plan import Candidate, Obstacle, Plan, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import forgetting, remembering
 from micah_plan.planning.replanning import believed_problem, with_memory
-from micah_plan.planning.start_state import start_mode
+from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.tightening import verified_plan
-from micah_plan.planning.transcription import transcribe
-from micah_plan.planning.transcription_guess import guess
-from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
+from micah_plan.planning.transcription.guess import guess
+from micah_plan.planning.transcription.programme import transcribe
+from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
+from micah_plan.task.clock import Clock
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
 
 Progress = Callable[[str, float], None]
 
@@ -51,8 +51,8 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     """
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings=Clock().timings(), obstacles=endpoint_obstacles(problem))
-    return _plan_from(remembering(problem), mode, seed, progress or _silent, deadline or _deadline_of(problem))
+        return Plan("no_plan", reason, seed=seed, timings=Clock().timings(), findings=endpoint_findings(problem))
+    return _plan_from(with_input_memory(problem), mode, seed, progress or _silent, deadline or _deadline_of(problem))
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
@@ -60,7 +60,7 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
 
     None if there is none, or none that roll-outs confirm.
     """
-    here = believed_problem(remembering(problem), belief)
+    here = believed_problem(with_input_memory(problem), belief)
     mode = problem.automaton.modes[belief.most_likely].name
 
     def planner(task: Problem, *, deadline: Deadline) -> Plan:
@@ -84,7 +84,7 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: 
     problem = replace(problem, start=replace(problem.start, mode=mode))
     limits = limits_of(problem)
     say("searching mode sequences", 0.0)
-    plain = forgetting(problem)
+    plain = without_input_memory(problem)
     try:
         with clock.stage("search"):
             found = search_modes(plain, limits_of(plain), mode, seed, deadline=deadline)
@@ -92,19 +92,19 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: 
     except TimeLimitError as over:
         found = SearchResult((), over.reason)
     if not found.sequences:
-        obstacles = endpoint_obstacles(problem) or (obstacle_of_reason("search", found.reason),)
-        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), obstacles=obstacles)
+        findings = endpoint_findings(problem) or (finding_of_reason("search", found.reason),)
+        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), findings=findings)
     with clock.stage("build"):
         compiled = compile_automaton(problem.automaton)
     candidates: list[Candidate] = []
-    missed: list[Obstacle] = []
+    missed: list[Finding] = []
     best: tuple[BeliefPath, ModeSequence] | None = None
     for number, sequence in enumerate(sequences, start=1):
         say(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
         try:
             path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock, deadline)
         except TimeLimitError as over:
-            in_the_way = [obstacle_of_reason("optimisation", over.reason, sequence.modes)]
+            in_the_way = [finding_of_reason("optimisation", over.reason, sequence.modes)]
             path, message = None, over.reason
         usable = path is not None and path.feasible
         cost = path.cost if path is not None and usable else None
@@ -115,11 +115,11 @@ def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: 
     if best is None:
         first = candidates[0]
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
-        answer = Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, obstacles=tuple(missed))
+        answer = Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, findings=tuple(missed))
         return replace(answer, timings=clock.timings())
     path, sequence = best
-    kept = obstacles_of(problem, sequence.modes, path.in_part)
-    return replace(_solved(problem, limits, path, tuple(candidates), seed, clock), obstacles=tuple(kept))
+    kept = findings_of(problem, sequence.modes, path.in_part)
+    return replace(_solved(problem, limits, path, tuple(candidates), seed, clock), findings=tuple(kept))
 
 
 def _optimise(
@@ -129,7 +129,7 @@ def _optimise(
     sequence: ModeSequence,
     clock: Clock,
     deadline: Deadline,
-) -> tuple[BeliefPath | None, str, list[Obstacle]]:
+) -> tuple[BeliefPath | None, str, list[Finding]]:
     """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
     name, knots = " -> ".join(sequence.modes), -1
     for stretch in _STRETCHES:
@@ -137,7 +137,7 @@ def _optimise(
         with clock.stage("build"):
             start = guess(problem, limits, compiled, sequence, stretch)
             if start.reason:
-                return None, start.reason, [obstacle_of_reason("optimisation", start.reason, sequence.modes)]
+                return None, start.reason, [finding_of_reason("optimisation", start.reason, sequence.modes)]
             longer = sum(phase.steps for phase in start.phases)
             if longer == knots:
                 break
@@ -151,12 +151,12 @@ def _optimise(
             "optimisation", f"{name} was at {sum(phase.steps for phase in start.phases)} steps", "candidates"
         )
     if "time limit" in path.message:  # what it had reached by then says nothing of what is possible
-        return path, path.message, [obstacle_of_status(sequence.modes, path.message)]
+        return path, path.message, [finding_of_status(sequence.modes, path.message)]
     with clock.stage("optimise"):
         missed = unmet(nlp, _with_time_left(problem, deadline))
     message = "; ".join([path.message, *(shortfall.sentence for shortfall in missed)])
-    obstacles = obstacles_of(problem, sequence.modes, missed)
-    return path, message, obstacles or [obstacle_of_status(sequence.modes, path.message)]
+    findings = findings_of(problem, sequence.modes, missed)
+    return path, message, findings or [finding_of_status(sequence.modes, path.message)]
 
 
 def _with_time_left(problem: Problem, deadline: Deadline) -> Problem:
@@ -177,16 +177,14 @@ def _solved(
     problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: Clock
 ) -> Plan:
     trajectory = trajectory_of(problem, limits, path)
-    errors = [abs(float(path.means[-1, i]) - value) for i, value, _ in problem.goal.target]
-    stds = [float(np.linalg.norm(path.factors[-1, i])) for i, _, _ in problem.goal.target]
     answer = Plan(
         "solved",
         "",
         trajectory=trajectory,
         candidates=candidates,
         cost=path.cost,
-        goal_error=max(errors, default=0.0),
-        goal_std=max(stds, default=0.0),
+        goal_error=problem.goal.error(path.means[-1]),
+        goal_std=problem.goal.std(path.factors[-1]),
         seed=seed,
         timings=clock.timings(),
     )

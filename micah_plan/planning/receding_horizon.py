@@ -9,17 +9,18 @@ import numpy as np
 
 from micah_plan.automaton.thresholds import boundaries_of_pins, boundary_of, boundary_stds
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.pomdp_hd import trajectory_of
-from micah_plan.planning.problem import Problem, Start
-from micah_plan.planning.remembering import remembering
 from micah_plan.planning.replanning import believed_problem, rest_of
-from micah_plan.planning.transcription import Transcription, transcribe
-from micah_plan.planning.transcription_guess import guess_again
-from micah_plan.planning.transcription_kept import KeptProgramme
-from micah_plan.planning.transcription_solve import BeliefPath, solve
+from micah_plan.planning.transcription.guess import guess_again
+from micah_plan.planning.transcription.programme import Transcription, transcribe
+from micah_plan.planning.transcription.solve import BeliefPath, solve
+from micah_plan.planning.transcription.warm_start import WarmStartedProgramme
 from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 
 # A threshold counts as known as before while it is believed to lie less than this many of its stds elsewhere, and its
 # std has become smaller by less than this share.
@@ -41,7 +42,7 @@ class RecedingHorizon:
         """Args: the problem, and the plan's trajectory."""
         settings = problem.settings
         settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
-        self._problem, self._plan = remembering(replace(problem, settings=settings)), trajectory
+        self._problem, self._plan = with_input_memory(replace(problem, settings=settings)), trajectory
         self._limits, self._whole = limits_of(self._problem), rest_of(problem.automaton, trajectory, 0)
         self.kept = self.built = 0
 
@@ -68,12 +69,12 @@ class RecedingHorizon:
         return self._programme.rest(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
 
     @cached_property
-    def _programme(self) -> KeptProgramme:
+    def _programme(self) -> WarmStartedProgramme:
         """That of the whole plan, from where it starts."""
         plan, stds = self._plan, np.linalg.norm(self._plan.factors[0], axis=1)
         start = Start(tuple(map(float, plan.means[0])), tuple(map(float, stds)), plan.modes[0])
         whole = replace(self._problem, start=start)
-        return KeptProgramme(_programme(whole, self._limits, plan, 0), whole)
+        return WarmStartedProgramme(_programme(whole, self._limits, plan, 0), whole)
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""

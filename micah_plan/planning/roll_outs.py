@@ -18,13 +18,13 @@ from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
 from micah_plan.belief.filter import initial_belief
-from micah_plan.planning.deadline import NEVER, Deadline
+from micah_plan.planning.input_memory import steps_of_memory, with_input_memory, without_input_memory
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.remembering import forgetting, remembering, steps_of_memory
-from micah_plan.planning.start_state import draw_state
+from micah_plan.task.deadline import NEVER, Deadline
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import draw_state
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -66,7 +66,7 @@ class RollOuts:
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int) -> Chances:
     """The random part of that many roll-outs; the same for the same seed."""
-    problem = forgetting(problem)
+    problem = without_input_memory(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     stds = threshold_stds(automaton)
     shifts = stds * rng.standard_normal((trials, stds.size))
@@ -85,7 +85,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     Raises:
         TimeLimitError: if the deadline passes.
     """
-    known, problem = remembering(problem), forgetting(problem)
+    known, problem = with_input_memory(problem), without_input_memory(problem)
     automaton, whole, limits = problem.automaton, known.automaton, limits_of(problem)
     memory = {r.effect: known.start.mean[r.first : r.first + r.size] for r in whole.registers}
     channel = InputChannel(automaton, memory)
@@ -126,9 +126,5 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
     """(t,) whether each true end lies in the goal set."""
-    goal, names = problem.goal, [mode.name for mode in problem.automaton.modes]
-    wanted = np.array([not goal.modes or name in goal.modes for name in names])
-    inside = wanted[ends.modes]
-    for i, value, tolerance in goal.target:
-        inside &= np.abs(ends.states[:, i] - value) <= tolerance
-    return inside
+    admitted = problem.goal.admitted([mode.name for mode in problem.automaton.modes])
+    return np.asarray(admitted[ends.modes] & problem.goal.holds(ends.states))

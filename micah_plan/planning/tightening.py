@@ -12,10 +12,10 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Protocol
 
-from micah_plan.planning.deadline import Deadline
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Problem
 from micah_plan.planning.verification import verify
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 
 
 class Planner(Protocol):
@@ -114,7 +114,7 @@ def _is_better(answer: Plan, best: Plan) -> bool:
 def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
     if answer.outcome != "solved":
         return answer
-    seen = [obstacle.sentence for obstacle in before.obstacles if obstacle.level == "verification"]
+    seen = [finding.sentence for finding in before.findings if finding.level == "verification"]
     why = f": {seen[0]}" if seen else ""
     times = "once" if rounds == 1 else f"{rounds} times"
     return replace(answer, reason=f"{answer.reason}; planned again {times}, at last at {confidence:.4g}{why}")

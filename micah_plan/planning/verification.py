@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.amounts import percent, quantity
-from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
-from micah_plan.planning.obstacles import obstacle_of_reason
-from micah_plan.planning.plan import Obstacle, Plan
-from micah_plan.planning.problem import Goal, Problem
+from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
+from micah_plan.quantities import percent, quantity
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.task.plan import Finding, Plan
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 
@@ -41,9 +41,9 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
     try:
         ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, count, seed), deadline)
     except TimeLimitError as over:
-        obstacle = obstacle_of_reason("verification", over.reason, plan.mode_sequence)
+        finding = finding_of_reason("verification", over.reason, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
-        return replace(plan, outcome="not_verified", reason=reason, obstacles=(obstacle, *plan.obstacles))
+        return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
     successes = int(are_in_goal(problem, ends).sum())
     share = successes / count
     answer = replace(
@@ -59,22 +59,22 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
         f"fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence or "
         f"the noise"
     )
-    seen = _obstacles(problem, plan.mode_sequence, ends)
-    return replace(answer, outcome="not_verified", reason=reason, obstacles=(*plan.obstacles, *seen))
+    seen = _findings(problem, plan.mode_sequence, ends)
+    return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *seen))
 
 
-def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list[Obstacle]:
+def _findings(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list[Finding]:
     """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
     automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
-    found: list[tuple[float, Obstacle]] = []
+    found: list[tuple[float, Finding]] = []
     names = [automaton.modes[i].name for i in ends.modes]
-    wrong = [name for name in names if goal.modes and name not in goal.modes]
+    wrong = [name for name in names if not goal.admits(name)]
     if wrong:
         share, other = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
         wanted = " or ".join(goal.modes)
         sentence = f"{share:.0%} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
         remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
-        found.append((share, Obstacle("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
+        found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
     for index, value, tolerance in goal.target:
         coordinate, distance = automaton.coordinates[index], np.abs(ends.states[:, index] - value)
         missed = distance > tolerance
@@ -93,7 +93,7 @@ def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list
             remedy = "lower the noise or the start's std, so that the transitions are surer"
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
             remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
-        obstacle = Obstacle(
+        finding = Finding(
             "verification",
             sentence,
             remedy,
@@ -104,8 +104,8 @@ def _obstacles(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list
             need=need,
             unit=coordinate.unit,
         )
-        found.append((share, obstacle))
-    return [obstacle for _, obstacle in sorted(found, key=lambda pair: -pair[0])]
+        found.append((share, finding))
+    return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _elsewhere(names: list[str], missed: NDArray[np.bool_], modes: tuple[str, ...]) -> str:
@@ -137,10 +137,3 @@ def wilson_interval(successes: int, trials: int, coverage: float = INTERVAL) -> 
     # The ends are exact where all or none succeed, whatever the rounding.
     low = 0.0 if successes == 0 else max(0.0, center - half)
     return low, 1.0 if successes == trials else min(1.0, center + half)
-
-
-def is_in_goal(goal: Goal, mode: str, x: Floats) -> bool:
-    """Whether a true mode and state (n,) lie in the goal set."""
-    return (not goal.modes or mode in goal.modes) and all(
-        abs(float(x[index]) - value) <= tolerance for index, value, tolerance in goal.target
-    )

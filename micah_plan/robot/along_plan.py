@@ -11,13 +11,13 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
-from micah_plan.planning.deadline import NEVER, Deadline
-from micah_plan.planning.plan import ArmTrajectory, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.settled import settled_poses, touching_pairs
 from micah_plan.robot.clearance import ClearanceModel, Pair, clearance_model
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
+from micah_plan.task.contact_poses import settled_poses, touching_pairs
+from micah_plan.task.deadline import NEVER, Deadline
+from micah_plan.task.plan import ArmTrajectory, Trajectory
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from micah_plan.errors import InputError
-from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
-from micah_plan.planning.plan import ArmTrajectory
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
 from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
 from micah_plan.robot.sweep import MotionBound, motion_bound, sweep
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory
 
 Floats = NDArray[np.float64]
 FailureKind = Literal["unreachable", "joint limit", "singularity", "collision", "jump"]

@@ -9,9 +9,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError
-from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import solve_case
+from micah_plan.task.sweep import Case
 
 _CONNECT_S = 10.0
 

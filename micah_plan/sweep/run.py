@@ -11,12 +11,12 @@ from pathlib import Path
 
 from micah_plan.files import replace_file
 from micah_plan.outputs import TABLE, Output, check_outputs
-from micah_plan.sweep.case import Case, Sweep
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun
 from micah_plan.sweep.schedule import finished_cases
 from micah_plan.sweep.table import results_table, timings_path, timings_table
 from micah_plan.sweep.workers import ExecutorWorkers, Workers, process_workers
+from micah_plan.task.sweep import Case, Sweep
 
 # More than any executor has workers.
 _EXECUTOR_IN_FLIGHT = 1000

@@ -8,10 +8,10 @@ from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, BrokenExecutor, C
 from dataclasses import replace
 
 from micah_plan.errors import MicahError
-from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import worker_died
 from micah_plan.sweep.workers import Workers
+from micah_plan.task.sweep import Case
 
 MOST_ATTEMPTS = 3
 _GO_ON = "what is finished is in the journal; give the command again to go on"

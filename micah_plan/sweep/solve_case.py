@@ -10,12 +10,12 @@ from pathlib import Path
 from time import perf_counter
 
 from micah_plan import workflow
+from micah_plan.documents.problem_file import ProblemReader
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 from micah_plan.files import read_bytes
-from micah_plan.planning.plan import Plan
-from micah_plan.spec.problem_file import ProblemReader
-from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseResult, CaseRun, Outcome
+from micah_plan.task.plan import Plan
+from micah_plan.task.sweep import Case
 
 
 class WorkerFilesError(MicahError):

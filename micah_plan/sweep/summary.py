@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Container
 from typing import Any
 
-from micah_plan.sweep.case import Sweep
 from micah_plan.sweep.run import SweepResults
+from micah_plan.task.sweep import Sweep
 
 
 def counted(sweep: Sweep, finished: Container[str]) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from micah_plan.errors import MissingDependencyError
-from micah_plan.sweep.case import Case, Sweep
 from micah_plan.sweep.result import NUMBERS, CaseResult, CaseRun
+from micah_plan.task.sweep import Case, Sweep
 
 Columns = dict[str, tuple[str, list[Any]]]
 _STAGES = ("load", "solve", "execute", "total")

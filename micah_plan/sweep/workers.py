@@ -13,9 +13,9 @@ from multiprocessing.connection import Connection
 from typing import Protocol, TypeVar
 
 from micah_plan.errors import MicahError
-from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import solve_case
+from micah_plan.task.sweep import Case
 
 T = TypeVar("T")
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.planning.plan import ArmTrajectory, Plan
-from micah_plan.planning.problem import Problem
 from micah_plan.scene.body import Body, Hull, Shape, corners, transform
+from micah_plan.task.plan import ArmTrajectory, Plan
+from micah_plan.task.problem import Problem
 from micah_plan.view.document import LegendEntry
 from micah_plan.view.palette import MUTED
 from micah_plan.view.scene import Scene, slug

@@ -14,15 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.files import replace_file
-from micah_plan.planning.plan import Plan, Trajectory
-from micah_plan.planning.problem import Problem
 from micah_plan.recording.value import Recording
+from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK
 from micah_plan.view.placement import thresholds
@@ -58,7 +57,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
     steps = step_times(trajectory)
     settings = problem.settings
-    k = float(norm.ppf(settings.confidence))
+    k = settings.sigmas
     bars = k * np.sqrt((trajectory.factors**2).sum(axis=2))
     _name_modes(grid[0], trajectory, steps)
     for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):

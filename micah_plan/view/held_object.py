@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.settled import settled_poses
 from micah_plan.scene.body import corners
+from micah_plan.task.contact_poses import settled_poses
+from micah_plan.task.problem import Problem
 from micah_plan.view.motion import Keyframes, Moved
 from micah_plan.view.scene import transforms
 

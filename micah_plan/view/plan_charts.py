@@ -6,11 +6,10 @@ from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from micah_plan.automaton.contacts.product import COLLIDED
-from micah_plan.planning.plan import ArmTrajectory, Plan, Trajectory
-from micah_plan.planning.problem import Problem
+from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
+from micah_plan.task.problem import Problem
 from micah_plan.view.document import ChartBlock
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, GOAL
@@ -32,7 +31,7 @@ def plan_charts(plan: Plan, problem: Problem) -> list[ChartBlock]:
     if plan.trajectory is None:
         return []
     chart = _Chart(problem, plan.trajectory)
-    k = float(norm.ppf(problem.settings.confidence))
+    k = problem.settings.sigmas
     legend = f"Mean ± {k:.2f} σ ({percent(problem.settings.confidence)}); below it σ. Green: goal; dashed: guards."
     n = problem.automaton.n
     words = legend if n <= _MOST_COORDINATES else f"{legend} {n - _MOST_COORDINATES} more coordinates have no chart."

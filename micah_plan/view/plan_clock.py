@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.planning.plan import Trajectory
+from micah_plan.task.plan import Trajectory
 from micah_plan.view.motion import Keyframes
 
 Floats = NDArray[np.float64]

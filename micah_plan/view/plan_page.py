@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.plan import Plan, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.settled import settled_poses
-from micah_plan.planning.start_state import start_mode
+from micah_plan.task.contact_poses import settled_poses
+from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
 from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
 from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners, shown_links
@@ -65,7 +65,7 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
         plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
     scene = Scene()
     size = object_size(automaton)
-    sigmas = _Sigmas(float(norm.ppf(problem.settings.confidence)), 0.025 * size)
+    sigmas = _Sigmas(problem.settings.sigmas, 0.025 * size)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(problem)
     moved = None if problem.hold is None else settled_over_time(problem, keys)
     draw_object(scene, automaton, keys, moved)
@@ -231,10 +231,10 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
         cost = "failed" if candidate.cost is None else f"cost {candidate.cost:.4g}"
         tried.append(f"{' → '.join(candidate.modes)}: {cost}. {candidate.message}")
     details = [("Mode sequences tried", tried)] if tried else []
-    obstacles = [f"{obstacle.sentence}. Remedy: {obstacle.remedy}" for obstacle in plan.obstacles]
-    if obstacles:
+    findings = [f"{finding.sentence}. Remedy: {finding.remedy}" for finding in plan.findings]
+    if findings:
         title = "Kept only in part" if plan.outcome == "solved" else "What stands in the way"
-        details.insert(0, (title, obstacles))
+        details.insert(0, (title, findings))
     start = [
         f"{c.name} = {quantity(mean, c.unit)}, σ {quantity(std, c.unit)}"
         for c, mean, std in zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)

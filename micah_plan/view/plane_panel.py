@@ -10,8 +10,8 @@ from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.plan import Trajectory
-from micah_plan.planning.problem import Problem
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
 from micah_plan.view.model_page import mode_colors
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK
 from micah_plan.view.placement import thresholds

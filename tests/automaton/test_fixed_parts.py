@@ -14,9 +14,9 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import measuring_links, tracks
+from micah_plan.documents.model_file import dump_model, load_model
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
-from micah_plan.spec.model_file import dump_model, load_model
 
 HANDLE = rigid((0.1, 0.02, 0.0), (0.0, 0.0, 0.6, 0.8))
 DOOR = chain("door", [0, SHUT, SHUT], ["revolute", "rigid"])

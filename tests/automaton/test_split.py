@@ -9,8 +9,8 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.split import with_split
 from micah_plan.automaton.transition import step
+from micah_plan.documents.model_file import dump_model, load_model
 from micah_plan.errors import InputError
-from micah_plan.spec.model_file import dump_model, load_model
 
 
 @pytest.fixture(params=[("microwave", 0.5), ("drawer", 0.1), ("cabinet", 0.2), ("drawer_behind_door", 0.4)])

@@ -15,8 +15,8 @@ from micah_plan.automaton.region import above
 from micah_plan.belief import gaussian
 from micah_plan.belief.filter import initial_belief, update
 from micah_plan.belief.truncation import truncate
+from micah_plan.planning.baselines.mixture import mixture_step
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.transcription_mixture import mixture_step
 from micah_plan.symbolic import normal
 
 SIGMAS = np.concatenate([np.linspace(-30.0, 8.0, 96), [-5.0 - 1e-9, -5.0, -5.0 + 1e-9]])

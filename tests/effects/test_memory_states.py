@@ -18,9 +18,9 @@ from micah_plan.automaton.effects.registry import form, register, unregister
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Reset
+from micah_plan.automaton.input_memory import left_out, memory_at_rest, with_memory_states, without_memory_states
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.memory_states import left_out, memory_at_rest, with_memory_states, without_memory_states
 from micah_plan.automaton.passing import at_rest
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.belief.batch import filter as batch_filter
@@ -52,7 +52,7 @@ def door():
     return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", segments),)))
 
 
-def remembering(automaton, *names):
+def with_input_memory(automaton, *names):
     for key in names:
         name, values = EFFECTS[key]
         parameters = tuple(zip([p.name for p in form(name).parameters], values, strict=True))
@@ -76,7 +76,7 @@ INPUTS = st.lists(st.integers(-200, 200), min_size=1, max_size=25).map(lambda u:
 @settings(max_examples=60, deadline=None)
 @given(inputs=INPUTS, names=st.lists(st.sampled_from(sorted(EFFECTS)), min_size=1, max_size=2), mode=st.booleans())
 def test_a_step_of_the_larger_state_is_what_the_devices_do(door, inputs, names, mode) -> None:
-    automaton = remembering(door, *names)
+    automaton = with_input_memory(door, *names)
     whole, start = with_memory_states(automaton), ("rigid", SHUT) if mode else ("revolute", 0.8)
     modes, states = twin(automaton, start[0], [start[1]], inputs)
     run = simulate(whole, start[0], [start[1], *memory_at_rest(whole)], inputs)
@@ -85,7 +85,7 @@ def test_a_step_of_the_larger_state_is_what_the_devices_do(door, inputs, names, 
 
 
 def test_an_effect_of_one_mode_remembers_what_was_sent_in_the_other(door) -> None:
-    delay = replace(remembering(door, "delay").effects[0], modes=("revolute",))
+    delay = replace(with_input_memory(door, "delay").effects[0], modes=("revolute",))
     automaton = with_effect(door, delay)
     inputs = np.array([0.1, 0.2, -0.05, -0.1, 0.0, -0.1, 0.03])[:, None]
     modes, states = twin(automaton, "revolute", [0.8], inputs)
@@ -97,7 +97,7 @@ def test_an_effect_of_one_mode_remembers_what_was_sent_in_the_other(door) -> Non
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_compiled_functions_have_the_memory(door, name) -> None:
-    whole, rng = with_memory_states(remembering(door, name)), np.random.default_rng(0)
+    whole, rng = with_memory_states(with_input_memory(door, name)), np.random.default_rng(0)
     mode, compiled = whole.mode("revolute"), compile_automaton(whole)
     opened = next(i for i, edge in enumerate(whole.edges) if edge.source == "rigid")
     x, u, factor = ca.SX.sym("x", whole.n), ca.SX.sym("u", 1), np.zeros((whole.n, whole.n))
@@ -125,7 +125,7 @@ def test_compiled_functions_have_the_memory(door, name) -> None:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_the_filter_knows_the_memory_exactly(door, name) -> None:
-    whole, rng = with_memory_states(remembering(door, name)), np.random.default_rng(1)
+    whole, rng = with_memory_states(with_input_memory(door, name)), np.random.default_rng(1)
     inputs = np.concatenate([np.full(5, 0.09), rng.uniform(-0.1, 0.1, 12)])[:, None]
     run = simulate(whole, "revolute", [0.7, *memory_at_rest(whole)], inputs)
     belief = initial_belief(whole, [0.7, *memory_at_rest(whole)], [0.01] + [0.0] * (whole.n - 1), "revolute")
@@ -147,7 +147,7 @@ def test_the_filter_knows_the_memory_exactly(door, name) -> None:
 @given(name=st.sampled_from(sorted(EFFECTS)), inputs=INPUTS)
 def test_devices_and_forms_pass_on_the_same(door, name, inputs) -> None:
     own, values = form(EFFECTS[name][0]), EFFECTS[name][1]
-    channel, memory = InputChannel(remembering(door, name)), own.at_rest(values)
+    channel, memory = InputChannel(with_input_memory(door, name)), own.at_rest(values)
     for u in inputs:
         out, memory = own.remember(np, u[0], memory, values)
         assert channel.pass_on(u)[0] == pytest.approx(out, abs=1e-12)
@@ -155,7 +155,7 @@ def test_devices_and_forms_pass_on_the_same(door, name, inputs) -> None:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_channel_goes_on_from_what_is_remembered(door, name) -> None:
-    automaton, inputs = remembering(door, name), np.random.default_rng(4).normal(scale=0.05, size=(12, 1))
+    automaton, inputs = with_input_memory(door, name), np.random.default_rng(4).normal(scale=0.05, size=(12, 1))
     (register,) = with_memory_states(automaton).registers
     first, memory = InputChannel(automaton), at_rest(register)
     for u in inputs[:6]:
@@ -167,7 +167,7 @@ def test_a_channel_goes_on_from_what_is_remembered(door, name) -> None:
 
 
 def test_a_channel_of_many_runs_is_many_channels(door) -> None:
-    automaton = with_effect(door, replace(remembering(door, "lag").effects[0], modes=("revolute",)))
+    automaton = with_effect(door, replace(with_input_memory(door, "lag").effects[0], modes=("revolute",)))
     inputs, modes = np.random.default_rng(2).normal(size=(6, 4, 1)), np.random.default_rng(3).integers(0, 2, (6, 4))
     names, together = [mode.name for mode in automaton.modes], InputChannel(automaton)
     alone = [InputChannel(automaton) for _ in range(4)]
@@ -202,7 +202,7 @@ def test_a_users_effect_with_a_memory_becomes_states(door) -> None:
 
 
 def test_states_are_made_once_and_can_be_taken_out(door) -> None:
-    automaton = remembering(door, "delay", "lag")
+    automaton = with_input_memory(door, "delay", "lag")
     whole = with_memory_states(automaton)
     assert whole is with_memory_states(automaton)
     assert with_memory_states(whole) is whole
@@ -212,10 +212,10 @@ def test_states_are_made_once_and_can_be_taken_out(door) -> None:
 
 
 def test_only_what_cannot_be_a_state_is_left_out(door) -> None:
-    assert left_out(remembering(door, "delay", "backlash")) == ()
-    assert len(left_out(remembering(door, "delay", "backlash"), memory=True)) == 2
+    assert left_out(with_input_memory(door, "delay", "backlash")) == ()
+    assert len(left_out(with_input_memory(door, "delay", "backlash"), memory=True)) == 2
     (edge, *rest), push = door.edges, Reset(B=((1.0,),))
     pushed = replace(door, edges=(replace(edge, reset=push), *rest))
-    (told,) = left_out(remembering(pushed, "delay"))
+    (told,) = left_out(with_input_memory(pushed, "delay"))
     assert told == "planner, filter and nominal plant leave out the delay of door: it depends on earlier inputs"
-    assert with_memory_states(remembering(pushed, "delay")).registers == ()
+    assert with_memory_states(with_input_memory(pushed, "delay")).registers == ()

@@ -17,11 +17,11 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.ranges import coordinate_ranges
+from micah_plan.documents.model_file import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
-from micah_plan.spec.model_file import load_model, model_text
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = ["microwave", "drawer", "cabinet", "slot", "light_dark"]
@@ -113,7 +113,7 @@ def test_an_arm_is_a_model_too() -> None:
 
 
 def load_model_text(text: str) -> HybridAutomaton:
-    from micah_plan.spec.model_file import usable_model
+    from micah_plan.documents.model_file import usable_model
 
     return usable_model(text.encode(), "m.yaml")
 

@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import Region, above, below, box, input_below, input_box
-from micah_plan.planning.plan import Trajectory
+from micah_plan.task.plan import Trajectory
 
 SHUT = 1.2
 RADIUS = 0.35

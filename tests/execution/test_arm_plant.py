@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.pilot import Pilot
 from micah_plan.execution.plant import Command
-from micah_plan.planning.plan import ArmTrajectory, Trajectory
 from micah_plan.robot.along_plan import arm_along, start_posture
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import ArmTrajectory, Trajectory
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 

@@ -15,7 +15,7 @@ from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.nominal import NominalPlant, pose_noise
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.pose import command, configuration
-from micah_plan.planning.problem import Start
+from micah_plan.task.start import Start
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STILL = Start((0.0, 0.0), (0.0, 0.0))

@@ -12,9 +12,12 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.closed_loop import execute
 from micah_plan.execution.follower import PlanFollower
 from micah_plan.execution.trials import make_plant
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.recording.csv_file import read_csv, write_csv
 from micah_plan.robot.tool_path import ArmFailure
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 TRACKER = {"position_noise": 0.003, "rotation_noise": 0.03}
 

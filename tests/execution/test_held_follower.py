@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.follower import PlanFollower
-from micah_plan.planning.plan import Trajectory
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Trajectory
 
 PROBLEM = load_problem(Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml")
 ABOVE, PRESSED, LIFTED = (0.0, 0.0, 0.1, 0.3), (0.0, 0.0, 0.07, 0.46), (0.02, 0.0, 0.1, 0.573)

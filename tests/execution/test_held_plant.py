@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
 from micah_plan.planning.pomdp_hd import plan, replan
-from micah_plan.spec.problem_file import load_problem
 from micah_plan.workflow import execute, solve
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from micah_plan import workflow
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.closed_loop import execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.plant import Command
-from micah_plan.execution.scoring import goal_error
-from micah_plan.spec.problem_file import load_problem
 
 pytest.importorskip("mujoco")
 LATE = 2
@@ -40,7 +39,7 @@ def executed(problem, plan, seeds):
         logs.append(execute(problem, plan.trajectory, plant, np.random.default_rng(seed), run=run).recording)
         for _ in range(LATE + 1):
             plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
-        errors.append(goal_error(problem.goal, plant.truth().x))
+        errors.append(problem.goal.error(plant.truth().x))
     plant.close()
     return concatenated(logs), np.array(errors)
 

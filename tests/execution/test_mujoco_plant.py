@@ -18,7 +18,7 @@ from micah_plan.execution.physical_object import physical_links
 from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.physics_library import check_stable, import_mujoco
 from micah_plan.execution.pose import chain, command, components, moving_joints
-from micah_plan.planning.problem import Start
+from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 
@@ -243,7 +243,9 @@ sys.path.insert(0, "tests/execution")
 import micah_plan.execution
 from micah_plan.errors import MissingDependencyError
 from micah_plan.execution.trials import make_plant
-from micah_plan.planning.problem import Goal, Problem, Start
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 from execution_objects import door
 problem = Problem(door(), Start((0.1,), (0.01,)), Goal(((0, 0.5, 0.1),)))
 make_plant(problem, "nominal")

@@ -10,11 +10,11 @@ from execution_objects import SHUT, arm, door, drawer, worm
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
+from micah_plan.documents.model_file import load_model
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command, configuration
-from micah_plan.planning.problem import Start
-from micah_plan.spec.model_file import load_model
+from micah_plan.task.start import Start
 
 MODELS = Path(__file__).parents[2] / "models"
 

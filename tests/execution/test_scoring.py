@@ -8,8 +8,9 @@ from micah_plan.belief.filter import initial_belief
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Truth
-from micah_plan.execution.scoring import goal_error, goal_probability, true_state
-from micah_plan.planning.problem import Goal, Start
+from micah_plan.execution.scoring import goal_probability, true_state
+from micah_plan.task.goal import Goal
+from micah_plan.task.start import Start
 
 
 def test_in_one_dimension_the_probability_is_exact():
@@ -41,9 +42,9 @@ def test_modes_that_do_not_count_are_left_out():
 
 def test_the_error_is_that_of_the_worst_coordinate():
     goal = Goal(((0, 0.5, 0.1), (1, 0.0, 0.01)), ("moving",))
-    assert goal_error(goal, np.array([0.45, 0.02])) == pytest.approx(0.05)
-    assert goal_error(goal, np.array([0.5, -0.02])) == pytest.approx(0.02)
-    assert goal_error(Goal((), ("moving",)), np.zeros(2)) == 0.0
+    assert goal.error(np.array([0.45, 0.02])) == pytest.approx(0.05)
+    assert goal.error(np.array([0.5, -0.02])) == pytest.approx(0.02)
+    assert Goal((), ("moving",)).error(np.zeros(2)) == 0.0
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -6,8 +6,10 @@ from execution_objects import drawer, pulling
 
 from micah_plan.errors import InputError
 from micah_plan.execution.trials import make_plant, run_trials
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Goal, Problem, Start
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 
 PULL = Problem(drawer(), Start((0.02,), (0.01,)), Goal(((0, 0.25, 0.004),)))
 PLAN = Plan("solved", "", pulling())

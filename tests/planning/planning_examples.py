@@ -7,7 +7,10 @@ from dataclasses import replace
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, above, below, box, input_above, input_below, input_box
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 RIGID = Joint("rigid", (0.0, 0.0, 0.0))
 DOOR_SHUT = 1.2

@@ -15,7 +15,10 @@ from scipy import ndimage
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

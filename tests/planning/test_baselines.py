@@ -13,13 +13,14 @@ from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_pr
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.cli import main
+from micah_plan.documents.problem_file import load_problem
+from micah_plan.planning.baselines.mixture import mixture_step
+from micah_plan.planning.baselines.open_loop import cost_of, nominal_trajectory
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.nominal import cost_of, nominal_trajectory
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
-from micah_plan.planning.problem import Goal, Problem
-from micah_plan.planning.transcription_mixture import mixture_step
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
@@ -78,10 +79,10 @@ def test_the_direct_planner_does_not_see_the_way_around_a_wall() -> None:
 def test_what_is_impossible_is_refused_with_a_reason(method: str) -> None:
     outside = solved_by(door_problem(0.2, 2.0), method)
     assert outside.outcome == "no_plan"
-    assert outside.obstacles[0].level == "goal"
+    assert outside.findings[0].level == "goal"
     start = solved_by(door_problem(-3.0, 0.5), method)
     assert start.outcome == "no_plan"
-    assert start.obstacles[0].level == "start"
+    assert start.findings[0].level == "start"
 
 
 def test_limits_of_time_end_the_baselines() -> None:

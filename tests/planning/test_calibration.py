@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
-from micah_plan.spec.problem_file import load_problem
 from micah_plan.workflow import solve
 
 PROBLEMS = sorted((Path(__file__).resolve().parents[2] / "problems").glob("*.yaml"))
@@ -19,7 +19,7 @@ def test_predicted_success_is_observed(path: Path) -> None:
     problem = load_problem(path)
     found = solve(problem)
     if found.trajectory is None:
-        assert found.obstacles
+        assert found.findings
         return
     ends = roll_out(problem, found.trajectory, draw_chances(problem, found.trajectory, 1000, seed=12345))
     assert found.success_probability == pytest.approx(are_in_goal(problem, ends).mean(), abs=0.03)

@@ -14,10 +14,11 @@ from scipy.sparse.csgraph import connected_components
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.mode_motion import motions_of
-from micah_plan.planning.mode_search import roadmap_of, search_modes
-from micah_plan.planning.polytope import mode_states
-from micah_plan.planning.problem import Problem, Start
+from micah_plan.planning.search.mode_search import roadmap_of, search_modes
+from micah_plan.planning.search.motion import motions_of
+from micah_plan.planning.search.polytope import mode_states
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 
 WIDTH, LENGTH, RISE = 0.03, 0.1, 0.12
 MIDDLE, TURN = np.array([-0.5, 0.1]), 0.3

@@ -8,11 +8,11 @@ from functools import partial
 import pytest
 from planning_examples import planar_problem, with_settings
 
-from micah_plan.planning.deadline import Deadline
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Method
 from micah_plan.planning.tightening import verified_plan
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan
+from micah_plan.task.settings import Method
 from micah_plan.workflow import solve
 
 
@@ -36,8 +36,8 @@ def test_every_stage_ends_at_the_limit_and_is_named() -> None:
         (stage,) = {s for s in ("search", "optimisation", "verification") if f"reached in the {s}" in found.reason}
         named.add(stage)
         assert found.outcome == ("not_verified" if stage == "verification" else "no_plan")
-        assert found.obstacles[0].level == stage
-        assert "solve_time_limit_s" in found.obstacles[0].remedy
+        assert found.findings[0].level == stage
+        assert "solve_time_limit_s" in found.findings[0].remedy
         # Once it is over nothing new begins: the sequences left each ask once or twice.
         assert asked <= limit + 20
     assert named == {"search", "optimisation", "verification"}

@@ -11,74 +11,77 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimen
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.region import above
-from micah_plan.planning.amounts import quantity
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.explain import explain
-from micah_plan.planning.obstacles import obstacle_of
-from micah_plan.planning.plan import Obstacle, Plan
+from micah_plan.planning.findings import finding_of
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
-from micah_plan.planning.transcription_rows import Row, Shortfall
+from micah_plan.planning.transcription.rows import Row, Shortfall
 from micah_plan.planning.verification import verify
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.quantities import quantity
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Finding, Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 from micah_plan.workflow import solve
 
 
-def first(problem: Problem) -> Obstacle:
+def first(problem: Problem) -> Finding:
     found = plan(problem)
     assert found.outcome == "no_plan"
-    return explain(problem, found).obstacles[0]
+    return explain(problem, found).findings[0]
 
 
 def test_a_start_out_of_range_is_named_before_the_goal() -> None:
-    obstacle = first(door_problem(1.5, 2.0))
-    assert (obstacle.level, obstacle.unit) == ("start", "rad")
-    assert obstacle.amount == pytest.approx(0.3)
-    assert "it misses mode 'swings' by 0.3 rad" in obstacle.sentence
-    assert obstacle.remedy.startswith("start door at 1.2 rad")
+    finding = first(door_problem(1.5, 2.0))
+    assert (finding.level, finding.unit) == ("start", "rad")
+    assert finding.amount == pytest.approx(0.3)
+    assert "it misses mode 'swings' by 0.3 rad" in finding.sentence
+    assert finding.remedy.startswith("start door at 1.2 rad")
     assert plan(door_problem(1.2, 0.9)).outcome == "solved"
 
 
 def test_a_start_outside_of_its_named_mode_is_measured_against_that_mode() -> None:
-    obstacle = first(door_problem(0.3, 0.9, mode="shut"))
-    assert obstacle.mode == "shut"
-    assert obstacle.amount == pytest.approx(0.9)
+    finding = first(door_problem(0.3, 0.9, mode="shut"))
+    assert finding.mode == "shut"
+    assert finding.amount == pytest.approx(0.9)
 
 
 def test_a_goal_out_of_range_tells_how_far_and_where_the_range_ends() -> None:
-    obstacle = first(door_problem(0.2, 2.0))
-    assert obstacle.level == "goal"
-    assert obstacle.amount == pytest.approx(0.75)
-    assert obstacle.remedy == "move its target to 1.2 rad"
+    finding = first(door_problem(0.2, 2.0))
+    assert finding.level == "goal"
+    assert finding.amount == pytest.approx(0.75)
+    assert finding.remedy == "move its target to 1.2 rad"
     assert plan(door_problem(0.2, 1.2)).outcome == "solved"
 
 
 def test_the_search_names_the_guard() -> None:
-    obstacle = first(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1)))
-    assert obstacle.level == "search"
-    assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in obstacle.sentence
-    assert "raise max_step" in obstacle.remedy
+    finding = first(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1)))
+    assert finding.level == "search"
+    assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in finding.sentence
+    assert "raise max_step" in finding.remedy
 
 
-def test_too_few_knots_are_an_obstacle_of_the_optimisation() -> None:
-    obstacle = first(with_settings(door_problem(0.2, 0.9), max_knots=10))
-    assert (obstacle.level, obstacle.modes) == ("optimisation", ("swings",))
-    assert "needs at least 13 knots" in obstacle.sentence
+def test_too_few_knots_are_an_finding_of_the_optimisation() -> None:
+    finding = first(with_settings(door_problem(0.2, 0.9), max_knots=10))
+    assert (finding.level, finding.modes) == ("optimisation", ("swings",))
+    assert "needs at least 13 knots" in finding.sentence
     assert plan(with_settings(door_problem(0.2, 0.9), max_knots=20)).outcome == "solved"
 
 
 def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository) -> None:  # type: ignore[no-untyped-def]
     problem = load_problem(repository / "problems" / "slot_unsure.yaml")
     found = plan(problem)
-    (obstacle,) = found.obstacles
-    assert (obstacle.level, obstacle.modes, obstacle.mode) == ("optimisation", ("table", "slot"), "table")
-    assert obstacle.room == pytest.approx(0.012)
-    assert obstacle.need is not None
-    assert obstacle.amount is not None
-    assert 0.012 < obstacle.need < 0.03
+    (finding,) = found.findings
+    assert (finding.level, finding.modes, finding.mode) == ("optimisation", ("table", "slot"), "table")
+    assert finding.room == pytest.approx(0.012)
+    assert finding.need is not None
+    assert finding.amount is not None
+    assert 0.012 < finding.need < 0.03
     # Both sides together miss what the corridor lacks.
-    assert 0 < obstacle.amount <= obstacle.need - obstacle.room + 1e-6
-    assert "is 12 mm wide, the belief needs" in obstacle.sentence
-    confidence = float(obstacle.remedy.rpartition(" ")[2])
+    assert 0 < finding.amount <= finding.need - finding.room + 1e-6
+    assert "is 12 mm wide, the belief needs" in finding.sentence
+    confidence = float(finding.remedy.rpartition(" ")[2])
     assert 0.5 < confidence < 0.95
     assert plan(with_settings(problem, confidence=confidence - 0.02)).outcome == "solved"
 
@@ -87,20 +90,20 @@ def test_roll_outs_that_miss_the_goal_say_what_tolerance_they_need() -> None:
     problem = door_problem(0.2, 0.5, tolerance=0.004)
     found = verify(problem, plan(problem), trials=400)
     assert found.outcome == "not_verified"
-    obstacle = explain(problem, found).obstacles[0]
-    assert (obstacle.level, obstacle.room) == ("verification", 0.004)
-    assert obstacle.need is not None
-    wider = replace(problem, goal=Goal(((0, 0.5, obstacle.need),)))
+    finding = explain(problem, found).findings[0]
+    assert (finding.level, finding.room) == ("verification", 0.004)
+    assert finding.need is not None
+    wider = replace(problem, goal=Goal(((0, 0.5, finding.need),)))
     share = verify(wider, found, trials=400).success_probability
     assert share == pytest.approx(0.95, abs=0.01)
 
 
 def test_a_time_limit_is_named_and_nothing_else_is_claimed() -> None:
     for limits in ({"time_limit_s": 1e-3}, {"solve_time_limit_s": 1e-3}):
-        (obstacle, *_) = plan(with_settings(planar_problem(), **limits)).obstacles
-        assert next(iter(limits)) in obstacle.sentence
-        assert next(iter(limits)) in obstacle.remedy
-        assert obstacle.knot is None
+        (finding, *_) = plan(with_settings(planar_problem(), **limits)).findings
+        assert next(iter(limits)) in finding.sentence
+        assert next(iter(limits)) in finding.remedy
+        assert finding.knot is None
 
 
 def test_a_solved_plan_is_told_as_solved() -> None:
@@ -138,10 +141,10 @@ def turned(step: float, process: float = 0.001) -> Problem:
 def test_a_step_too_short_for_a_boundary_that_turns_is_named_and_a_longer_one_helps() -> None:
     short = turned(0.006)
     told = explain(short, solve(short))
-    obstacle = next(one for one in told.obstacles if one.level == "optimisation")
-    assert "moves the other way ('first' against 'second')" in obstacle.sentence
-    assert obstacle.remedy.startswith("raise max_step")
-    assert obstacle.room < obstacle.need
+    finding = next(one for one in told.findings if one.level == "optimisation")
+    assert "moves the other way ('first' against 'second')" in finding.sentence
+    assert finding.remedy.startswith("raise max_step")
+    assert finding.room < finding.need
     assert solve(turned(0.02)).outcome == "solved"
 
 
@@ -151,14 +154,14 @@ def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
     shortfall = Shortfall(
         Row("first", 3, "'c >= 0'", "m", 0.0, np.inf, "boundary", boundary, 1.0, 0.0), 0.002, 0.004, 0.5
     )
-    obstacle = obstacle_of(turned(0.02), ("first",), shortfall)
-    assert obstacle.need == pytest.approx(1.645 * 0.004, rel=1e-3)
-    assert obstacle.room == pytest.approx(obstacle.need - 0.002)
-    assert "wide" not in obstacle.sentence
+    finding = finding_of(turned(0.02), ("first",), shortfall)
+    assert finding.need == pytest.approx(1.645 * 0.004, rel=1e-3)
+    assert finding.room == pytest.approx(finding.need - 0.002)
+    assert "wide" not in finding.sentence
 
 
 def test_a_plan_that_could_find_out_where_it_is_is_told_to_come_back() -> None:
     walls = load_problem(Path(__file__).resolve().parents[2] / "problems" / "walled_domain.yaml")
     blunt = with_settings(walls, revisits=0, verification_trials=100, tightening_rounds=0)
-    obstacle = explain(blunt, solve(blunt)).obstacles[0]
-    assert "raise `revisits`" in obstacle.remedy
+    finding = explain(blunt, solve(blunt)).findings[0]
+    assert "raise `revisits`" in finding.remedy

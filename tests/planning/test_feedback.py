@@ -12,8 +12,8 @@ from scipy.linalg import solve_discrete_are
 from micah_plan.automaton.region import HalfSpace, Region, input_above
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
+from micah_plan.task.plan import Trajectory
 
 
 def test_gains_far_from_the_end_are_those_of_the_infinite_horizon() -> None:

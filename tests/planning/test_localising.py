@@ -11,16 +11,16 @@ from planning_examples import planar_problem, with_settings
 from scipy.sparse import csr_array
 
 from micah_plan.belief import gaussian
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.mode_paths import JoinedRoadmap
-from micah_plan.planning.mode_search import ModeSequence, search_modes
-from micah_plan.planning.path_beliefs import PathBeliefs
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Problem
 from micah_plan.planning.roll_outs import Chances, draw_chances, roll_out
+from micah_plan.planning.search.mode_paths import JoinedRoadmap
+from micah_plan.planning.search.mode_search import ModeSequence, search_modes
+from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.verification import verify
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 from micah_plan.workflow import execute, solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"

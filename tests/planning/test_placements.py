@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.spec.problem_file import load_problem
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above
-from micah_plan.planning.polytope import Polytope
+from micah_plan.planning.search.polytope import Polytope
 
 NAMES = ["x", "y"]
 UNIT = Polytope(np.zeros(2), np.ones(2), np.zeros((0, 2)), np.zeros(0))

@@ -11,10 +11,10 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
 from micah_plan.belief.filter import initial_belief
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan, replan
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.start_state import start_mode
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
 from micah_plan.workflow import solve
 
 

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from random_hybrids import CELLS, Grid, is_clearly_reachable, is_clearly_unreachable, random_problem, with_less_noise
 
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.plan import Plan
-from micah_plan.planning.problem import Goal, Problem
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 from micah_plan.workflow import solve
 
 QUICK, ALL = 15, 200
@@ -52,7 +53,7 @@ def check_answer(problem: Problem, found: Plan, seed: int) -> None:
     if found.outcome == "no_plan":
         check_reason(problem, found)
         assert found.trajectory is None
-        assert found.obstacles
+        assert found.findings
     else:
         assert not unreachable, found.reason
     if found.outcome == "solved":

@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from planning_examples import one_dimensional
 
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
-from micah_plan.planning.start_state import LIMIT_ROOM
+from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import LIMIT_ROOM, Start
 
 unit = st.floats(0.0, 1.0)
 

@@ -12,13 +12,13 @@ from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.baselines.open_loop import cost_of
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.nominal import cost_of
 from micah_plan.planning.policy import time_knots
 from micah_plan.planning.pomdp_hd import plan, replan, trajectory_of
-from micah_plan.planning.problem import Problem
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
 from micah_plan.planning.replanning import believed_problem, rest_of
+from micah_plan.task.problem import Problem
 
 STD = 0.04
 

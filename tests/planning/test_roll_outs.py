@@ -23,12 +23,14 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as scalar
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.plan import Trajectory
 from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.planning.roll_outs import Chances, are_in_goal, draw_chances, roll_out
-from micah_plan.planning.verification import is_in_goal
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 TRIALS = 40
 
@@ -133,7 +135,7 @@ def test_all_at_once_is_one_after_the_other(name: str) -> None:
             b @ b.transpose(0, 2, 1) for b in (ends.beliefs.factors[trial, likely], belief.factors[likely])
         )
         np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-10)
-        assert inside[trial] == is_in_goal(problem.goal, mode, x)
+        assert inside[trial] == problem.goal.contains(mode, x)
 
 
 def test_the_seed_decides_and_starts_are_possible() -> None:

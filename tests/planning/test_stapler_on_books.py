@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from micah_plan.automaton.transition import simulate
-from micah_plan.planning.plan import Plan
+from micah_plan.documents.model_file import dump_model, load_model
+from micah_plan.documents.plan_file import load_plan, write_plan
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Problem
 from micah_plan.planning.verification import verify
-from micah_plan.spec.model_file import dump_model, load_model
-from micah_plan.spec.plan_file import load_plan, write_plan
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 
 ROOT = Path(__file__).resolve().parents[2]
 PROBLEM = ROOT / "problems" / "stapler_on_books.yaml"
@@ -86,7 +86,7 @@ def test_without_a_latch_there_is_no_plan_and_the_reason_names_what_is_in_the_wa
     found = plan(problem, 0)
     assert found.outcome == "no_plan"
     assert "lower_arm at" in found.reason
-    assert found.obstacles[0].remedy
+    assert found.findings[0].remedy
 
 
 def test_the_surer_the_start_the_shorter_it_drags() -> None:

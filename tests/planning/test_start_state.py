@@ -11,8 +11,7 @@ from planning_examples import DOOR_SHUT, door_problem
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region, above, box
 from micah_plan.errors import InputError
-from micah_plan.planning.problem import Start
-from micah_plan.planning.start_state import sample_start, start_mode
+from micah_plan.task.start import Start, sample_start, start_mode
 
 
 def with_init(*regions: tuple[str, Region]) -> HybridAutomaton:

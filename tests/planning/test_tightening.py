@@ -8,12 +8,12 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem, with_settings
 
 from micah_plan.automaton.hybrid import Noise
-from micah_plan.planning.deadline import Deadline
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Problem
 from micah_plan.planning.tightening import tightened, verified_plan
 from micah_plan.planning.verification import verify
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
 from micah_plan.workflow import solve
 
 
@@ -64,7 +64,7 @@ def test_rounds_are_bounded_and_the_best_is_told() -> None:
     assert 1 < len(planner.asked) <= 3
     assert planner.asked == sorted(planner.asked)
     assert answer.success_probability >= verify(problem, plan(problem), seed=0).success_probability
-    assert any(obstacle.level == "verification" for obstacle in answer.obstacles)
+    assert any(finding.level == "verification" for finding in answer.findings)
 
 
 def test_no_rounds_and_no_time_leave_the_first_answer() -> None:

@@ -16,15 +16,15 @@ from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.mode_search import search_modes
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.transcription import Transcription, transcribe
-from micah_plan.planning.transcription_guess import guess
-from micah_plan.planning.transcription_rows import Row, RowNames
-from micah_plan.planning.transcription_solve import BeliefPath, solve, unmet
-from micah_plan.planning.transcription_state import factor_pattern, pack, unpack
+from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.transcription.guess import guess
+from micah_plan.planning.transcription.layout import factor_pattern, pack, unpack
+from micah_plan.planning.transcription.programme import Transcription, transcribe
+from micah_plan.planning.transcription.rows import Row, RowNames
+from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.task.problem import Problem
 
 GUARD_MESSAGE = (
     r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95% is missed by ([0-9.]+) mm at knot \d+ in mode 'left'"

@@ -10,10 +10,13 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimen
 from scipy.stats import norm
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.plan import Plan
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.planning.verification import verify
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 STD = 0.04
 TRIALS = 120

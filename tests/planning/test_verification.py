@@ -10,10 +10,10 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_pr
 from scipy.stats import binom, binomtest, norm
 
 from micah_plan.automaton.hybrid import Noise
-from micah_plan.planning.plan import Plan, Trajectory
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.problem import Goal
-from micah_plan.planning.verification import is_in_goal, verify, wilson_interval
+from micah_plan.planning.verification import verify, wilson_interval
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Plan, Trajectory
 
 
 @pytest.mark.parametrize(
@@ -98,10 +98,10 @@ def test_a_plan_without_trajectory_stays_as_it_is() -> None:
 
 def test_the_goal_asks_for_tolerance_and_mode() -> None:
     goal = Goal(((1, 0.5, 0.1),), ("a",))
-    assert is_in_goal(goal, "a", np.array([9.0, 0.6]))
-    assert not is_in_goal(goal, "a", np.array([0.5, 0.61]))
-    assert not is_in_goal(goal, "b", np.array([0.5, 0.5]))
-    assert is_in_goal(Goal(((1, 0.5, 0.1),)), "b", np.array([0.5, 0.5]))
+    assert goal.contains("a", np.array([9.0, 0.6]))
+    assert not goal.contains("a", np.array([0.5, 0.61]))
+    assert not goal.contains("b", np.array([0.5, 0.5]))
+    assert Goal(((1, 0.5, 0.1),)).contains("b", np.array([0.5, 0.5]))
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 20), (20, 20), (19, 20), (950, 1000), (1, 1)])

@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
 from micah_plan.cli import app
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.execution.closed_loop import execute
 from micah_plan.execution.trials import make_plant
-from micah_plan.planning.plan import Trajectory
 from micah_plan.recording.csv_file import write_csv
 from micah_plan.residual.prediction import predict_recording
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import Trajectory
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 STEPS = np.array([[0.01, 0.0, -0.02]] * 5 + [[0.0, 0.02, -0.01]] * 12)

@@ -11,14 +11,14 @@ import pytest
 from robot_examples import ARM7
 
 from micah_plan.automaton.kinematics import forward
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning import pomdp_hd
-from micah_plan.planning.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.planning.explain import explain
-from micah_plan.planning.plan import ArmTrajectory, Plan
-from micah_plan.planning.problem import Problem
 from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Plan
+from micah_plan.task.problem import Problem
 from micah_plan.workflow import solve
 
 PROBLEM = ARM7.parents[2] / "problems" / "microwave_close_by_arm.yaml"
@@ -69,7 +69,7 @@ def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> Non
     assert found.reason.startswith("the arm cannot follow the plan: the tool stays")
     told = explain(far, found)
     assert told.level == "arm"
-    assert told.obstacles[0].knot is not None
+    assert told.findings[0].knot is not None
 
 
 def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Problem, plan: Plan) -> None:
@@ -96,8 +96,8 @@ def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypa
     assert found.arm is None
     told = explain(hasty, found)
     assert told.level == "arm"
-    assert "reached in the arm's motion" in told.obstacles[0].sentence
-    assert told.obstacles[0].remedy == "raise solve_time_limit_s"
+    assert "reached in the arm's motion" in told.findings[0].sentence
+    assert told.findings[0].remedy == "raise solve_time_limit_s"
 
 
 def whatever_time(problem: Problem, seed: int, **_: object) -> Plan:

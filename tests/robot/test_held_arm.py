@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.planning.plan import ArmTrajectory, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.planning.settled import settled_poses, touching_pairs
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.robot.along_plan import arm_along, problem_clearance
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.scene.body import corners
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.contact_poses import settled_poses, touching_pairs
+from micah_plan.task.plan import ArmTrajectory, Trajectory
+from micah_plan.task.problem import Problem
 
 ROOT = Path(__file__).resolve().parents[2]
 LATCH = 0.5735

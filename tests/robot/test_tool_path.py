@@ -11,13 +11,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.errors import InputError
-from micah_plan.planning.plan import ArmTrajectory
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.inverse_kinematics import pose_error
 from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
 from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
 from micah_plan.scene.body import Body
+from micah_plan.task.plan import ArmTrajectory
 
 TABLE = Body("table", (Primitive("box", (1.2, 1.2, 0.02), (0.5, 0.0, -0.011)),))
 BOOKS = Body("books", (Primitive("box", (0.2, 0.25, 0.2), (0.55, 0.3, 0.1)),))
@@ -83,7 +83,7 @@ def test_the_same_seed_gives_the_same_trajectory(model: ClearanceModel) -> None:
     assert np.array_equal(first.positions, second.positions)
 
 
-def test_redundancy_is_used_to_stay_away_from_limits_and_obstacles(model: ClearanceModel) -> None:
+def test_redundancy_is_used_to_stay_away_from_limits_and_findings(model: ClearanceModel) -> None:
     path = line((0.45, -0.35, 0.25), (0.45, 0.25, 0.35))
     lazy = PostureWeights(rest=0.0, limits=0.0, manipulability=0.0, clearance=0.0)
     settings = PathSettings(followed=1, enough=1, least_manipulability=0.0, margin=-1.0, limit_margin=0.0)

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.errors import MissingDependencyError
-from micah_plan.sweep.case import Case
 from micah_plan.sweep.result import CaseResult, CaseRun
 from micah_plan.sweep.schedule import MOST_ATTEMPTS, SweepStoppedError, finished_cases
+from micah_plan.task.sweep import Case
 
 
 class KilledWorker(Exception):  # noqa: N818 - as Dask calls it

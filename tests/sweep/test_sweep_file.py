@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from sweep_examples import ROOT, SMALL
 
+from micah_plan.documents.located import Located
+from micah_plan.documents.overrides import overridden
+from micah_plan.documents.problem_file import ProblemReader, load_problem
+from micah_plan.documents.sweep_file import load_sweep, sweep_of
 from micah_plan.errors import InputError
-from micah_plan.spec.located import Located
-from micah_plan.spec.overrides import overridden
-from micah_plan.spec.problem_file import ProblemReader, load_problem
-from micah_plan.spec.sweep_file import load_sweep, sweep_of
 
 
 def test_cases_are_problems_times_values_times_seeds_in_order() -> None:

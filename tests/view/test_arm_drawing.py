@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.planning.plan import ArmTrajectory, Plan
-from micah_plan.planning.problem import Problem
+from micah_plan.documents.problem_file import load_problem
 from micah_plan.scene.body import Body, Hull
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.task.plan import ArmTrajectory, Plan
+from micah_plan.task.problem import Problem
 from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.drawing import viewing_direction
 from micah_plan.view.scene import Scene

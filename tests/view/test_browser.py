@@ -17,8 +17,8 @@ from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan import workflow
-from micah_plan.planning.plan import Plan
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.documents.problem_file import load_problem
+from micah_plan.task.plan import Plan
 from micah_plan.view.live import PageServer
 from micah_plan.view.page import calibration_page, model_page, plan_page, recording_page
 

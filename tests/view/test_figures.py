@@ -15,8 +15,8 @@ from scipy.stats import norm
 from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 
 from micah_plan.errors import InputError
-from micah_plan.planning.plan import Plan
 from micah_plan.recording.value import Recording
+from micah_plan.task.plan import Plan
 from micah_plan.view.figures import belief_figure, executed_configurations, save_figure
 from micah_plan.view.learning_figure import learning_figure
 from micah_plan.view.palette import EXECUTED

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.planning.plan import Plan, Trajectory
-from micah_plan.planning.problem import Problem
-from micah_plan.spec.problem_file import load_problem
+from micah_plan.documents.problem_file import load_problem
+from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
 from micah_plan.view.drawing import fixed_shapes, object_size, shown_links
 from micah_plan.view.held_object import with_shown_points
 from micah_plan.view.plan_page import plan_page

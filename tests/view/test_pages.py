@@ -21,7 +21,7 @@ from scipy.stats import chi2
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
-from micah_plan.planning.plan import Plan
+from micah_plan.task.plan import Plan
 from micah_plan.view.motion import Keyframes, belief_ellipsoids, poses_over_time
 from micah_plan.view.page import model_page, plan_page, recording_page
 

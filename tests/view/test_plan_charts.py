@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 from view_objects import OPEN_AT, problem, solved, trajectory
 
-from micah_plan.planning.plan import ArmTrajectory, Plan
+from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.view.plan_charts import plan_charts
 from micah_plan.view.plan_clock import duration, knot_times, step_times, stretches
 

@@ -20,9 +20,12 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import Region, above, below
-from micah_plan.planning.plan import Candidate, Plan, Trajectory
-from micah_plan.planning.problem import Goal, PlannerSettings, Problem, Start
 from micah_plan.recording.value import Recording
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Candidate, Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 HINGE = Joint("revolute", position=(0.3, 0.0, 0.1), axis=(0.0, 0.0, -1.0), center=(0.0, 0.0, 0.1))
 OPEN_AT = 1.2

@@ -1,0 +1,248 @@
+"""Affine expressions and half-spaces as a person writes them: ``door >= 1.2``, ``0.5*x + 2*z - input x > 0.1``.
+
+    half-space := sum (">=" | ">" | "<=" | "<") sum
+    sum        := ["+" | "-"] term {("+" | "-") term}
+    term       := number ["*" variable] | variable
+    variable   := ["input"] name
+
+A name that is no plain identifier, or is ``input``, is written in double quotes. Numbers are written by repr, so that
+reading returns the very same floats.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.documents.located import choices
+from micah_plan.errors import InputError, shown
+
+INPUT = "input"
+_LONGEST = 4000
+_TOKEN = re.compile(
+    r"""\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)
+    |(?P<name>[^\W\d]\w*)|(?P<quoted>"(?:[^"\\]|\\.)*")|(?P<operator>>=|<=|[-+*<>]))\s*""",
+    re.VERBOSE,
+)
+_IDENTIFIER = re.compile(r"[^\W\d]\w*")
+
+
+@dataclass(frozen=True)
+class Variables:
+    """The names that expressions may use: (n) coordinates and (m) inputs, in the automaton's order."""
+
+    coordinates: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+    def listed(self) -> list[str]:
+        return [_written(name) for name in self.coordinates] + [f"{INPUT} {_written(name)}" for name in self.inputs]
+
+
+@dataclass(frozen=True)
+class Affine:
+    """a'x + b'u + constant, and whether a constant was written at all (``0.0`` counts)."""
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    constant: float
+    has_constant: bool
+
+
+def parse_affine(text: str, variables: Variables) -> Affine:
+    """An affine expression.
+
+    Raises:
+        InputError: if it is not one or uses an unknown name; the file and place are left to the caller.
+    """
+    parser = _Parser(text, variables)
+    expression = parser.sum()
+    parser.end("+ or -")
+    return expression
+
+
+def parse_half_space(text: str, variables: Variables, name: str | None = None) -> HalfSpace:
+    """A half-space from one comparison; without a name it gets the canonical one.
+
+    Raises:
+        InputError: as for `parse_affine`, and if no variable has a weight.
+    """
+    parser = _Parser(text, variables)
+    left = parser.sum()
+    operator = parser.comparison()
+    right = parser.sum()
+    parser.end("the end (one comparison per entry)")
+    sign = 1.0 if operator[0] == ">" else -1.0
+    a = tuple(sign * (p - q) + 0.0 for p, q in zip(left.a, right.a, strict=True))
+    b = tuple(sign * (p - q) + 0.0 for p, q in zip(left.b, right.b, strict=True))
+    c = sign * (right.constant - left.constant)
+    if not any((*a, *b)):
+        raise parser.error("expected a variable with a weight other than 0", f"use {', '.join(variables.listed())}")
+    if not all(map(math.isfinite, (*a, *b, c))):
+        raise parser.error("a number is too large", "use SI units")
+    half_space = HalfSpace(a, b, c + 0.0, strict=len(operator) == 1)  # + 0.0: no -0.0 in what people see
+    return replace(half_space, name=canonical_name(half_space, variables) if name is None else name)
+
+
+def half_space_text(half_space: HalfSpace, variables: Variables) -> str:
+    """The text that `parse_half_space` reads back as the same half-space."""
+    return _comparison(half_space, variables, _exact)
+
+
+def canonical_name(half_space: HalfSpace, variables: Variables) -> str:
+    """The name that the builders of `automaton.region` give, with numbers rounded for reading."""
+    return _comparison(half_space, variables, lambda value: f"{value:g}")
+
+
+def short_text(half_space: HalfSpace, variables: Variables) -> str:
+    """The exact text for messages: what a person copies from it is the limit itself, not a rounded one."""
+    return _comparison(half_space, variables, short_number)
+
+
+def short_number(value: float) -> str:
+    """The exact text of a number, without needless digits (``0`` and ``1.2``, not ``0.0``)."""
+    rounded = f"{value:g}"
+    return rounded if float(rounded) == value else _exact(value)
+
+
+def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, variables: Variables) -> str:
+    """The text that `parse_affine` reads back as the same expression; ``0.0`` if nothing is left."""
+    text = _sum(a, b, variables, _exact)
+    if not text:
+        return _exact(0.0 if constant is None else constant)
+    return text if not constant else f"{text} {'-' if constant < 0 else '+'} {_exact(abs(constant))}"
+
+
+class _Parser:
+    """Recursive descent over the tokens of one expression."""
+
+    def __init__(self, text: str, variables: Variables) -> None:
+        if len(text) > _LONGEST:
+            raise InputError(f"expected at most {_LONGEST} characters, found {len(text)}")
+        self._text = text
+        self._variables = variables
+        self._tokens = list(self._split())
+        self._next = 0
+
+    def _split(self) -> Iterator[tuple[str, str]]:
+        position = 0
+        while position < len(self._text):
+            match = _TOKEN.match(self._text, position)
+            if match is None:
+                found = self._text[position:].strip() or self._text
+                allowed = "use names, numbers, + - * and one of >= > <= <"
+                raise self.error(f"cannot read {shown(found[:20])}", allowed)
+            kind = str(match.lastgroup)
+            yield kind, match.group(kind)
+            position = match.end()
+
+    def error(self, problem: str, remedy: str | None = None) -> InputError:
+        return InputError(f"{problem} in {shown(self._text)}", remedy=remedy)
+
+    def _peek(self) -> tuple[str, str]:
+        return self._tokens[self._next] if self._next < len(self._tokens) else ("end", "")
+
+    def _take(self) -> tuple[str, str]:
+        token = self._peek()
+        self._next += 1
+        return token
+
+    def end(self, expected: str) -> None:
+        kind, text = self._peek()
+        if kind != "end":
+            raise self.error(f"expected {expected}, found {shown(text)}")
+
+    def comparison(self) -> str:
+        kind, text = self._take()
+        if kind != "operator" or text not in (">=", ">", "<=", "<"):
+            found = shown(text) if text else "the end"
+            raise self.error(f"expected one of >= > <= <, found {found}", "write it like 'door >= 1.2'")
+        return text
+
+    def sum(self) -> Affine:
+        a, b = [0.0] * len(self._variables.coordinates), [0.0] * len(self._variables.inputs)
+        constant, has_constant, first = 0.0, False, True
+        while first or self._peek()[1] in ("+", "-"):
+            sign = -1.0 if self._peek()[1] == "-" else 1.0
+            if self._peek()[1] in ("+", "-"):
+                self._take()
+            first = False
+            weight, place = self._term()
+            if place is None:
+                constant, has_constant = constant + sign * weight, True
+            else:
+                row, index = (b, place[1]) if place[0] else (a, place[1])
+                row[index] += sign * weight
+        return Affine(tuple(a), tuple(b), constant, has_constant)
+
+    def _term(self) -> tuple[float, tuple[bool, int] | None]:
+        """Weight and (whether an input, index); no place for a constant."""
+        if self._peek()[0] != "number":
+            return 1.0, self._variable()
+        value = float(self._take()[1])
+        if not math.isfinite(value):
+            raise self.error("a number is too large", "use SI units")
+        if self._peek() != ("operator", "*"):
+            return value, None
+        self._take()
+        return value, self._variable()
+
+    def _variable(self) -> tuple[bool, int]:
+        kind, text = self._take()
+        is_input = (kind, text) == ("name", INPUT)
+        if is_input:
+            kind, text = self._take()
+        if kind not in ("name", "quoted"):
+            found = shown(text) if text else "the end"
+            raise self.error(f"expected a variable or a number, found {found}")
+        name = self._unquoted(text) if kind == "quoted" else text
+        names = self._variables.inputs if is_input else self._variables.coordinates
+        if name not in names:
+            shown_name = f"{INPUT} {_written(name)}" if is_input else _written(name)
+            problem = f"unknown variable {shown(shown_name)}"
+            raise self.error(problem, choices(shown_name, self._variables.listed()))
+        return is_input, names.index(name)
+
+    def _unquoted(self, text: str) -> str:
+        try:
+            return str(json.loads(text))
+        except ValueError:
+            raise self.error(f"cannot read the quoted name {shown(text)}") from None
+
+
+def _exact(value: float) -> str:
+    return repr(float(value))
+
+
+def _written(name: str) -> str:
+    """A name as expressions write it."""
+    if name != INPUT and _IDENTIFIER.fullmatch(name):
+        return name
+    return json.dumps(name, ensure_ascii=False)
+
+
+def _sum(a: Sequence[float], b: Sequence[float], variables: Variables, number: Callable[[float], str]) -> str:
+    text = ""
+    for weight, name in zip((*a, *b), variables.listed(), strict=True):
+        if weight == 0.0:
+            continue
+        term = name if abs(weight) == 1.0 else f"{number(abs(weight))}*{name}"
+        if text:
+            text += f" {'-' if weight < 0 else '+'} {term}"
+        else:
+            text = f"-{term}" if weight < 0 else term
+    return text
+
+
+def _comparison(half_space: HalfSpace, variables: Variables, number: Callable[[float], str]) -> str:
+    a, b, c, strict = half_space.a, half_space.b, half_space.c, half_space.strict
+    weights = [w for w in (*a, *b) if w != 0.0]
+    upper = weights == [-1.0]  # a single coordinate or input from above reads better as "door < 1.2"
+    if upper:
+        a, b, c = tuple(-w for w in a), tuple(-w for w in b), -c
+    left = _sum(a, b, variables, number)
+    operator = ("<" if upper else ">") + ("" if strict else "=")
+    return f"{left} {operator} {number(c + 0.0)}"

@@ -1,0 +1,121 @@
+"""Sweep files (`problems/sweeps/*.yaml`): `load_sweep`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from math import log10, prod
+from pathlib import Path
+from typing import Any
+
+from micah_plan.documents.key_paths import allows, dotted_paths
+from micah_plan.documents.located import KeyPath, Located, nearest
+from micah_plan.documents.problem_document import ProblemDocument
+from micah_plan.documents.problem_file import ProblemReader
+from micah_plan.documents.sweep_document import SweepDocument
+from micah_plan.documents.validation import validated
+from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
+from micah_plan.errors import InputError
+from micah_plan.files import read_bytes
+from micah_plan.task.problem import Problem
+from micah_plan.task.sweep import MOST_CASES, Digests, Sweep, SweptProblem
+
+
+def load_sweep(path: str | Path) -> Sweep:
+    """The sweep that a file describes.
+
+    Every problem is loaded, and every value of the grid is put into every problem by itself: keys, types and names must
+    be right. A combination that makes a problem impossible is a row of the results, not an error here.
+
+    Raises:
+        InputError: if the sweep, a problem or a value cannot be used; one line names the place in the sweep file.
+    """
+    return _sweep(read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path)), Path(path).parent)
+
+
+def sweep_of(data: Mapping[str, Any], folder: str | Path = ".") -> Sweep:
+    """The sweep that the plain data of a sweep file describes; its problems are looked for from a folder.
+
+    Raises:
+        InputError: as `load_sweep`.
+    """
+    return _sweep(Located(dict(data), ""), Path(folder))
+
+
+def _sweep(located: Located, folder: Path) -> Sweep:
+    document = validated(located, SweepDocument)
+    size = len(document.problems) * prod(len(values) for values in document.grid.values()) * document.seeds
+    if size > MOST_CASES:
+        lists = [f"{len(values)}" for values in document.grid.values()]
+        shown = " x ".join([f"{len(document.problems)} problem(s)", *lists[:8], *["..."][: len(lists[8:])]])
+        problem = f"expected at most {MOST_CASES:,} cases, found {_count(size)} ({shown} x {document.seeds} seeds)"
+        raise located.error((), problem, "take fewer values or seeds, or make several sweeps of it")
+    _check_grid(document, located)
+    problems = tuple(_problem(document, number, located, folder) for number in range(len(document.problems)))
+    return Sweep(
+        problems=problems,
+        grid=tuple((key, tuple(values)) for key, values in document.grid.items()),
+        seeds=range(document.first_seed, document.first_seed + document.seeds),
+        plant="nominal" if document.execute is None else document.execute.plant,
+        trials=0 if document.execute is None else document.execute.trials,
+        source=located.source,
+    )
+
+
+def _count(size: int) -> str:
+    return f"{size:,}" if size < 10**15 else f"about 10^{log10(size):.0f}"
+
+
+def _check_grid(document: SweepDocument, located: Located) -> None:
+    """Raise an InputError where two cases would be the same, or no problem could have a value."""
+    _check_distinct(document.problems, "problem", ("problems",), located)
+    keys = [key.split(".") for key in document.grid]
+    for key, values in document.grid.items():
+        names = key.split(".")
+        if names[0] == "format":
+            raise located.error(("grid", key), "the format is no value to vary", "take it out")
+        if not allows(ProblemDocument, names):
+            near = nearest(key, dotted_paths(ProblemDocument))
+            remedy = "see the page on the problem file" if near is None else f"did you mean '{near}'?"
+            raise located.error(("grid", key), "no problem has this key", remedy)
+        for other in keys:
+            if len(other) < len(names) and names[: len(other)] == other:
+                problem = f"lies within {'.'.join(other)}, which the grid varies too"
+                raise located.error(("grid", key), problem, "vary one of them")
+        _check_distinct([json.dumps(value, sort_keys=True) for value in values], "value", ("grid", key), located)
+
+
+def _check_distinct(texts: Sequence[str], what: str, path: KeyPath, located: Located) -> None:
+    seen = set()
+    for number, text in enumerate(texts):
+        if text in seen:
+            raise located.error((*path, number), f"the same {what} twice", "keep one of them")
+        seen.add(text)
+
+
+def _problem(document: SweepDocument, number: int, located: Located, folder: Path) -> SweptProblem:
+    name = document.problems[number]
+    path = folder / name
+    reader = ProblemReader(path)
+    try:
+        digests = _digests(reader.load())
+    except InputError as error:
+        within = "" if error.where is None else f", {error.where}"
+        raise located.error(("problems", number), f"{path}{within}: {error.problem}", error.remedy) from None
+    others = {}
+    for key, values in document.grid.items():
+        for i, value in enumerate(values):
+            try:
+                found = _digests(reader.describe({key: value}))
+            except InputError as error:
+                said = f"{name}: {error.problem}"
+                raise located.error(("grid", key, i), said, error.remedy) from None
+            others[key, i] = {role: digest for role, digest in found.items() if digests.get(role) != digest}
+    changed = {place: digest for place, digest in others.items() if digest}
+    return SweptProblem(name, path.resolve(), digests, changed)
+
+
+def _digests(problem: Problem) -> Digests:
+    """Those of the files, and of the bodies around the object, whose meshes lie in files of their own."""
+    return {**problem.digests, "scene": hashlib.sha256(repr(problem.scene).encode()).hexdigest()}

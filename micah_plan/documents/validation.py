@@ -1,0 +1,124 @@
+"""Located data -> document, or an error for everything that is wrong with it, the first in the file in front."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from micah_plan.documents.fields import Document
+from micah_plan.documents.key_paths import document_at
+from micah_plan.documents.located import KeyPath, Located, choices, nearest
+from micah_plan.errors import InputError, shown, together
+
+D = TypeVar("D", bound=Document)
+
+_EXPECTED: Mapping[str, str] = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "an integer",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "dict_type": "a mapping of names to values",
+    "model_type": "a mapping of keys to values",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "greater_than": "a number > {gt:g}",
+    "greater_than_equal": "a number >= {ge:g}",
+    "less_than": "a number < {lt:g}",
+    "less_than_equal": "a number <= {le:g}",
+    "literal_error": "{expected}",
+    "too_long": "at most {max_length} entries",
+    "too_short": "at least {min_length} entries",
+    "string_pattern_mismatch": "text of the form {pattern}",
+}
+
+
+def validated(located: Located, document: type[D]) -> D:
+    """The document that the data describes.
+
+    Raises:
+        InputError: for the first violation in the file, naming line, column, key, what was expected and found, and the
+            number of further violations, which it carries.
+    """
+    check_format(located, document)
+    try:
+        return document.model_validate(located.data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+    raise together(_violations(located, document, details))
+
+
+def check_format(located: Located, document: type[Document]) -> None:
+    """Raise an InputError unless the file says that it is of the document's format and version."""
+    (expected,) = get_args(document.model_fields["format"].annotation)
+    kind = expected.split("/")[1]
+    data = located.data
+    if not isinstance(data, dict):
+        remedy = f"a {kind} file is a mapping of keys to values and says 'format: {expected}'"
+        raise located.error((), f"expected a {kind}, found {_found(data)}", remedy)
+    if "format" not in data:
+        raise located.error((), "missing key 'format'", f"a {kind} file says 'format: {expected}'")
+    found = data["format"]
+    if found == expected:
+        return
+    words = found.split("/") if isinstance(found, str) else []
+    problem = f"expected {expected}, found {shown(found)}"
+    remedy = f"a {kind} file says 'format: {expected}'"
+    if len(words) == 3 and words[0] == "micah-plan":
+        if words[1] != kind:
+            problem, remedy = f"expected a {kind} file, found a {shown(words[1])[1:-1]} file", f"give a {kind} file"
+        else:
+            remedy = "use the version of micah-plan that wrote it, or write the file anew"
+    raise located.error(("format",), problem, remedy)
+
+
+def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
+    def order(detail: ErrorDetails) -> tuple[bool, int, int]:
+        # A key that is missing is often one that is there with a typo: the unknown key tells more.
+        line, column = located.place(_path(detail)) or (0, 0)
+        return detail["type"] == "missing", line, column
+
+    return [located.error(_path(detail), *_explained(detail, document)) for detail in sorted(details, key=order)]
+
+
+def _path(detail: ErrorDetails) -> KeyPath:
+    return tuple(part for part in detail["loc"] if part != "[key]")
+
+
+def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str | None]:
+    """What is wrong, and the remedy."""
+    kind, path, context = detail["type"], _path(detail), detail.get("ctx") or {}
+    if kind == "extra_forbidden":
+        owner = document_at(document, path[:-1])
+        return f"unknown key {shown(path[-1])}", choices(str(path[-1]), owner.model_fields if owner else ())
+    if kind == "missing":
+        if isinstance(path[-1], int):
+            return "too few entries, this one is missing", "complete the list"
+        return f"missing key '{path[-1]}'", "add it"
+    found = _found(detail["input"])
+    if kind in _EXPECTED:
+        return f"expected {_EXPECTED[kind].format(**context)}, found {found}", _near(detail)
+    return f"{detail['msg']}, found {found}", None
+
+
+def _near(detail: ErrorDetails) -> str | None:
+    if detail["type"] == "string_type" and isinstance(detail["input"], int | float):
+        return "put it in quotes"
+    if detail["type"] != "literal_error" or not isinstance(detail["input"], str):
+        return None
+    allowed = [word for i, word in enumerate(str((detail.get("ctx") or {})["expected"]).split("'")) if i % 2]
+    near = nearest(detail["input"], allowed)
+    return None if near is None else f"did you mean '{near}'?"
+
+
+def _found(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    return shown(value)

@@ -1,0 +1,244 @@
+"""YAML text <-> plain data with the line and column of every value. The only importer of ruamel.yaml.
+
+YAML 1.2 with its core schema (so ``1e-3`` is a number and ``on`` a string), less what a hostile file could use: no
+anchors and aliases, tags, directives or second documents, and bounds on size, number of values and depth. The reader
+works on the parser's events and stops at the first that is not allowed, before anything is built from it.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentEndEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamStartEvent,
+)
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+from micah_plan.documents.located import KeyPath, Located, line_and_column
+from micah_plan.errors import InputError, shown
+
+LARGEST_TEXT_BYTES = 4 * 1024 * 1024
+MOST_VALUES = 100_000
+DEEPEST = 24
+_LINE_WIDTH = 120
+
+_INTEGER = re.compile(r"[-+]?[0-9]{1,30}")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_TEXT = (
+    (
+        re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"),
+        "expected text, found a control character",
+        "is it a binary file?",
+    ),
+    (re.compile(r"^ *\t", re.MULTILINE), "tab in the indentation", "indent with spaces"),
+)
+_SPECIAL: Mapping[str, bool | float | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+
+
+def read_yaml(content: bytes, source: str) -> Located:
+    """The mapping that a YAML file holds.
+
+    Args:
+        content: of the file, UTF-8.
+        source: the file's name, for messages.
+
+    Raises:
+        InputError: if it is not YAML, not a mapping, or uses what the module's docstring excludes.
+    """
+    text = _decoded(content, source)
+    reader = _Reader(_events(text, source), source)
+    try:
+        return reader.document()
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        said = " ".join(str(error.problem or error.context or "cannot be parsed").split())
+        problem, remedy = f"not valid YAML: {said}", "correct the syntax"
+        raise _error(source, None if mark is None else _place(mark), problem, remedy) from None
+    except (YAMLError, ValueError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise InputError(f"not valid YAML: {said}", source=source, remedy="correct the syntax") from None
+
+
+def write_yaml(data: Mapping[str, Any], header: str = "", comments: Mapping[KeyPath, str] | None = None) -> str:
+    """YAML text of plain data, lists of scalars on one line, floats exact.
+
+    Args:
+        data: dicts with string keys, lists, strings, finite numbers, booleans and None.
+        header: lines of comment at the top.
+        comments: remarks at the end of the line of a key, by key path.
+    """
+    yaml = YAML()
+    yaml.version = None
+    yaml.width = _LINE_WIDTH
+    yaml.allow_unicode = True
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    yaml.representer.ignore_aliases = lambda *_: True
+    root = _commented(data, (), comments or {})
+    stream = io.StringIO()
+    stream.writelines(f"# {line}\n" for line in header.splitlines())
+    yaml.dump(root, stream)
+    return stream.getvalue()
+
+
+def _decoded(content: bytes, source: str) -> str:
+    if len(content) > LARGEST_TEXT_BYTES:
+        raise InputError(f"expected at most {LARGEST_TEXT_BYTES // 1024 // 1024} MiB of YAML", source=source)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, column = content.count(b"\n", 0, error.start) + 1, error.start - content.rfind(b"\n", 0, error.start)
+        problem = f"expected UTF-8 text, found the byte 0x{content[error.start]:02x}"
+        raise _error(source, (line, column), problem, "save it as UTF-8 text") from None
+    for pattern, problem, remedy in _NOT_TEXT:
+        found = pattern.search(text)
+        if found is not None:
+            at = found.end() - 1
+            raise _error(source, (text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)), problem, remedy)
+    return text
+
+
+def _events(text: str, source: str) -> Iterator[Event]:
+    """The parser's events that are allowed, bounded in number."""
+    for count, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
+        problem = _forbidden(event)
+        if problem is not None:
+            raise _error(source, _place(event.start_mark), problem, "write the value out")
+        if count > MOST_VALUES:
+            problem = f"expected at most {MOST_VALUES} values"
+            raise _error(source, _place(event.start_mark), problem, "split the file")
+        yield event
+
+
+def _error(source: str, place: tuple[int, int] | None, problem: str, remedy: str | None) -> InputError:
+    where = None if place is None else line_and_column(place)
+    return InputError(problem, source=source, where=where, remedy=remedy, position=place)
+
+
+def _forbidden(event: Event) -> str | None:
+    if isinstance(event, AliasEvent):
+        return f"aliases are not allowed, found {shown('*' + event.anchor)}"
+    anchor = getattr(event, "anchor", None)
+    if anchor is not None:
+        return f"anchors are not allowed, found {shown('&' + anchor)}"
+    if isinstance(event, DocumentStartEvent) and (event.version or event.tags):
+        return "directives (%YAML, %TAG) are not allowed"
+    tag = None if isinstance(event, DocumentStartEvent) else getattr(event, "tag", None)
+    return None if tag is None else f"tags are not allowed, found {shown(str(tag))}"
+
+
+class _Reader:
+    """Builds data from events; one recursive descent of bounded depth."""
+
+    def __init__(self, events: Iterator[Event], source: str) -> None:
+        self._events = events
+        self._source = source
+        self._places: dict[KeyPath, tuple[int, int]] = {}
+
+    def document(self) -> Located:
+        event = self._next()
+        if not isinstance(event, DocumentStartEvent):
+            raise InputError("expected keys and values, found nothing", source=self._source, remedy="is it empty?")
+        first = self._next()
+        if not isinstance(first, MappingStartEvent):
+            found = "a list" if isinstance(first, SequenceStartEvent) else "a single value"
+            remedy = "start it with 'format: ...'"
+            raise self._error(first, f"expected a mapping of keys to values, found {found}", remedy)
+        self._places[()] = _place(first.start_mark)
+        data = self._value(first, ())
+        if not isinstance(self._next(), DocumentEndEvent):
+            raise self._error(first, "expected one document")
+        for event in self._events:
+            if isinstance(event, DocumentStartEvent):
+                raise self._error(event, "expected one document, found a second", "put it into a file of its own")
+        return Located(data, self._source, self._places)
+
+    def _next(self) -> Event:
+        event = next(self._events)
+        return next(self._events) if isinstance(event, StreamStartEvent) else event
+
+    def _error(self, event: Event, problem: str, remedy: str | None = None) -> InputError:
+        return _error(self._source, _place(event.start_mark), problem, remedy)
+
+    def _value(self, event: Event, path: KeyPath) -> Any:
+        if len(path) > DEEPEST:
+            raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
+        if isinstance(event, ScalarEvent):
+            return _scalar(event)
+        if isinstance(event, SequenceStartEvent):
+            items: list[Any] = []
+            while not isinstance(event := self._next(), SequenceEndEvent):
+                here = (*path, len(items))
+                self._places[here] = _place(event.start_mark)
+                items.append(self._value(event, here))
+            return items
+        entries: dict[str, Any] = {}
+        while not isinstance(key := self._next(), MappingEndEvent):
+            if not isinstance(key, ScalarEvent):
+                raise self._error(key, "expected a name as key, found a list or mapping", "quote braces and brackets")
+            here = (*path, key.value)
+            if key.value in entries:
+                first = self._places[here][0]
+                raise self._error(key, f"duplicate key {shown(key.value)}, first on line {first}", "keep one of them")
+            self._places[here] = _place(key.start_mark)
+            entries[key.value] = self._value(self._next(), here)
+        return entries
+
+
+def _place(mark: Any) -> tuple[int, int]:
+    """Line and column, both from 1, of a mark that the parser made."""
+    return mark.line + 1, mark.column + 1
+
+
+def _scalar(event: ScalarEvent) -> Any:
+    text: str = event.value
+    if not event.implicit[0]:  # quoted
+        return text
+    if text in _SPECIAL:
+        return _SPECIAL[text]
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    return float(text) if _FLOAT.fullmatch(text) else text
+
+
+def _commented(value: Any, path: KeyPath, comments: Mapping[KeyPath, str]) -> Any:
+    if isinstance(value, Mapping):
+        mapping = CommentedMap((key, _commented(item, (*path, key), comments)) for key, item in value.items())
+        for key in value:
+            remark = comments.get((*path, key))
+            if remark is not None:
+                mapping.yaml_add_eol_comment(remark, key)
+        return mapping
+    if isinstance(value, list | tuple):
+        sequence = CommentedSeq(_commented(item, (*path, i), comments) for i, item in enumerate(value))
+        if not any(isinstance(item, Mapping | list | tuple) for item in value) and not _has_long_text(value):
+            sequence.fa.set_flow_style()
+        return sequence
+    if isinstance(value, str) and value.startswith("?"):
+        return DoubleQuotedScalarString(value)  # bare in a list, it would read back as a key
+    return value
+
+
+def _has_long_text(items: list[Any] | tuple[Any, ...]) -> bool:
+    return sum(len(item) for item in items if isinstance(item, str)) > _LINE_WIDTH // 2

@@ -1,0 +1,179 @@
+"""A baseline: OMPL's kinodynamic RRT on the hybrid system, without any belief.
+
+The states are (x, mode), a propagation is one step of the real transition without noise, so modes change where guards
+fire and nowhere else. Source: LaValle and Kuffner, "Randomized kinodynamic planning", IJRR 2001.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import control as oc
+from ompl import util as ou
+
+from micah_plan.automaton.transition import step
+from micah_plan.planning.baselines.open_loop import NoWayError, Task, nominal_start, plan_by
+from micah_plan.planning.limits import Limits, limited_input
+from micah_plan.planning.search.samples import goal_states
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+
+# Extensions of the tree, after which it is given up: with them the result depends on the seed alone.
+_MOST_EXTENSIONS = 20_000
+# The mean must end within this share of the tolerance: the rest is for the belief's spread.
+_GOAL_SHARE = 0.5
+# Distance between different modes, in widths of the range: other modes come after the same mode, but not never.
+_MODE_DISTANCE = 0.1
+_LONGEST_CONTROL = 5
+_TOLERANCE = 1e-9
+
+
+def plan(
+    problem: Problem,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+    deadline: Deadline | None = None,
+) -> Plan:
+    """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
+    if progress is not None:
+        progress("growing a tree", 0.0)
+    return plan_by(_grow, "search", problem, seed, deadline)
+
+
+def _grow(task: Task) -> tuple[Floats, str]:
+    """(T, m) inputs of a path to the goal, and how they were found."""
+    with task.clock.stage("search"):
+        inputs = _grown(task.problem, task.limits, task.mode, task.seed, task.deadline)
+    return inputs, f"found by RRT in {len(inputs)} steps"
+
+
+def _grown(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Deadline) -> Floats:
+    """(T, m) inputs of a path to the goal."""
+    # OMPL complains that generators exist already; those made from here on follow the seed, and no other is used.
+    ou.setLogLevel(ou.LogLevel.LOG_NONE)
+    ou.RNG.setSeed(seed + 1)
+    goals = _goal_sets(problem, limits)
+    if not goals:
+        raise NoWayError("the goal lies in the range of no mode that it may end in; move the goal into a range")
+    system = _System(problem, limits)
+    information = system.information()
+    definition = ob.ProblemDefinition(information)
+    start = information.allocState()
+    system.write(start, nominal_start(problem, limits, mode), mode)
+    definition.addStartState(start)
+    goal = _Goal(information, system, goals, np.random.default_rng(seed))
+    definition.setGoal(goal)
+    planner = oc.RRT(information)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    asked = 0
+
+    def is_over() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > _MOST_EXTENSIONS or deadline.is_over()
+
+    planner.solve(ob.PlannerTerminationCondition(is_over))
+    if not definition.hasExactSolution():
+        limit = f"{_MOST_EXTENSIONS} extensions" if asked > _MOST_EXTENSIONS else "the time limit (solve_time_limit_s)"
+        raise NoWayError(f"RRT found no path to the goal within {limit}; this does not prove that there is none")
+    path, inputs = definition.getSolutionPath(), []
+    for i in range(path.getControlCount()):
+        control, times = path.getControl(i), round(path.getControlDuration(i))
+        inputs += [[control[j] for j in range(problem.automaton.m)]] * times
+    return np.array(inputs, dtype=float).reshape(-1, problem.automaton.m)
+
+
+def _goal_sets(problem: Problem, limits: Limits) -> list[tuple[str, Any]]:
+    sets = [(mode.name, goal_states(problem, limits, mode.name)) for mode in problem.automaton.modes]
+    return [(name, states) for name, states in sets if not states.is_empty]
+
+
+class _System:
+    """The hybrid system as OMPL sees it: states (x over the ranges' widths, number of the mode)."""
+
+    def __init__(self, problem: Problem, limits: Limits) -> None:
+        self.automaton, self.goal, self.limits = problem.automaton, problem.goal, limits
+        self.names = [mode.name for mode in problem.automaton.modes]
+        width = limits.upper - limits.lower
+        self.width = np.where(width > 0, width, 1.0)
+        self.rest = np.zeros(problem.automaton.m)
+
+    def information(self) -> Any:
+        continuous = ob.RealVectorStateSpace(self.automaton.n)
+        bounds = ob.RealVectorBounds(self.automaton.n)
+        for i, low in enumerate(self.limits.lower / self.width):
+            bounds.setLow(i, float(low))
+            bounds.setHigh(i, float(low) + 1.0)
+        continuous.setBounds(bounds)
+        space = ob.CompoundStateSpace()
+        space.addSubspace(continuous, 1.0)
+        # OMPL asks for two values at least; the second of one mode is never reached.
+        space.addSubspace(ob.DiscreteStateSpace(0, max(1, len(self.names) - 1)), _MODE_DISTANCE)
+        controls = oc.RealVectorControlSpace(space, self.automaton.m)
+        most = ob.RealVectorBounds(self.automaton.m)
+        for j, largest in enumerate(self.limits.max_step):
+            most.setLow(j, -float(largest))
+            most.setHigh(j, float(largest))
+        controls.setBounds(most)
+        information = oc.SpaceInformation(space, controls)
+        information.setStatePropagator(self.propagate)
+        information.setStateValidityChecker(self.is_valid)
+        information.setPropagationStepSize(1.0)
+        information.setMinMaxControlDuration(1, _LONGEST_CONTROL)
+        return information
+
+    def read(self, state: Any) -> tuple[Floats, str]:
+        x = np.array([state[0][i] for i in range(self.automaton.n)]) * self.width
+        return x, self.names[state[1].value]
+
+    def write(self, state: Any, x: Floats, mode: str) -> None:
+        for i, value in enumerate(x / self.width):
+            state[0][i] = float(value)
+        state[1].value = self.names.index(mode)
+
+    def propagate(self, state: Any, control: Any, _duration: float, after: Any) -> None:
+        x, name = self.read(state)
+        u = np.array([control[j] for j in range(self.automaton.m)])
+        cut = limited_input(self.automaton.mode(name), x, u, self.limits.max_step)
+        moved = step(self.automaton, name, x, cut)
+        self.write(after, moved.x, moved.mode)
+
+    def is_valid(self, state: Any) -> bool:
+        x, name = self.read(state)
+        return bool(self.automaton.mode(name).invariant.contains(x, self.rest, _TOLERANCE))
+
+    def distance(self, state: Any) -> float:
+        """Largest goal error over its tolerance; infinite in a mode that does not count."""
+        x, name = self.read(state)
+        if not self.goal.admits(name):
+            return float("inf")
+        return max((abs(float(x[i]) - value) / tolerance for i, value, tolerance in self.goal.target), default=0.0)
+
+
+class _Goal(ob.GoalSampleableRegion):  # type: ignore[misc]  # OMPL's wheel has no type information
+    """The goal set, from which the tree's growth takes a state now and then."""
+
+    def __init__(
+        self, information: Any, system: _System, sets: list[tuple[str, Any]], rng: np.random.Generator
+    ) -> None:
+        super().__init__(information)
+        self.setThreshold(_GOAL_SHARE)
+        self.system, self.sets, self.rng = system, sets, rng
+
+    def distanceGoal(self, state: Any) -> float:  # noqa: N802  # OMPL's name
+        return self.system.distance(state)
+
+    def sampleGoal(self, state: Any) -> None:  # noqa: N802  # OMPL's name
+        name, states = self.sets[int(self.rng.integers(len(self.sets)))]
+        self.system.write(state, states.sample(self.rng, 1)[0], name)
+
+    def maxSampleCount(self) -> int:  # noqa: N802  # OMPL's name
+        return _MOST_EXTENSIONS

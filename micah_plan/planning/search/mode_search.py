@@ -1,0 +1,244 @@
+"""The high level of POMDP-HD: a roadmap per mode, guard edges between them, and the cheapest mode sequences.
+
+The roadmaps are OMPL's PRM* over the coordinates that a mode leaves free (Karaman and Frazzoli, IJRR 2011). All states
+come from our own generator through a valid-state sampler and growth stops by count, so that the result depends on the
+seed alone, not on what the process did before. OMPL is given no other callback: motions are checked afterwards in one
+NumPy batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+from scipy.sparse import coo_array, csr_array
+
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
+from micah_plan.planning.search.mode_paths import JoinedRoadmap, cheapest_sequences
+from micah_plan.planning.search.motion import ModeMotion, motions_of
+from micah_plan.planning.search.path_beliefs import PathBeliefs
+from micah_plan.planning.search.reasons import why_disconnected, why_unreachable
+from micah_plan.planning.search.samples import sample_modes
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
+_SHORTEST = 1e-9
+_SMALLEST_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ModeSequence:
+    """A mode sequence with the path that the roadmaps found through it.
+
+    Attributes:
+        modes: (P,) names.
+        edges: (P-1,) indices into the automaton's edges.
+        waypoints: per mode (w, n) corners of the path, w >= 1, from entering to leaving the mode [rad or m].
+        cost: length of the path in steps of the largest input, one per transition, and the goal error left, in steps.
+        uncertainty: what the uncertainty that it is predicted to leave costs, in steps; the sum ranks sequences.
+    """
+
+    modes: tuple[str, ...]
+    edges: tuple[int, ...]
+    waypoints: tuple[Floats, ...]
+    cost: float
+    uncertainty: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """What sequences are ranked by [steps]."""
+        return self.cost + self.uncertainty
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The sequences found, cheapest first, or the reason why there are none."""
+
+    sequences: tuple[ModeSequence, ...]
+    reason: str = ""
+
+
+def search_modes(
+    problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, deadline: Deadline = NEVER
+) -> SearchResult:
+    """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
+
+    The shortest sequences compete with detours that localise (`localising_paths`) by length and predicted uncertainty.
+
+    Args:
+        deadline: of the search; detours are left out where it passes while they are compared.
+
+    Raises:
+        TimeLimitError: if it passes before there is a mode sequence.
+    """
+    samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
+    reason = why_unreachable(problem, limits, samples, start_mode)
+    if reason:
+        return SearchResult((), reason)
+    motions = motions_of(problem.automaton, limits.max_step, limits.speed)
+    points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
+    graphs: dict[str, csr_array] = {}
+    for name in points:
+        deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
+        graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
+    edges = problem.automaton.edges
+    ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
+    costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
+    roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
+    revisits, candidates = problem.settings.revisits, problem.settings.candidates
+    shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
+    if not shortest:
+        deadline.check("search", "no mode sequence was complete", "samples_per_mode")
+        in_the_way = _guards_in_the_way(problem, limits, roadmap, points, deadline)
+        return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
+    beliefs = PathBeliefs(problem, limits, roadmap, points)
+    localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
+    best: dict[tuple[int, ...], ScoredPath] = {}
+    detours: list[ScoredPath] = []
+    with suppress(TimeLimitError):
+        detours = localising.paths()
+    for path in [*map(localising.score, shortest), *detours]:
+        taken = _edges(path, beliefs)
+        # A detour through the same modes must be worth it: rounding is no reason.
+        if taken not in best or path.cost < best[taken].cost - WORTH_A_DETOUR:
+            best[taken] = path
+    chosen = sorted(best.values(), key=lambda path: path.cost)[:candidates]
+    return SearchResult(tuple(_mode_sequence(path, beliefs, motions) for path in chosen))
+
+
+def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:
+    """The automaton's edges that a path takes."""
+    mode, pairs = beliefs.mode_of, pairwise(path.vertices)
+    return tuple(beliefs.edge_of[i, j] for i, j in pairs if mode[i] != mode[j])
+
+
+def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, ModeMotion]) -> ModeSequence:
+    """The path divided into its modes, its corners cut between the stops."""
+    names, mode_of = list(beliefs.index), beliefs.mode_of[list(path.vertices)]
+    points = beliefs.points[list(path.vertices)]
+    begins = [0, *(np.flatnonzero(np.diff(mode_of)) + 1).tolist(), len(mode_of)]
+    modes, waypoints = [], []
+    for begin, end in pairwise(begins):
+        name = names[mode_of[begin]]
+        ends = [begin, *(stop for stop in path.stops if begin < stop < end - 1), end - 1]
+        parts = [motions[name].shortcut(points[i : j + 1]) for i, j in pairwise(ends)]
+        modes.append(name)
+        waypoints.append(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
+    return ModeSequence(tuple(modes), _edges(path, beliefs), tuple(waypoints), path.length, path.uncertainty)
+
+
+def _goal_costs(problem: Problem, points: Floats) -> Floats:
+    """(g,) the goal error of states (g, n) as the optimisation will weigh it against effort, in steps."""
+    settings = problem.settings
+    errors = np.zeros(len(points))
+    for index, value, tolerance in problem.goal.target:
+        errors += ((points[:, index] - value) / tolerance) ** 2
+    return np.asarray(errors * settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT))
+
+
+def _guards_in_the_way(
+    problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
+) -> tuple[str, ...]:
+    """The guards on states without any one of which, in all modes, the same samples would connect start and goal."""
+    automaton, found = problem.automaton, []
+    changes = [
+        e for e in automaton.edges if not e.is_self_transition and not any(any(h.b) for h in e.guard.half_spaces)
+    ]
+    for name in dict.fromkeys(edge.guard.name for edge in changes):
+        kept = tuple(edge for edge in automaton.edges if edge.guard.name != name)
+        motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)
+        if deadline.is_over():  # that nothing connects them is known; what is in the way is not
+            return ()
+        graphs = {mode: roadmap_of(points[mode], limits.speed, motions[mode]) for mode in points}
+        if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
+            found.append(name)
+    return tuple(found)
+
+
+def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
+    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
+    pairs = _prm_connections(points / speed, deadline)
+    steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
+    allowed = np.isfinite(steps)
+    pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
+    return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
+
+
+def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
+    """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
+    free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
+    if not len(free):
+        return np.zeros((0, 2), dtype=np.int64)
+    states = np.ascontiguousarray(points[:, free])
+    # Distinct states may agree in the last bits after scaling; PRM* sees each only once.
+    numbers: dict[bytes, int] = {}
+    for number, state in enumerate(states):
+        numbers.setdefault((state + 0.0).tobytes(), number)
+    grown, links = _grow_prm(states[list(numbers.values())] + 0.0, deadline)
+    vertices = np.array([numbers[state.tobytes()] for state in grown], dtype=np.int64)
+    pairs = vertices[np.array(links, dtype=np.int64).reshape(-1, 2)]
+    both = np.concatenate([pairs, pairs[:, ::-1]]) @ [len(points), 1]
+    return np.stack(np.divmod(np.unique(both), len(points)), axis=1)
+
+
+def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[int, int]]]:
+    """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
+    ou.setLogLevel(ou.LogLevel.LOG_ERROR)
+    space = ob.RealVectorStateSpace(states.shape[1])
+    bounds = ob.RealVectorBounds(states.shape[1])
+    for i, (low, high) in enumerate(zip(states.min(axis=0), states.max(axis=0), strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    information = ob.SpaceInformation(space)
+    samplers: list[_GivenStates] = []
+
+    def allocate(owner: Any) -> _GivenStates:
+        samplers.append(_GivenStates(owner, states))
+        return samplers[-1]
+
+    information.setValidStateSamplerAllocator(allocate)
+    information.setup()
+    planner = og.PRMstar(information)
+    planner.setProblemDefinition(ob.ProblemDefinition(information))
+    planner.setup()
+    is_done = lambda: any(s.used >= len(states) for s in samplers) or deadline.is_over()  # noqa: E731
+    planner.growRoadmapPtc(ob.PlannerTerminationCondition(is_done))
+    deadline.check("search", "a roadmap was being grown", "samples_per_mode")
+    data = ob.PlannerData(information)
+    planner.getPlannerData(data)
+    # The data points into the planner's memory: copy it while the planner lives.
+    vertices = [data.getVertex(i).getState() for i in range(data.numVertices())]
+    grown = np.array([[state[i] for i in range(states.shape[1])] for state in vertices])
+    return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
+
+
+class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information
+    """Hands given states to a planner, one after the other."""
+
+    def __init__(self, information: Any, states: Floats) -> None:
+        super().__init__(information)
+        self.states = states
+        self.used = 0
+
+    def sample(self, state: Any) -> bool:
+        for i, value in enumerate(self.states[min(self.used, len(self.states) - 1)]):
+            state[i] = float(value)
+        self.used += 1
+        return True
+
+    def sampleNear(self, _state: Any, _near: Any, _distance: float) -> bool:  # noqa: N802  # OMPL's name
+        return False

@@ -1,0 +1,84 @@
+"""Straight motions inside one mode: which the dynamics and the guards allow, and how many steps they take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.region import Region
+from micah_plan.planning.search.polytope import TOLERANCE
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+
+# Share of a step by which the reachable end of a motion may miss its target: rounding of the pseudo-inverse.
+_MISS = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class ModeMotion:
+    """Motions x -> y of one mode.
+
+    Attributes:
+        B: (n, m) input matrix.
+        max_step: (m,) largest input per step.
+        speed: (n,) scale of each coordinate [rad or m per step].
+        obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
+            happens, but not enter it.
+    """
+
+    B: Floats
+    max_step: Floats
+    speed: Floats
+    obstacles: tuple[Region, ...]
+
+    def steps(self, x: Floats, y: Floats) -> Floats:
+        """(k,) number of steps (not rounded) of the straight motions x (k, n) -> y (k, n); infinite if not allowed."""
+        delta = y - x
+        u = delta @ np.linalg.pinv(self.B).T
+        missed = np.max(np.abs(delta - u @ self.B.T) / self.speed, axis=-1, initial=0.0)
+        steps = np.linalg.norm(u / self.max_step, axis=-1)
+        steps[missed > _MISS * (1.0 + steps)] = np.inf
+        for obstacle in self.obstacles:
+            steps[_blocked(obstacle, x, y)] = np.inf
+        return np.asarray(steps)
+
+    def shortcut(self, path: Floats) -> Floats:
+        """(w, n) the path (k, n) without the states that a straight motion can leave out."""
+        kept, i = [0], 0
+        while i < len(path) - 1:
+            ends = np.arange(len(path) - 1, i, -1)
+            allowed = np.isfinite(self.steps(np.repeat(path[i : i + 1], len(ends), axis=0), path[ends]))
+            i = int(ends[np.argmax(allowed)]) if allowed.any() else i + 1
+            kept.append(i)
+        return path[kept]
+
+
+def motions_of(automaton: HybridAutomaton, max_step: Floats, speed: Floats) -> dict[str, ModeMotion]:
+    """The motions of each mode."""
+    motions = {}
+    for mode in automaton.modes:
+        motions[mode.name] = ModeMotion(mode.B, max_step, speed, obstacles_on_state(automaton, mode.name))
+    return motions
+
+
+def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:
+    """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
+    guards = [edge.guard for edge in automaton.edges_from(mode) if not edge.is_self_transition]
+    return tuple(g for g in guards if g.half_spaces and not any(any(h.b) for h in g.half_spaces))
+
+
+def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:
+    """(k,) whether each motion has a part inside the guard, more than a point of its boundary."""
+    u = np.zeros((*x.shape[:-1], len(guard.half_spaces[0].b)))
+    before, after = guard.margins(x, u), guard.margins(y, u)
+    slope = after - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = (TOLERANCE - before) / slope
+    enter = np.where(slope > 0, crossing, np.where(before > TOLERANCE, -np.inf, np.inf))
+    enter = np.where(slope < 0, -np.inf, enter)
+    leave = np.where(slope < 0, crossing, np.inf)
+    return np.asarray(np.minimum(leave.min(axis=-1), 1.0) - np.maximum(enter.max(axis=-1), 0.0) > TOLERANCE)

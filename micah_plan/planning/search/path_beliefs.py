@@ -1,0 +1,174 @@
+"""What a path through the roadmaps would leave of the belief: a cheap filter along many paths at once.
+
+Variances are kept per coordinate, without correlations. Process and measurement noise are diagonal, so this is the
+filter of the transcription where resets do not couple coordinates, and an estimate where they do. As there, every
+measurement is as precise as it is at the mode and at the place that the path leads through.
+
+Source: Prentice and Roy, "The belief roadmap", IJRR 2009, for searching roadmaps for paths that localise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.step_noise import free_gain_std, free_process_std
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.mode_paths import JoinedRoadmap
+from micah_plan.planning.search.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+_SMALLEST_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """Per mode (q, ...): inverse input matrix (q, m, n), process variance, variance of the gain, measured std and its
+    growth (q, n)."""
+
+    inverse: Floats
+    process: Floats
+    gain: Floats
+    std: Floats
+    growth: Floats
+
+
+class PathBeliefs:
+    """Variances (p, n) of p beliefs, each on its way along the vertices of a joined roadmap."""
+
+    def __init__(self, problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats]) -> None:
+        """Args: the problem, its limits, the roadmap, and by mode the states (v, n) of its vertices."""
+        automaton = problem.automaton
+        self.problem, self.limits = problem, limits
+        self.index = {name: i for i, name in enumerate(roadmap.graphs)}
+        self.points = np.concatenate([points[name] for name in roadmap.graphs])
+        sizes = [len(points[name]) for name in roadmap.graphs]
+        self.mode_of = np.repeat(np.arange(len(sizes)), sizes)
+        self.edge_of = {
+            (int(i + roadmap.offsets[roadmap.ends[edge][0]]), int(j + roadmap.offsets[roadmap.ends[edge][1]])): edge
+            for edge in sorted(roadmap.exits, reverse=True)
+            for i, j in roadmap.exits[edge]
+        }
+        modes = [automaton.mode(name) for name in roadmap.graphs]
+        sensing = [automaton.sensing(mode) for mode in modes]
+        self._modes = _Modes(
+            np.array([np.linalg.pinv(mode.B) for mode in modes]),
+            np.square([free_process_std(automaton, mode) for mode in modes]),
+            np.square([free_gain_std(automaton, mode) for mode in modes]),
+            np.array([one.std for one in sensing]),
+            np.array([one.growth for one in sensing]),
+        )
+        self._light = sensing[0].at
+        self._k = problem.settings.sigmas
+
+    def start(self, vertex: int) -> Floats:
+        """(n,) variance once feedback had the time to make up for a start that is k standard deviations off."""
+        std = np.array(self.problem.start.std, dtype=float)
+        mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
+        variance: Floats = np.square(std)
+        for pin in mode.pins:
+            variance[[pin.coordinate]] = _together(variance[[pin.coordinate]], np.array([pin.std**2]))
+        moved = mode.B.any(axis=1)
+        steps = int(np.max(self._k * std / self.limits.speed, where=moved, initial=0.0))
+        for _ in range(steps):
+            variance = self._measured(variance[None], self.points[[vertex]], self.mode_of[[vertex]])[0]
+        return variance
+
+    def hop(self, variance: Floats, origin: Ints, end: Ints) -> tuple[Floats, Floats, Floats]:
+        """Variances (p, n) after each moved from a vertex (p,) to a neighbour (p,).
+
+        Returns:
+            the variances, the steps (p,) that going k-sigma deep into a guard costs, and the steps (p,) taken at least.
+        """
+        mode, delta = self.mode_of[origin], self.points[end] - self.points[origin]
+        moves = mode == self.mode_of[end]
+        u = np.abs(np.einsum("pmn,pn->pm", self._modes.inverse[mode], delta)) / self.limits.max_step
+        least = np.where(moves, u.max(axis=1, initial=0.0), 0.0)
+        count = np.ceil(least / PACE - 1e-9).astype(np.int64)
+        variance = variance.copy()
+        for step in range(int(count.max(initial=0))):
+            on = step < count
+            each = delta[on] / count[on, None]
+            x = self.points[origin[on]] + each * (step + 1.0)
+            moving = variance[on] + self._modes.gain[mode[on]] * each**2
+            variance[on] = self._measured(moving, x, mode[on])
+        overshoot = np.zeros(len(origin))
+        leaves = np.flatnonzero(~moves)
+        pairs = zip(origin[leaves].tolist(), end[leaves].tolist(), strict=True)
+        taken = np.array([self.edge_of[pair] for pair in pairs], dtype=np.int64)
+        for edge in np.unique(taken):
+            on = leaves[taken == edge]
+            overshoot[on] = self._overshoot(self.problem.automaton.edges[edge], variance[on])
+            variance[on] = self._after(self.problem.automaton.edges[edge], variance[on])
+        return variance, overshoot, least + overshoot
+
+    def ending(self, variance: Floats, vertex: Ints, spare: Floats) -> Floats:
+        """(p,) cost of the final variance, in steps, after measuring at the goal as long as that pays.
+
+        Args:
+            spare: (p,) steps left for it.
+        """
+        settings = self.problem.settings
+        index = list(self.problem.goal.indices)
+        tolerance = np.array([tol for _, _, tol in self.problem.goal.target])
+        before = np.full(len(variance), np.inf)
+        open_ = np.full(len(variance), bool(index))
+        for step in range(MOST_LOCALISING_STEPS):
+            prior = variance + self._modes.process[self.mode_of[vertex]]
+            widest = np.max(self._k * np.sqrt(prior[:, index]) / tolerance, axis=1, initial=0.0)
+            open_ &= (widest > 1.0) & (widest <= WORTH_A_STEP * before) & (step < spare)
+            if not open_.any():
+                break
+            before = np.where(open_, widest, before)
+            at = vertex[open_]
+            variance = variance.copy()
+            variance[open_] = self._measured(variance[open_], self.points[at], self.mode_of[at])
+        left = (variance[:, index] / tolerance**2).sum(axis=1)
+        return np.asarray(left * settings.weight_covariance / max(settings.weight_effort, _SMALLEST_WEIGHT))
+
+    def _measured(self, variance: Floats, x: Floats, mode: Ints) -> Floats:
+        """One step's process noise, then one measurement at x (p, n)."""
+        prior = variance + self._modes.process[mode]
+        observed = np.square(self._modes.std[mode])
+        if self._light:
+            away = np.array([x[:, i] - value for i, value in self._light])
+            observed = observed + np.square(self._modes.growth[mode]) * np.square(away).sum(axis=0)[:, None]
+        return _together(prior, observed)
+
+    def _overshoot(self, edge: Edge, variance: Floats) -> Floats:
+        """(p,) steps from a guard's boundary to where it holds with the planned confidence."""
+        deepest = np.zeros(len(variance))
+        pinned = {pin.coordinate for pin in self.problem.automaton.mode(edge.source).pins}
+        for half_space in edge.guard.half_spaces:
+            a = np.array(half_space.a)
+            if not a.any() or set(np.flatnonzero(a)) <= pinned:
+                continue
+            std = np.sqrt(variance @ a**2 + edge.threshold_std**2)
+            deepest = np.maximum(deepest, self._k * std / float(np.abs(a) @ self.limits.speed))
+        return deepest
+
+    def _after(self, edge: Edge, variance: Floats) -> Floats:
+        """The variances after a transition: reset, and what contact tells."""
+        automaton = self.problem.automaton
+        if edge.reset.A is not None:
+            variance = variance @ np.square(np.array(edge.reset.A)).T
+        variance, located = variance.copy(), automaton.pins_located_by(edge)
+        for pin in automaton.mode(edge.target).pins:
+            before, known = variance[:, pin.coordinate], np.full(len(variance), pin.std**2)
+            variance[:, pin.coordinate] = known if pin in located else _together(before, known)
+        return variance
+
+
+def _together(prior: Floats, measured: Floats) -> Floats:
+    """Variance of two independent pieces of information; an infinite one tells nothing."""
+    both = np.maximum(prior + measured, np.finfo(float).tiny)
+    joined = prior * np.divide(measured, both, out=np.ones_like(both), where=np.isfinite(measured))
+    return np.asarray(joined)

@@ -1,0 +1,282 @@
+"""Phases, knots and the warm start of a transcription: the search path with the belief rolled out along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.turning import matrix_after
+from micah_plan.planning.feedback import belief_lqr
+from micah_plan.planning.input_memory import linear_step, steps_of_memory
+from micah_plan.planning.limits import Limits, motion_per_input
+from micah_plan.planning.search.mode_search import ModeSequence
+from micah_plan.planning.search.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
+from micah_plan.planning.search.polytope import mode_states
+from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+
+# A mode that can move gets at least this many steps: time for measurements even if it is already there.
+_FEWEST_STEPS = 3
+# How far inside a strict guard a plan must be, as a share of a step, where no uncertainty asks for more.
+STRICT_SHARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGuess:
+    """One mode of the sequence and its guess.
+
+    Attributes:
+        mode: its name.
+        edge: index of the edge that leaves it; None in the last phase.
+        first_knot: number of its first knot in the whole plan.
+        means: (N+1, n); factors: (N+1, n, n) lower Cholesky factors; inputs: (N, m).
+        spreads: (N+1, n, n) covariance of the estimate around the mean in closed loop. Planning assumes that every
+            measurement is the most likely one; real ones move the estimate, and the true state is spread around the
+            planned mean by this and the belief's covariance together (van den Berg et al., LQG-MP, IJRR 2011).
+    """
+
+    mode: str
+    edge: int | None
+    first_knot: int
+    means: Floats
+    factors: Floats
+    inputs: Floats
+    spreads: Floats
+
+    @property
+    def steps(self) -> int:
+        return len(self.inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """The warm start of all phases, or why there is none."""
+
+    phases: tuple[PhaseGuess, ...]
+    reason: str = ""
+
+
+def guess(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, stretch: float = 1.0
+) -> Guess:
+    """Divide the path into knots and roll the belief out along it, through guards at the planned confidence.
+
+    Args:
+        stretch: multiplies the number of steps (within max_knots), for problems that need more time than the path's
+            length tells.
+    """
+    needed = [_path_steps(problem, limits, sequence, p) for p in range(len(sequence.modes))]
+    steps, reason = _divide(problem, limits, sequence, needed, stretch)
+    if reason:
+        return Guess((), reason)
+    # The overshoot into a guard lengthens a phase and is known only once the belief has been rolled out.
+    rolled, needed = _roll(problem, limits, compiled, sequence, steps)
+    again, reason = _divide(problem, limits, sequence, needed, stretch)
+    if reason:
+        return Guess((), reason)
+    spare = problem.settings.max_knots - len(again) - sum(again)
+    again[-1] += _localising_steps(problem, compiled.modes[sequence.modes[-1]], rolled[-1], spare)
+    if again != steps:
+        rolled, _ = _roll(problem, limits, compiled, sequence, again)
+    return Guess(rolled)
+
+
+def guess_again(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
+) -> tuple[PhaseGuess, ...]:
+    """The warm start of a path that is followed already, with its number of steps in each mode."""
+    return _roll(problem, limits, compiled, sequence, steps)[0]
+
+
+def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
+    """Least number of steps (not rounded) of one mode's waypoints."""
+    B = motion_per_input(problem.automaton, sequence.modes[phase], limits.max_step)
+    return _input_length(sequence.waypoints[phase], B, limits.max_step)
+
+
+def _input_length(path: Floats, B: Floats, max_step: Floats) -> float:
+    u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
+    return float(np.sum(np.max(np.abs(u) / max_step, axis=1, initial=0.0)))
+
+
+def _divide(
+    problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float
+) -> tuple[list[int], str]:
+    """Steps per phase for the least numbers of steps, or the reason why they do not fit into max_knots."""
+    automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
+    least = [int(np.ceil(steps - 1e-9)) for steps in needed]
+    wanted = [int(np.ceil(steps / PACE - 1e-9)) for steps in needed]
+    moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
+    if moving is not None:
+        wanted[moving] += int(_steps_to_correct_start(problem, limits, sequence.modes[moving]))
+    felt, gone = steps_of_memory(automaton, limits.max_step)
+    for p, mode in enumerate(sequence.modes):
+        moves = bool(automaton.mode(mode).B.any())
+        by_input = p > 0 and _is_by_input(automaton, sequence.edges[p - 1])
+        wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
+        least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
+        wanted[p] = int(np.ceil(stretch * wanted[p])) if moves else wanted[p]
+        # Commands take their time: until the object is released, and until the last one has arrived.
+        waits = felt * (p < len(sequence.edges) and _is_by_input(automaton, sequence.edges[p]))
+        least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
+    if sum(least) > most:
+        return [], (
+            f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
+            f"max_knots = {problem.settings.max_knots}; raise max_knots or max_step"
+        )
+    spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
+    return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
+
+
+def _is_by_input(automaton: HybridAutomaton, edge: int) -> bool:
+    return any(any(h.b) for h in automaton.edges[edge].guard.half_spaces)
+
+
+def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
+    """Steps that the feedback needs to make up for a start that is k standard deviations off."""
+    k = problem.settings.sigmas
+    moved = problem.automaton.mode(mode).B.any(axis=1)
+    return float(np.max(k * np.array(problem.start.std) / limits.speed, where=moved, initial=0.0))
+
+
+def _roll(
+    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
+) -> tuple[tuple[PhaseGuess, ...], list[float]]:
+    """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
+    # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
+    first = problem.automaton.mode(sequence.modes[0])
+    mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
+    factor = np.diag(np.array(problem.start.std, dtype=float))
+    mean, factor = _belief(compiled.modes[sequence.modes[0]].condition(mean, factor))
+    gains = _gains(problem, limits, sequence, steps)
+    spread = np.zeros_like(factor)
+    phases: list[PhaseGuess] = []
+    needed, first_knot = [], 0
+    for p, name in enumerate(sequence.modes):
+        mode, count = compiled.modes[name], steps[p]
+        slopes = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
+        edge = sequence.edges[p] if p < len(sequence.edges) else None
+        path = np.vstack([mean, *sequence.waypoints[p][1:]])
+        if edge is not None:
+            _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
+            covariance = factors[-1] @ factors[-1].T + _spreads(mode, slopes, spread, factors, gains[first_knot:])[-1]
+            path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
+        B = motion_per_input(problem.automaton, name, limits.max_step)
+        needed.append(_input_length(path, B, limits.max_step))
+        inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
+        if edge is not None and problem.automaton.registers and not mode.mode.B.any():
+            inputs[:] = _pull(problem.automaton, edge, limits)
+        inputs = np.clip(inputs, -limits.max_step, limits.max_step)
+        means, factors = _roll_phase(mode, mean, factor, inputs)
+        spreads = _spreads(mode, slopes, spread, factors, gains[first_knot:])
+        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads))
+        first_knot += count + 1
+        if edge is not None:
+            u = inputs[-1] if count else np.zeros(problem.automaton.m)
+            mean, factor = _belief(compiled.edges[edge].belief_reset(means[-1], factors[-1], u))
+            spread = _spread_after(problem, edge, spreads[-1])
+    return tuple(phases), needed
+
+
+def _pull(automaton: HybridAutomaton, edge: int, limits: Limits) -> Floats:
+    """(m,) the input that the guard of an edge asks for while the object is still held, as large as it may be."""
+    wanted = sum((np.array(h.b) for h in automaton.edges[edge].guard.half_spaces), np.zeros(automaton.m))
+    return np.asarray(limits.max_step * np.sign(wanted))
+
+
+def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> Floats:
+    """(K-1, m, n) feedback gains, which depend on the modes of the knots alone."""
+    modes = [mode for mode, count in zip(sequence.modes, steps, strict=True) for _ in range(count + 1)]
+    is_transition = np.zeros(len(modes) - 1, dtype=bool)
+    is_transition[np.cumsum(np.array(steps) + 1)[:-1] - 1] = True
+    return belief_lqr(problem, limits, tuple(modes), is_transition)
+
+
+def _spreads(
+    mode: CompiledMode, slopes: tuple[Floats, Floats], spread: Floats, factors: Floats, gains: Floats
+) -> Floats:
+    """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
+    spreads, u = [spread], np.zeros(mode.mode.B.shape[1])
+    n = len(spread)
+    for before, after, gain in zip(factors[:-1], factors[1:], gains, strict=False):
+        predicted = _belief(mode.predict(np.zeros(n), before, u))[1]
+        closed = slopes[0] + slopes[1] @ gain
+        spreads.append(closed @ spreads[-1] @ closed.T + predicted @ predicted.T - after @ after.T)
+    return np.array(spreads)
+
+
+def _spread_after(problem: Problem, edge: int, spread: Floats) -> Floats:
+    """The estimate's covariance after a transition: through the reset, and none where the new mode pins."""
+    automaton = problem.automaton
+    A = matrix_after(automaton, automaton.edges[edge])
+    free = np.ones(automaton.n)
+    free[[pin.coordinate for pin in automaton.mode(automaton.edges[edge].target).pins]] = 0.0
+    return np.asarray(A @ spread @ A.T * np.outer(free, free))
+
+
+def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
+    means, factors = [mean], [factor]
+    for u in inputs:
+        mean, factor = _belief(mode.belief_step(mean, factor, u))
+        means.append(mean)
+        factors.append(factor)
+    return np.array(means), np.array(factors)
+
+
+def _belief(pair: Any) -> tuple[Floats, Floats]:
+    """A mean (n,) and factor (n, n) as arrays from what a compiled function returned."""
+    return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
+
+
+def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, spare: int) -> int:
+    """Steps to add to the last phase until the last step starts from a belief narrow enough to meet the goal.
+
+    What counts is the belief before the last measurement: that one comes too late for any input.
+    """
+    k, rest = problem.settings.sigmas, np.zeros(problem.automaton.m)
+    mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
+    for extra in range(min(spare, MOST_LOCALISING_STEPS) + 1):
+        prior = _belief(mode.predict(mean, factor, rest))[1]
+        shares = [k * float(np.linalg.norm(prior[i])) / tolerance for i, _, tolerance in problem.goal.target]
+        widest = max(shares, default=0.0)
+        if widest <= 1.0:
+            return extra
+        if widest > WORTH_A_STEP * before:
+            return extra - 1
+        before = widest
+        mean, factor = _belief(mode.belief_step(mean, factor, rest))
+    return min(spare, MOST_LOCALISING_STEPS)
+
+
+def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
+    """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
+    k = problem.settings.sigmas
+    u = np.zeros(problem.automaton.m)
+    moved = x.copy()
+    taken = problem.automaton.edges[edge]
+    guard, B = taken.guard, problem.automaton.mode(taken.source).B
+    for _ in range(3):  # rows that are not perpendicular disturb each other a little
+        for row in guard.half_spaces:
+            a = np.array(row.a)
+            direction = B @ (B.T @ a)
+            if any(row.b) or a @ direction <= 0:
+                continue
+            std = float(np.sqrt(a @ covariance @ a + taken.threshold_std**2))
+            wanted = k * std + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
+            moved = moved + direction * max(0.0, wanted - float(row.margin(moved, u))) / float(a @ direction)
+    return np.asarray(moved)
+
+
+def _resample(path: Floats, speed: Floats, steps: int) -> Floats:
+    """(steps + 1, n) states at equal distances (in steps) along a path (w, n)."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1))])
+    at = np.linspace(0.0, lengths[-1], steps + 1)
+    if lengths[-1] == 0.0:
+        return np.repeat(path[:1], steps + 1, axis=0)
+    return np.stack([np.interp(at, lengths, column) for column in path.T], axis=1)

@@ -1,0 +1,96 @@
+"""Where the parts of an object really are at a belief's mean: as contacts leave them.
+
+A belief's mean may lie where no object can be: while it is unsure whether the lower arm touches yet, the mean of the
+joint is that of the free one although the hand is low; where it is unsure whether it latched, the mean closes further
+than the latch. For drawing and for an arm's clearances the hand's place counts, and the rest follows from contact: the
+joint as the hand's height above the face asks for, flat parts flat, a latched object that rests turned in the hand.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.contacts.task import Face, Grip
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.part_poses import part_poses
+from micah_plan.automaton.ranges import region_interval
+from micah_plan.scene.body import corners
+from micah_plan.scene.surroundings import faces_of
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+Pair = tuple[str, str]
+
+_HINGE = (0.0, 1.0, 0.0)
+_MOST_TURN = 0.6
+_TOUCHING = 0.004
+_ANGLES = 1201
+
+
+def settled_poses(problem: Problem, mode: str, x: Floats) -> dict[str, RigidTransform]:
+    """Pose of every linked part in the base frame at the state x (n,), by part name; without `hold` as in the mode."""
+    automaton, hold = problem.automaton, problem.hold
+    if hold is None:
+        return part_poses(automaton, automaton.mode(mode), x)
+    mode, x = _followed(automaton, mode, x)
+    poses = part_poses(automaton, automaton.mode(mode), x)
+    if hold.grip.pivots and automaton.mode(mode).pins:
+        for face in faces_of(problem.scene, hold.contacts):
+            poses = _rested(poses, hold.grip, face)
+    return poses
+
+
+def touching_pairs(problem: Problem, poses: dict[str, RigidTransform]) -> frozenset[Pair]:
+    """(part, body) of the faces that the moving part touches, as the contacts of the problem intend it."""
+    if problem.hold is None:
+        return frozenset()
+    grip, faces = problem.hold.grip, faces_of(problem.scene, problem.hold.contacts)
+    part = grip.moving.name
+    near = {face.solid for face in faces if _gap(poses, grip, face) < _TOUCHING}
+    return frozenset((part, solid) for solid in near)
+
+
+def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Floats]:
+    """Mode and state that the hand's place leaves an object which is not latched: where it touches, ties hold."""
+    if automaton.mode(mode).pins:
+        return mode, x
+    found, followed = mode, x
+    for contact in automaton.modes:  # line before surface: pressing passes from one to the other
+        for tie in contact.ties:
+            low, high = region_interval(contact.invariant, tie.coordinate)
+            asked = float(tie.value(x))
+            closes = 1.0 if low + high > 2 * x[tie.coordinate] else -1.0
+            begin = low if closes > 0 else high
+            touches = (asked - x[tie.coordinate]) * closes > 0 or bool(automaton.mode(mode).ties)
+            if touches and (asked - begin) * closes >= 0:
+                found, followed = contact.name, x.copy()
+                followed[tie.coordinate] = min(max(asked, low), high)
+    return found, followed
+
+
+def _rested(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> dict[str, RigidTransform]:
+    """The object turned in the hand about the hinge's direction, no more than keeps it out of the face."""
+    if _gap(poses, grip, face) >= 0:
+        return poses
+    hand = poses[grip.held.name].apply(grip.point)
+    axis = poses[grip.held.name].rotation.apply(_HINGE)
+    angles = np.linspace(-_MOST_TURN, _MOST_TURN, _ANGLES)
+    turned = Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ (_corners(poses, grip) - hand).T
+    gaps = (face.sign * (turned[:, face.axis] + hand[face.axis] - face.position)).min(axis=1)
+    free = angles[gaps >= 0]
+    best = free[np.argmin(np.abs(free))] if free.size else angles[np.argmax(gaps)]
+    turn = Rotation.from_rotvec(best * axis)
+    about = RigidTransform.from_components(hand - turn.apply(hand), turn)
+    return {**poses, **{name: about * poses[name] for name in (grip.held.name, grip.moving.name)}}
+
+
+def _gap(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> float:
+    """Distance of the moving part from the plane of a face [m]; negative: below it."""
+    return float((face.sign * (_corners(poses, grip)[:, face.axis] - face.position)).min())
+
+
+def _corners(poses: dict[str, RigidTransform], grip: Grip) -> Floats:
+    """(k, 3) corners of the moving part in the base frame [m]."""
+    return np.asarray(poses[grip.moving.name].apply(np.concatenate([corners(shape) for shape in grip.moving.shapes])))

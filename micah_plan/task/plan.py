@@ -1,0 +1,159 @@
+"""The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Outcome = Literal["solved", "no_plan", "not_verified"]
+Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What stands in the way of a plan.
+
+    Attributes:
+        level: where it was found; start and goal are checked first.
+        sentence: what is wrong, with its amount.
+        remedy: the nearest change that could help.
+        modes: the mode sequence that it is about; empty if it is about all.
+        mode, knot: the place in it.
+        constraint: the name of what does not hold.
+        amount: by how much [unit].
+        room, need: what there is and what is needed, where the belief's spread is the cause [unit].
+        unit: of the three.
+    """
+
+    level: Level
+    sentence: str
+    remedy: str
+    modes: tuple[str, ...] = ()
+    mode: str = ""
+    knot: int | None = None
+    constraint: str = ""
+    amount: float | None = None
+    room: float | None = None
+    need: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One mode sequence that the search proposed and what became of it.
+
+    Attributes:
+        modes: the sequence.
+        search_cost: of its best roadmap path, predicted uncertainty included, in steps.
+        cost: optimised cost; None if the optimisation failed.
+        message: what the optimisation said, in words a user understands (the failed constraint by name).
+    """
+
+    modes: tuple[str, ...]
+    search_cost: float
+    cost: float | None
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The belief trajectory over K knots and the feedback around it.
+
+    Attributes:
+        modes: (K,) mode at each knot. At a transition two successive knots share one time: the belief before the guard
+            and the belief after the reset; the input between them is zero and `is_transition` is true.
+        means: (K, n) of the belief [rad or m]; the model's coordinates, then its memory of inputs if it has one.
+        factors: (K, n, n) lower Cholesky factors of its covariance.
+        inputs: (K-1, m) nominal input from knot to knot.
+        gains: (K-1, m, n): executed input = inputs[k] + gains[k] @ (estimate - means[k]).
+        is_transition: (K-1,) whether the step from knot to knot is a transition rather than a time step.
+    """
+
+    modes: tuple[str, ...]
+    means: Floats
+    factors: Floats
+    inputs: Floats
+    gains: Floats
+    is_transition: NDArray[np.bool_]
+
+    def of_first(self, n: int) -> Trajectory:
+        """What it says of the first n coordinates: of the object, without a memory of inputs."""
+        return replace(self, means=self.means[:, :n], factors=self.factors[:, :n, :n], gains=self.gains[:, :, :n])
+
+
+@dataclass(frozen=True, eq=False)
+class ArmTrajectory:
+    """The arm along a plan: joint positions at each of the K knots of its trajectory, straight lines in between.
+
+    Attributes:
+        joints: (J,) names, from the arm's root to its tool.
+        positions: (K, J) [rad or m].
+        manipulability: (K,) Yoshikawa's sqrt(det(J J')) of the tool; 0 at singularities.
+        clearance: (K,) smallest distance at each knot between things that must not meet [m]; None where nothing can.
+        least_clearance: the smallest distance at and between all knots [m]; None if nothing can meet.
+        closest_pair: names of the two that come so close; empty if nothing can meet.
+        closest_knot: the knot at or after which they do.
+        deviation: largest distance of the tool, halfway between knots, from the middle of its positions at them [m].
+    """
+
+    joints: tuple[str, ...]
+    positions: Floats
+    manipulability: Floats
+    clearance: tuple[float | None, ...]
+    least_clearance: float | None
+    closest_pair: tuple[str, ...]
+    closest_knot: int
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What `solve` returns. A plan without success has no trajectory, so it cannot be executed by mistake.
+
+    Attributes:
+        outcome: ``"solved"``, ``"no_plan"`` (nothing found; `reason` says why) or ``"not_verified"`` (found, but the
+            roll-outs succeed too rarely for the asked confidence; it has a trajectory for viewing only).
+        reason: one sentence, with the remedy if it failed.
+        trajectory: None unless one was found.
+        candidates: all mode sequences tried, cheapest search cost first.
+        cost: total cost of the trajectory.
+        goal_error: largest predicted |mean - target| over the goal's coordinates at the last knot [rad or m].
+        goal_std: largest predicted std over the goal's coordinates there [rad or m].
+        success_probability: share of verification roll-outs that ended in the goal set.
+        verification_trials: how many roll-outs that share is of.
+        seed: the seed of search and verification.
+        timings: seconds by stage; kept out of the plan file.
+        success_interval: 95 % interval of the probability of success, given that share; None if it was not verified.
+        findings: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
+            part.
+        arm: the robot along the trajectory; None if the problem has none.
+        warnings: one line for each thing in the model that the plan does not take into account.
+    """
+
+    outcome: Outcome
+    reason: str
+    trajectory: Trajectory | None = None
+    candidates: tuple[Candidate, ...] = ()
+    cost: float | None = None
+    goal_error: float | None = None
+    goal_std: float | None = None
+    success_probability: float | None = None
+    verification_trials: int = 0
+    seed: int = 0
+    timings: dict[str, float] = field(default_factory=dict)
+    success_interval: tuple[float, float] | None = None
+    findings: tuple[Finding, ...] = ()
+    arm: ArmTrajectory | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def mode_sequence(self) -> tuple[str, ...]:
+        """The modes visited, in order, without repetition of the same mode in a row."""
+        if self.trajectory is None:
+            return ()
+        modes = self.trajectory.modes
+        return tuple(q for i, q in enumerate(modes) if i == 0 or q != modes[i - 1])

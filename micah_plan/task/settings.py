@@ -1,0 +1,57 @@
+"""Settings of the planner, with defaults that serve ordinary problems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.special import ndtri
+
+Method = Literal["pomdp-hd", "direct", "rrt"]
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Settings with defaults that serve ordinary problems.
+
+    Attributes:
+        method: ``"pomdp-hd"``, or a baseline: ``"direct"`` (one optimisation over the soft mixture of all modes) or
+            ``"rrt"`` (kinodynamic RRT on the means). What each finds is verified alike.
+        confidence: probability that guards and invariants are planned to hold with, and that roll-outs must confirm for
+            the goal.
+        samples_per_mode: roadmap states per mode of the high-level search.
+        candidates: how many of the cheapest mode sequences are optimised.
+        revisits: how many times a mode sequence may come back to a mode that it has been in.
+        max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,
+            else a twentieth of the coordinate's range.
+        max_knots: upper limit of knots over the whole plan.
+        weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
+            the squared tolerance) and of the squared inputs (over the squared max_step).
+        time_limit_s: wall-clock limit of each optimisation [s].
+        solve_time_limit_s: wall-clock limit of search, optimisations, verification and the arm together [s].
+        verification_trials: roll-outs that check a plan.
+        tightening_rounds: how often a plan that roll-outs fail too often is made anew with more room.
+        replan_every: steps after which execution plans anew from its belief (receding horizon); 0: only where the
+            belief leaves the plan.
+    """
+
+    method: Method = "pomdp-hd"
+    confidence: float = 0.95
+    samples_per_mode: int = 100
+    candidates: int = 4
+    revisits: int = 0
+    max_step: tuple[float, ...] | None = None
+    max_knots: int = 60
+    weight_goal: float = 1.0
+    weight_covariance: float = 1.0
+    weight_effort: float = 0.05
+    time_limit_s: float = 20.0
+    solve_time_limit_s: float = 120.0
+    verification_trials: int = 1000
+    tightening_rounds: int = 3
+    replan_every: int = 0
+
+    @property
+    def sigmas(self) -> float:
+        """How many standard deviations of room the confidence asks for at a boundary: k with Φ(k) = confidence."""
+        return float(ndtri(self.confidence))

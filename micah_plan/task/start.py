@@ -1,0 +1,125 @@
+"""Where a problem starts: its initial belief, the mode that this is in, and true states drawn from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.ranges import region_interval, single_bound
+from micah_plan.automaton.region import Region
+from micah_plan.errors import InputError
+
+Floats = NDArray[np.float64]
+
+# A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
+_START_SIGMAS = 3.0
+# Share of a range's width by which a limit may be missed, so that one copied with fewer digits is still the limit.
+LIMIT_ROOM = 1e-6
+_SMALLEST_STD = 1e-9
+_MOST_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class Start:
+    """The initial belief.
+
+    Attributes:
+        mean, std: (n,) of the Gaussian over x [rad or m].
+        mode: the mode the object is in; None: the first mode whose invariant holds the mean.
+    """
+
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    mode: str | None = None
+
+
+def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, str]:
+    """The mode that a start is in; None with the reason if its mean lies in no mode's (or not in the named) range.
+
+    A mode's range is its invariant, and the part of it that the automaton's Init allows if there is one.
+    """
+    text = _start_text(automaton, start)
+    if start.mode is not None:
+        mode = automaton.mode(start.mode)
+        if _sigmas_outside(automaton, start, mode) <= _START_SIGMAS:
+            return mode.name, ""
+        return None, f"the start {text} lies outside the range of its mode '{mode.name}'; correct either"
+    outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in automaton.modes}
+    nearest = min(outside, key=outside.__getitem__)
+    if outside[nearest] <= _START_SIGMAS:
+        return nearest, ""
+    names = ", ".join(f"'{name}'" for name in outside)
+    return None, f"the start {text} lies in the range of no mode ({names}); move it into one"
+
+
+def start_regions(automaton: HybridAutomaton, mode: Mode) -> tuple[Region, ...]:
+    """The regions, any of which holds a start in a mode: its invariant, within each of its regions of Init if given."""
+    if not automaton.init:
+        return (mode.invariant,)
+    return tuple(mode.invariant.intersection(region) for name, region in automaton.init if name == mode.name)
+
+
+def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Generator) -> tuple[str, Floats]:
+    """A true start: its mode and x (n,), from the initial Gaussian given that the mode's invariant (and Init) holds.
+
+    Where the invariant is all but improbable under the belief, the mean is taken. Pinned coordinates are at their pins.
+
+    Raises:
+        InputError: if the start is in no mode.
+    """
+    name, reason = start_mode(automaton, start)
+    if name is None:
+        raise InputError(reason)
+    return name, draw_state(automaton, automaton.mode(name), start, rng)
+
+
+def draw_state(automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator) -> Floats:
+    """A true state (n,) in a mode, as `sample_start` draws it, without asking whether the start is in that mode."""
+    mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
+    at_rest, regions = np.zeros(automaton.m), start_regions(automaton, mode)
+    chosen = mean.copy()
+    for _ in range(_MOST_DRAWS):
+        draw = mean + std * rng.standard_normal(automaton.n)
+        for pin in mode.pins:
+            draw[pin.coordinate] = pin.value
+        if any(region.contains(draw, at_rest) for region in regions):
+            chosen = draw
+            break
+    for pin in mode.pins:
+        chosen[pin.coordinate] = pin.value
+    return chosen
+
+
+def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:
+    """By how many standard deviations the start's mean lies outside of a mode's range and pins; 0 inside."""
+    mean, std = np.array(start.mean), np.array(start.std)
+    outside = [min((_sigmas_beyond(mean, std, region) for region in start_regions(automaton, mode)), default=np.inf)]
+    for pin in mode.pins:
+        distance = abs(float(mean[pin.coordinate]) - pin.value)
+        spread = float(np.hypot(std[pin.coordinate], pin.std))
+        outside.append(distance / max(spread, _SMALLEST_STD))
+    return max(outside)
+
+
+def _sigmas_beyond(mean: Floats, std: Floats, region: Region) -> float:
+    """The same for a region; at a limit on one coordinate, a small share of its range's width counts as inside."""
+    outside = 0.0
+    for half_space in region.half_spaces:
+        weights = np.array(half_space.a)
+        size = float(np.linalg.norm(weights)) or 1.0
+        shortage = -float(half_space.margin(mean, np.zeros(len(half_space.b)))) / size
+        bound = single_bound(half_space)
+        if bound is not None:
+            low, high = region_interval(region, bound[0])
+            shortage -= LIMIT_ROOM * (high - low) if np.isfinite(high - low) else 0.0
+        if shortage > 0:
+            outside = max(outside, shortage / max(float(np.linalg.norm(std * weights)) / size, _SMALLEST_STD))
+    return outside
+
+
+def _start_text(automaton: HybridAutomaton, start: Start) -> str:
+    pairs = zip(automaton.coordinates, start.mean, start.std, strict=True)
+    return ", ".join(f"{c.name} = {mean:g} ± {std:g} {c.unit}" for c, mean, std in pairs)
