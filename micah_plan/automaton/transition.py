@@ -209,15 +209,15 @@ def _advance(
     u: list[float],
     pushed: list[float] | None,
 ) -> tuple[ModeTable, list[float], list[Event], bool]:
-    """A whole step with what comes out of the registers, which take their next values at its end; see `_travel`."""
+    """A whole step with what comes out of the registers, which take their next values at its end; see `travel`."""
     if not automaton.registers:
-        return _travel(tables, table, x, u, pushed)
+        return travel(tables, table, x, u, pushed)
     passed, after = passed_on(np, automaton.registers, table.name, x, u)
-    end, final, events, complete = _travel(tables, table, x, list(map(float, passed)), pushed)
+    end, final, events, complete = travel(tables, table, x, list(map(float, passed)), pushed)
     return end, [float(after.get(i, value)) for i, value in enumerate(final)], events, complete
 
 
-def _travel(
+def travel(
     tables: dict[str, ModeTable], table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None
 ) -> tuple[ModeTable, list[float], list[Event], bool]:
     """Move from s = 0 to s = 1, alternately on to the next instant with an event and through the events there.

@@ -24,7 +24,7 @@ from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import draw_state
+from micah_plan.task.start import draw_states
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -71,12 +71,13 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     stds = threshold_stds(automaton)
     shifts = stds * rng.standard_normal((trials, stds.size))
     objects = TransitionBatch(automaton, shifts, drawn_gains(automaton, rng, trials))
-    name = trajectory.modes[0]
-    drawn = [draw_state(one := objects.object(i), one.mode(name), problem.start, rng) for i in range(trials)]
+    mode = automaton.mode(trajectory.modes[0])
+    index = automaton.modes.index(mode)
+    drawn = draw_states(automaton, mode, problem.start, rng, objects.invariant_thresholds(index), objects.pins(index))
     shape = (time_knots(trajectory).size, trials, automaton.n)
     process = np.array(automaton.noise.process_std) * rng.standard_normal(shape)
     seen = np.where(np.isfinite(automaton.noise.observation_std), 1.0, np.nan)
-    return Chances(objects, np.array(drawn).reshape(trials, automaton.n), process, seen * rng.standard_normal(shape))
+    return Chances(objects, drawn, process, seen * rng.standard_normal(shape))
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadline: Deadline = NEVER) -> RollOuts:

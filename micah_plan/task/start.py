@@ -73,24 +73,39 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
     name, reason = start_mode(automaton, start)
     if name is None:
         raise InputError(reason)
-    return name, draw_state(automaton, automaton.mode(name), start, rng)
+    mode = automaton.mode(name)
+    thresholds = np.array([[h.c for h in mode.invariant.half_spaces]])
+    return name, draw_states(automaton, mode, start, rng, thresholds, np.array([[pin.value for pin in mode.pins]]))[0]
 
 
-def draw_state(automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator) -> Floats:
-    """A true state (n,) in a mode, as `sample_start` draws it, without asking whether the start is in that mode."""
+def draw_states(
+    automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator, thresholds: Floats, pins: Floats
+) -> Floats:
+    """(t, n) true states of t objects in a mode, without asking whether the start is in that mode.
+
+    Args:
+        automaton: the objects' model.
+        thresholds: (t, r) of the half-spaces of the mode's invariant, where each object has them.
+        pins: (t, p) where each object holds the coordinates that the mode pins.
+    """
     mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
-    at_rest, regions = np.zeros(automaton.m), start_regions(automaton, mode)
-    chosen = mean.copy()
-    for _ in range(_MOST_DRAWS):
-        draw = mean + std * rng.standard_normal(automaton.n)
-        for pin in mode.pins:
-            draw[pin.coordinate] = pin.value
-        if any(region.contains(draw, at_rest) for region in regions):
-            chosen = draw
-            break
-    for pin in mode.pins:
-        chosen[pin.coordinate] = pin.value
-    return chosen
+    pinned = [pin.coordinate for pin in mode.pins]
+    normals = np.array([h.a for h in mode.invariant.half_spaces]).reshape(-1, automaton.n)
+    strict = np.array([h.strict for h in mode.invariant.half_spaces], dtype=bool)
+    further = [region for name, region in automaton.init if name == mode.name]
+    at_rest = np.zeros(automaton.m)
+    states = np.repeat(mean[None], len(thresholds), axis=0)
+    states[:, pinned] = pins
+    for number, state in enumerate(states):
+        for _ in range(_MOST_DRAWS):
+            draw = mean + std * rng.standard_normal(automaton.n)
+            draw[pinned] = pins[number]
+            margin = normals @ draw - thresholds[number]
+            holds = bool(((margin > 0.0) | ((margin == 0.0) & ~strict)).all())
+            if holds and (not automaton.init or any(region.contains(draw, at_rest) for region in further)):
+                state[:] = draw
+                break
+    return states
 
 
 def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:

@@ -10,6 +10,7 @@ from uncertain_joints import LEVER, NAMES, POSE, known_to, swinging, unsure_door
 from micah_plan.automaton.gain import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains
 from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.thresholds import with_shifted_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.learn.joints.parametrization import Chart, stepped
@@ -113,13 +114,15 @@ def test_an_object_has_one_gain_in_all_its_steps() -> None:
 def test_many_objects_at_once_move_as_each_does_by_itself() -> None:
     automaton, rng = unsure_door(0.2), np.random.default_rng(2)
     count = 60
-    objects = TransitionBatch(automaton, 0.01 * rng.normal(size=(count, 1)), drawn_gains(automaton, rng, count))
+    shifts, gains = 0.01 * rng.normal(size=(count, 1)), drawn_gains(automaton, rng, count)
+    objects = TransitionBatch(automaton, shifts, gains)
     x, u = rng.uniform(0.3, 0.6, (count, 1)), rng.uniform(-0.2, 0.3, (count, 1))
     modes, disturbance = rng.integers(0, 2, count), 0.01 * rng.normal(size=(count, 1))
     ends, states = objects.step(modes, x, u, disturbance)
     names = [mode.name for mode in automaton.modes]
     for i in range(count):
-        after = step(objects.object(i), names[modes[i]], x[i], u[i], disturbance[i])
+        own = with_shifted_thresholds(with_gains(automaton, gains[i]), shifts[i])
+        after = step(own, names[modes[i]], x[i], u[i], disturbance[i])
         assert names[ends[i]] == after.mode
         assert states[i] == pytest.approx(after.x, abs=1e-12)
     assert set(ends) == {0, 1}
