@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from time import process_time
 
-from micah_plan.planning import clock, tightening
+from micah_plan.planning import tightening
+from micah_plan.task import clock
 
 
 def time_by_processor() -> None:

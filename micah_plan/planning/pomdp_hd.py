@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
+from micah_plan.planning.verification import verify
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 from micah_plan.task.clock import Clock
 from micah_plan.task.deadline import Deadline, TimeLimitError
@@ -56,9 +58,9 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
-    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`), verified as a first one.
+    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`).
 
-    None if there is none, or none that roll-outs confirm.
+    None if there is none, or none that roll-outs confirm: as many of them as it takes to tell (`verify`, sequential).
     """
     here = believed_problem(with_input_memory(problem), belief)
     mode = problem.automaton.modes[belief.most_likely].name
@@ -66,7 +68,7 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
     def planner(task: Problem, *, deadline: Deadline) -> Plan:
         return _plan_from(task, mode, seed, _silent, deadline)
 
-    found = verified_plan(here, planner, seed)
+    found = verified_plan(here, planner, seed, verifier=partial(verify, sequential=True))
     return found.trajectory if found.outcome == "solved" else None
 
 

@@ -64,7 +64,7 @@ class RollOuts:
     beliefs: BeliefBatch
 
 
-def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int) -> Chances:
+def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int | tuple[int, ...]) -> Chances:
     """The random part of that many roll-outs; the same for the same seed."""
     problem = without_input_memory(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)

@@ -8,7 +8,9 @@ overshot further, boundaries kept further away and more measurements made before
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -25,6 +27,13 @@ class Planner(Protocol):
         """The plan, or one without a trajectory."""
 
 
+class Verifier(Protocol):
+    """What rolls a plan out and judges it, as `verification.verify` does."""
+
+    def __call__(self, problem: Problem, plan: Plan, *, seed: int, deadline: Deadline) -> Plan:
+        """The plan with its success probability, or refused."""
+
+
 # Each round allows at most this share of the failures that the round before allowed.
 _SLOWEST = 0.3
 # Planning never allows fewer failures: k-sigma would ask for more than Gaussians can promise.
@@ -39,6 +48,8 @@ def verified_plan(
     seed: int = 0,
     rounds: int | None = None,
     deadline: Deadline | None = None,
+    *,
+    verifier: Verifier = verify,
 ) -> Plan:
     """Plan, verify, and plan again with a higher confidence while the roll-outs succeed too rarely.
 
@@ -52,13 +63,15 @@ def verified_plan(
         seed: of the roll-outs.
         rounds: None: from the settings.
         deadline: of planning and verification together; None: as the settings say, from now on.
+        verifier: tells of a plan whether roll-outs confirm it.
 
     Returns:
         The first plan that is confirmed, else the one that succeeds most often, as ``"not_verified"``.
     """
     settings = problem.settings
     deadline = deadline or Deadline(settings.solve_time_limit_s)
-    best = _verified(problem, planner(problem, deadline=deadline), seed, deadline)
+    check = partial(_verified, verifier, problem, deadline=deadline)
+    best = check(planner(problem, deadline=deadline), seed)
     timings = dict(best.timings)
     confidence = settings.confidence
     most = settings.tightening_rounds if rounds is None else rounds
@@ -68,7 +81,7 @@ def verified_plan(
         confidence = tightened(confidence, settings.confidence, 1.0 - (best.success_probability or 0.0))
         closer = replace(settings, confidence=confidence)
         again = planner(replace(problem, settings=closer), deadline=deadline)
-        answer = _confirmed(problem, again, seed + number * _SEED_STRIDE, deadline)
+        answer = _confirmed(check, again, seed + number * _SEED_STRIDE)
         timings = {key: timings.get(key, 0.0) + spent for key, spent in answer.timings.items()}
         if answer.trajectory is None or not _is_better(answer, best):
             break
@@ -88,22 +101,22 @@ def tightened(planned: float, asked: float, failing: float) -> float:
     return max(planned, 1.0 - max(_FEWEST_FAILURES, (1.0 - planned) * fewer))
 
 
-def _verified(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
+def _verified(verifier: Verifier, problem: Problem, plan: Plan, seed: int, *, deadline: Deadline) -> Plan:
     """The plan verified, with the time that it took; one without a trajectory as it is."""
     if plan.trajectory is None:
         return plan
     begin = perf_counter()
-    answer = verify(problem, plan, seed=seed, deadline=deadline)
+    answer = verifier(problem, plan, seed=seed, deadline=deadline)
     spent = perf_counter() - begin
     timings = {**answer.timings, "verify": answer.timings.get("verify", 0.0) + spent}
     return replace(answer, timings={**timings, "total": answer.timings.get("total", 0.0) + spent})
 
 
-def _confirmed(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
+def _confirmed(check: Callable[[Plan, int], Plan], plan: Plan, seed: int) -> Plan:
     """The plan verified twice: its share of successes is of roll-outs that did not choose it."""
-    once = _verified(problem, plan, seed, deadline)
+    once = check(plan, seed)
     again = replace(plan, timings=once.timings)
-    return once if once.outcome != "solved" else _verified(problem, again, seed + 1, deadline)
+    return once if once.outcome != "solved" else check(again, seed + 1)
 
 
 def _is_better(answer: Plan, best: Plan) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.findings import finding_of_reason
-from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
+from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
-from micah_plan.task.plan import Finding, Plan
+from micah_plan.task.plan import Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -23,9 +23,20 @@ Floats = NDArray[np.float64]
 _STANDARD_ERRORS = 2.0
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
+# A sequential verification looks after these shares of its roll-outs, and errs this often where the answer is plain.
+_LOOKS = (0.125, 0.25, 0.5, 1.0)
+_ERRORS = 0.01
 
 
-def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 0, deadline: Deadline = NEVER) -> Plan:
+def verify(
+    problem: Problem,
+    plan: Plan,
+    trials: int | None = None,
+    seed: int = 0,
+    deadline: Deadline = NEVER,
+    *,
+    sequential: bool = False,
+) -> Plan:
     """The plan with its success probability; ``"not_verified"`` if that is clearly below the asked confidence.
 
     Args:
@@ -34,28 +45,30 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
         trials: number of roll-outs; None: from the settings. 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
+        sequential: end after an eighth, a quarter or half of the roll-outs where the answer is plain (`plain_answer`). For
+            decisions on the way, where nobody asks how large the share is.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
     try:
-        ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, count, seed), deadline)
+        if sequential:
+            ends = _ends_in_turns(problem, plan.trajectory, count, seed, deadline)
+        else:
+            ends = _ends(problem, plan.trajectory, count, seed, deadline)
     except TimeLimitError as over:
         finding = finding_of_reason("verification", over.reason, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
         return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
-    successes = int(are_in_goal(problem, ends).sum())
-    share = successes / count
-    answer = replace(
-        plan, success_probability=share, success_interval=wilson_interval(successes, count), verification_trials=count
-    )
+    successes, done = int(ends.in_goal.sum()), len(ends.in_goal)
+    share, interval = successes / done, wilson_interval(successes, done)
+    answer = replace(plan, success_probability=share, success_interval=interval, verification_trials=done)
     confidence = problem.settings.confidence
-    # The standard error at the asked confidence: that of the observed share vanishes where nothing succeeds.
-    error = math.sqrt(confidence * (1.0 - confidence) / count)
-    if share + _STANDARD_ERRORS * error >= confidence:
+    plain = plain_answer(successes, done, confidence) if done < count else None
+    if share >= least_share(confidence, count) if plain is None else plain:
         return answer
     reason = (
-        f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {count} roll-outs ({share:.0%}) end in the goal, "
+        f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({share:.0%}) end in the goal, "
         f"fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence or "
         f"the noise"
     )
@@ -63,7 +76,59 @@ def verify(problem: Problem, plan: Plan, trials: int | None = None, seed: int = 
     return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *seen))
 
 
-def _findings(problem: Problem, modes: tuple[str, ...], ends: RollOuts) -> list[Finding]:
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """Where t roll-outs ended: modes (t,) by index, states (t, n) [rad or m], and which of them are in the goal."""
+
+    modes: NDArray[np.int64]
+    states: Floats
+    in_goal: NDArray[np.bool_]
+
+
+def _ends(
+    problem: Problem, trajectory: Trajectory, count: int, seed: int | tuple[int, ...], deadline: Deadline
+) -> _Ends:
+    """That many roll-outs at once."""
+    ends = roll_out(problem, trajectory, draw_chances(problem, trajectory, count, seed), deadline)
+    return _Ends(ends.modes, ends.states, are_in_goal(problem, ends))
+
+
+def _ends_in_turns(problem: Problem, trajectory: Trajectory, total: int, seed: int, deadline: Deadline) -> _Ends:
+    """At most so many roll-outs, fewer where the answer is plain before."""
+    turns: list[_Ends] = []
+    for number, look in enumerate(_LOOKS):
+        done = sum(len(turn.in_goal) for turn in turns)
+        turns.append(_ends(problem, trajectory, max(1, math.ceil(look * total) - done), (seed, number), deadline))
+        in_goal = np.concatenate([turn.in_goal for turn in turns])
+        plain = plain_answer(int(in_goal.sum()), len(in_goal), problem.settings.confidence)
+        if len(in_goal) >= total or plain is not None:
+            break
+    modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
+    return _Ends(modes, states, in_goal)
+
+
+def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
+    """Whether a plan with so many successes has the confidence rather than fails twice as often; None: too early.
+
+    Either is taken for the other in at most one of a hundred cases. Source: Wald, "Sequential analysis", 1947.
+    """
+    failing = 1.0 - confidence
+    worse = min(2.0 * failing, 0.5 * (1.0 + failing))
+    gained = math.log(confidence / (1.0 - worse)), math.log(failing / worse)
+    ratio = successes * gained[0] + (trials - successes) * gained[1]
+    return ratio > 0.0 if abs(ratio) >= math.log((1.0 - _ERRORS) / _ERRORS) else None
+
+
+def least_share(confidence: float, trials: int) -> float:
+    """The smallest share of successes that so many roll-outs may show for a plan to be accepted.
+
+    It falls short of the confidence by two standard errors of a plan that has it: that of the observed share vanishes
+    where nothing succeeds.
+    """
+    return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
+
+
+def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Finding]:
     """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
     automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
     found: list[tuple[float, Finding]] = []
