@@ -45,8 +45,8 @@ def verify(
         trials: number of roll-outs; None: from the settings. 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
-        sequential: end after an eighth, a quarter or half of the roll-outs where the answer is plain (`plain_answer`). For
-            decisions on the way, where nobody asks how large the share is.
+        sequential: end after an eighth, a quarter or half of the roll-outs where the answer is plain (`plain_answer`).
+            For decisions on the way, where nobody asks how large the share is.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
