@@ -10,6 +10,7 @@ exponential coordinates. Where a pose is not on the joint's manifold, "closest" 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +27,15 @@ _NO_PITCH = 1e-7
 _MOST_ITERATIONS = 50
 
 
+@lru_cache(maxsize=1024)
 def twist(joint: Joint) -> Floats:
     """ξ (6,) = [rotation, translation], base frame: the motion per unit of configuration. Zero for rigid."""
+    xi = _twist(joint)
+    xi.setflags(write=False)
+    return xi
+
+
+def _twist(joint: Joint) -> Floats:
     axis, center = np.array(joint.axis), np.array(joint.center)
     if joint.kind == "rigid":
         return np.zeros(6)
@@ -42,6 +50,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
+@lru_cache(maxsize=1024)
 def origin(joint: Joint) -> RigidTransform:
     """Pose of the part in the base frame at configuration 0 (single)."""
     return RigidTransform.from_components(joint.position, Rotation.from_quat(joint.quaternion))
