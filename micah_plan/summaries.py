@@ -49,7 +49,7 @@ def learned(result: Learned, seed: int) -> dict[str, Any]:
     """
     edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
     found = {"edges": edges} if len(edges) > 1 else _edge(result.graph.edges[0])
-    modes = [] if result.automaton is None else [mode.name for mode in result.automaton.modes]
+    modes = [] if result.automaton is None else list(result.automaton.mode_names)
     told = {"reason": result.reason, "warnings": list(result.warnings)}
     return {**found, "modes": modes, **told, "seconds": result.seconds, "seed": seed}
 

@@ -68,9 +68,9 @@ def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
 
 def _check_names(automaton: HybridAutomaton) -> None:
     groups: tuple[tuple[str, Iterable[str]], ...] = (
-        ("mode", (mode.name for mode in automaton.modes)),
-        ("coordinate", (coordinate.name for coordinate in automaton.coordinates)),
-        ("input", (coordinate.name for coordinate in automaton.inputs)),
+        ("mode", automaton.mode_names),
+        ("coordinate", automaton.coordinate_names),
+        ("input", automaton.input_names),
         ("part", (part.name for part in automaton.parts)),
     )
     for what, names in groups:
@@ -148,7 +148,7 @@ def _check_tie(automaton: HybridAutomaton, mode: Mode, tie: Tie) -> None:
 def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
     n, m = automaton.n, automaton.m
     where = f"edge {edge.name}"
-    names = [mode.name for mode in automaton.modes]
+    names = automaton.mode_names
     for end in (edge.source, edge.target):
         if end not in names:
             raise InputError(f"{where}: unknown mode {shown(end)}", remedy=f"choose one of {', '.join(names)}")

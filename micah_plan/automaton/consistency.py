@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
-from micah_plan.automaton.ranges import Interval, mode_interval, region_interval, single_bound
+from micah_plan.automaton.region import Interval
 from micah_plan.errors import InputError
 
 _PIN_ROOM = 1e-9
@@ -20,7 +20,7 @@ _EVERYTHING = (-math.inf, math.inf)
 
 def check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
     """Refuse a pin further outside of its own mode's invariant than its std."""
-    low, high = region_interval(mode.invariant, pin.coordinate)
+    low, high = mode.invariant.interval(pin.coordinate)
     room = _PIN_ROOM * max(1.0, abs(pin.value)) + pin.std
     if not low - room <= pin.value <= high + room:
         coordinate = automaton.coordinates[pin.coordinate]
@@ -63,7 +63,7 @@ def check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
     if any(low > high for low, high in before):
         return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
     for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
-        allowed = region_interval(target.invariant, index)
+        allowed = target.invariant.interval(index)
         room = _ENTRY_ROOM * max(1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v)))
         room += sum(pin.std for mode in (source, target) for pin in mode.pins if pin.coordinate == index)
         if low > allowed[1] + room or high < allowed[0] - room:
@@ -77,12 +77,12 @@ def check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
 
 def _leaving_box(automaton: HybridAutomaton, source: Mode, edge: Edge) -> list[Interval]:
     """Per coordinate, where the state is when the edge is taken from within the source's invariant."""
-    box = [mode_interval(source, i) for i in range(automaton.n)]
-    bounds = [single_bound(half_space) for half_space in edge.guard.half_spaces]
+    box = [source.interval(i) for i in range(automaton.n)]
+    bounds = [half_space.bound for half_space in edge.guard.half_spaces]
     for i, (low, high) in enumerate(box):
-        least, most = region_interval(edge.guard, i)
+        least, most = edge.guard.interval(i)
         only = bounds[0] if len(bounds) == 1 else None
-        if only is not None and only[0] == i and any(source.input_matrix[i]):
+        if only is not None and only.coordinate == i and source.driven[i]:
             _, value, is_lower = only
             if (low < value) if is_lower else (high > value):
                 # The motion comes from where the guard does not hold, so the edge is taken on the guard's boundary.

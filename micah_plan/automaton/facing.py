@@ -10,7 +10,7 @@ from micah_plan.automaton.region import HalfSpace
 def faces(h: HalfSpace, g: HalfSpace) -> bool:
     """Whether two half-spaces on x open in exactly opposite directions."""
     a, b = np.array(h.a), np.array(g.a)
-    if any(h.b) or any(g.b) or not a.any() or not b.any():
+    if h.on_input or g.on_input or not h.on_state or not g.on_state:
         return False
     return bool(np.allclose(a / np.linalg.norm(a), -b / np.linalg.norm(b), rtol=0.0, atol=1e-9))
 

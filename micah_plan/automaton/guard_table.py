@@ -99,7 +99,7 @@ def mode_tables(automaton: HybridAutomaton) -> dict[str, ModeTable]:
 def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
     mode = automaton.mode(name)
     pins = tuple((pin.coordinate, pin.value) for pin in mode.pins)
-    flow = tuple(None if i in dict(pins) else _terms(row) for i, row in enumerate(mode.input_matrix))
+    flow = tuple(_terms(row) if mode.free[i] else None for i, row in enumerate(mode.input_matrix))
     exits = []
     for index, edge in enumerate(automaton.edges):
         if edge.source != name:
@@ -109,7 +109,7 @@ def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
         exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
     exits.sort(key=lambda e: e.is_self)
     ties = tuple((tie.coordinate, _terms(tie.weights), tie.offset) for tie in mode.ties)
-    acting = motions(automaton.effects, [c.name for c in automaton.coordinates], name)
+    acting = motions(automaton.effects, automaton.coordinate_names, name)
     followed = tuple((pin.coordinate, pin.follows) for pin in mode.pins if pin.follows is not None)
     return ModeTable(name, flow, tuple(exits), pins, acting, followed, ties)
 

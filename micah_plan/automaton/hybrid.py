@@ -5,10 +5,10 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
-from micah_plan.automaton.region import Region
+from micah_plan.automaton.region import Interval, Region
 from micah_plan.automaton.register import Register
 from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
 Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
 Matrix = tuple[tuple[float, ...], ...]
+_Array = TypeVar("_Array", Floats, Booleans)
 
 
 @dataclass(frozen=True)
@@ -164,9 +166,24 @@ class Mode:
 
     @cached_property
     def B(self) -> Floats:  # noqa: N802 (the mathematics calls it B)
-        matrix = np.array(self.input_matrix, dtype=float)
-        matrix.setflags(write=False)
-        return matrix
+        return _read_only(np.array(self.input_matrix, dtype=float))
+
+    @cached_property
+    def driven(self) -> Booleans:
+        """(n,) whether an input moves the coordinate."""
+        return _read_only(np.any(self.B, axis=1))
+
+    @cached_property
+    def free(self) -> Booleans:
+        """(n,) whether the mode leaves the coordinate free; false where it pins it."""
+        free = np.ones(len(self.input_matrix), dtype=bool)
+        free[[pin.coordinate for pin in self.pins]] = False
+        return _read_only(free)
+
+    def interval(self, coordinate: int) -> Interval:
+        """(low, high) of a coordinate: its pin, or what the invariant leaves; low > high if that is nothing."""
+        pinned = next((pin.value for pin in self.pins if pin.coordinate == coordinate), None)
+        return self.invariant.interval(coordinate) if pinned is None else (pinned, pinned)
 
     def flow(self, x: Floats, u: Floats) -> Floats:
         """x⁺ of this mode's own dynamics, without guards, for x (..., n), u (..., m)."""
@@ -263,18 +280,41 @@ class HybridAutomaton:
         return {}
 
     @cached_property
-    def _modes_by_name(self) -> dict[str, Mode]:
-        return {mode.name: mode for mode in self.modes}
+    def mode_names(self) -> tuple[str, ...]:
+        """In the order of the modes."""
+        return tuple(mode.name for mode in self.modes)
+
+    @cached_property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """(n,) in the order of the coordinates."""
+        return tuple(coordinate.name for coordinate in self.coordinates)
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """(m,) in the order of the inputs."""
+        return tuple(given.name for given in self.inputs)
+
+    @cached_property
+    def _mode_indices(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.mode_names)}
+
+    def mode_index(self, name: str) -> int:
+        """Number of the mode of that name.
+
+        Raises:
+            InputError: if there is none; the message lists the names.
+        """
+        if name not in self._mode_indices:
+            raise InputError(f"unknown mode {shown(name)}", remedy=f"choose one of {', '.join(self.mode_names)}")
+        return self._mode_indices[name]
 
     def mode(self, name: str) -> Mode:
         """The mode of that name.
 
         Raises:
-            InputError: if there is none; the message lists the names.
+            InputError: see `mode_index`.
         """
-        if name not in self._modes_by_name:
-            raise InputError(f"unknown mode {shown(name)}", remedy=f"choose one of {', '.join(self._modes_by_name)}")
-        return self._modes_by_name[name]
+        return self.modes[self.mode_index(name)]
 
     def index(self, coordinate: str) -> int:
         """Number of the coordinate of that name.
@@ -282,7 +322,7 @@ class HybridAutomaton:
         Raises:
             InputError: if there is none; the message lists the names.
         """
-        names = [own.name for own in self.coordinates]
+        names = self.coordinate_names
         if coordinate not in names:
             raise InputError(f"unknown coordinate {shown(coordinate)}", remedy=f"choose one of {', '.join(names)}")
         return names.index(coordinate)
@@ -310,6 +350,21 @@ class HybridAutomaton:
         known = {*self.pins_located_by(edge), *self.mode(edge.source).pins}
         return tuple(pin for pin in self.mode(edge.target).pins if pin not in known)
 
+    def ranges(self, coordinate: int, modes: Iterable[Mode] | None = None) -> list[Interval]:
+        """What modes (None: all) allow for a coordinate, as intervals in increasing order; infinite without a limit.
+
+        Only half-spaces on this coordinate alone count, and pins; others can narrow the true range further.
+        """
+        merged: list[Interval] = []
+        for low, high in sorted(mode.interval(coordinate) for mode in (self.modes if modes is None else modes)):
+            if low > high:
+                continue
+            if merged and low <= merged[-1][1]:
+                merged[-1] = (merged[-1][0], max(merged[-1][1], high))
+            else:
+                merged.append((low, high))
+        return merged
+
     def part(self, name: str) -> Part:
         """The part of that name, without shapes if the model describes none."""
         return next((part for part in self.parts if part.name == name), Part(name))
@@ -318,3 +373,8 @@ class HybridAutomaton:
         """Names of the modes whose invariant holds x (n,) at zero input."""
         u = np.zeros(self.m)
         return tuple(mode.name for mode in self.modes if mode.invariant.contains(x, u, tolerance))
+
+
+def _read_only(array: _Array) -> _Array:
+    array.setflags(write=False)
+    return array

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,22 @@ from numpy.typing import NDArray
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
+Interval = tuple[float, float]
+"""Lower and upper end."""
+
+
+class Bound(NamedTuple):
+    """A limit on one coordinate alone.
+
+    Attributes:
+        coordinate: its number.
+        value: of the limit, in the coordinate's unit.
+        is_lower: whether the coordinate is at least `value`; else it is at most that.
+    """
+
+    coordinate: int
+    value: float
+    is_lower: bool
 
 
 @dataclass(frozen=True)
@@ -35,6 +52,25 @@ class HalfSpace:
     def __post_init__(self) -> None:
         if not all(np.isfinite([*self.a, *self.b, self.c])):
             raise InputError(f"half-space '{self.name}': all coefficients must be finite. Got {self}")
+
+    @cached_property
+    def on_state(self) -> bool:
+        """Whether it depends on the continuous state."""
+        return any(self.a)
+
+    @cached_property
+    def on_input(self) -> bool:
+        """Whether it depends on the input."""
+        return any(self.b)
+
+    @cached_property
+    def bound(self) -> Bound | None:
+        """The limit on the only coordinate that it depends on; None if it depends on several or on inputs."""
+        along = [i for i, weight in enumerate(self.a) if weight]
+        if len(along) != 1 or self.on_input:
+            return None
+        weight = self.a[along[0]]
+        return Bound(along[0], self.c / weight, weight > 0)
 
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
@@ -65,6 +101,25 @@ class Region:
     @property
     def is_everything(self) -> bool:
         return not self.half_spaces
+
+    @cached_property
+    def on_state(self) -> bool:
+        """Whether any of its half-spaces depends on the continuous state."""
+        return any(h.on_state for h in self.half_spaces)
+
+    @cached_property
+    def on_input(self) -> bool:
+        """Whether any of its half-spaces depends on the input."""
+        return any(h.on_input for h in self.half_spaces)
+
+    def interval(self, coordinate: int) -> Interval:
+        """(low, high) that its half-spaces on one coordinate alone leave; infinite where there are none."""
+        low, high = -np.inf, np.inf
+        for half_space in self.half_spaces:
+            bound = half_space.bound
+            if bound is not None and bound.coordinate == coordinate:
+                low, high = (max(low, bound.value), high) if bound.is_lower else (low, min(high, bound.value))
+        return low, high
 
     def margins(self, x: Floats, u: Floats) -> Floats:
         """(..., k) margins of the k half-spaces at x (..., n), u (..., m); positive inside."""

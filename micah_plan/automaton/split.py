@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.effects.structure import bound_of
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import Region, above, below
 from micah_plan.errors import InputError
@@ -67,10 +66,8 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
 
 def _cut(mode: Mode, i: int, at: float) -> bool:
     """Whether a mode moves a coordinate on both sides of a place."""
-    if not any(mode.input_matrix[i]):
-        return False
-    bounds = [bound for bound in (bound_of(h, i) for h in mode.invariant.half_spaces) if bound is not None]
-    return all(value < at if is_lower else value > at for value, is_lower in bounds)
+    low, high = mode.invariant.interval(i)
+    return bool(mode.driven[i]) and low < at < high
 
 
 def _halved(
@@ -108,13 +105,5 @@ def _side(mode: Mode, i: int, at: float) -> int | None:
 
 def _reaches(guard: Region, i: int, at: float, is_beyond: bool) -> bool:
     """Whether a guard holds anywhere on one side of the place."""
-    for half_space in guard.half_spaces:
-        bound = bound_of(half_space, i)
-        if bound is None:
-            continue
-        value, is_lower = bound
-        if is_lower and not is_beyond and value >= at:
-            return False
-        if not is_lower and is_beyond and value <= at:
-            return False
-    return True
+    low, high = guard.interval(i)
+    return high > at if is_beyond else low < at

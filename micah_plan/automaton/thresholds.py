@@ -83,7 +83,7 @@ def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
     stds: dict[Boundary, float] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces if edge.threshold_std > 0 else ():
-            if any(half_space.a):
+            if half_space.on_state:
                 boundary, scale = boundary_of(half_space)
                 stds[boundary] = max(stds.get(boundary, 0.0), edge.threshold_std / abs(scale))
     automaton.derived["boundary_stds"] = stds
@@ -142,7 +142,7 @@ def _boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Bou
             if edge.target == mode.name or any(
                 (p.coordinate, p.value) == (pin.coordinate, pin.value) for p in mode.pins
             ):
-                on_it = (h for h in edge.guard.half_spaces if _single_coordinate(h) == pin.coordinate)
+                on_it = (h for h in edge.guard.half_spaces if h.bound and h.bound.coordinate == pin.coordinate)
                 first = next(on_it, None)
                 if first is not None and (edge.target == mode.name or pin.coordinate not in found):
                     found[pin.coordinate] = boundary_of(first)[0]
@@ -151,11 +151,5 @@ def _boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Bou
 
 def held_coordinate(half_space: HalfSpace, held: Container[int]) -> int | None:
     """The held coordinate around which a half-space bounds a mode's range, though it does not end at its boundary."""
-    coordinate = _single_coordinate(half_space)
-    return coordinate if coordinate is not None and coordinate in held else None
-
-
-def _single_coordinate(half_space: HalfSpace) -> int | None:
-    """The only coordinate that a half-space is about; None if it is about several or about inputs."""
-    along = [i for i, weight in enumerate(half_space.a) if weight]
-    return along[0] if len(along) == 1 and not any(half_space.b) else None
+    bound = half_space.bound
+    return bound.coordinate if bound is not None and bound.coordinate in held else None

@@ -53,7 +53,7 @@ def turn_of(automaton: HybridAutomaton, edge: Edge) -> Turn | None:
     if onward <= 0.0:
         share = 0.0 if _returns(automaton, edge, crossed) else -onward / float(forth @ forth)
     across = (1.0 + share) * a / float(a @ a)
-    sides = tuple(h for h in edge.guard.half_spaces if h is not crossed and not any(h.b))
+    sides = tuple(h for h in edge.guard.half_spaces if h is not crossed and not h.on_input)
     A = np.eye(automaton.n) - np.outer(across, a)
     return Turn(crossed, sides, A, across * crossed.c, across * edge.threshold_std)
 
@@ -67,10 +67,9 @@ def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
 def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
     """The row of a guard by which it is entered, if the source can move across it and the target does not hold it."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
-    held = {pin.coordinate for pin in target.pins}
     for half_space in edge.guard.half_spaces:
         a = np.array(half_space.a)
-        if any(half_space.b) or not np.any(a @ source.B) or held & set(np.flatnonzero(a).tolist()):
+        if half_space.on_input or not np.any(a @ source.B) or a[~target.free].any():
             continue
         ends = any(faces(h, half_space) and is_beyond(h, half_space) for h in source.invariant.half_spaces)
         if len(edge.guard.half_spaces) == 1 or ends or _returns(automaton, edge, half_space):

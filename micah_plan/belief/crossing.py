@@ -77,8 +77,8 @@ def whole_step(
 
 def cross(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> tuple[Piece | None, Piece | None]:
     """What takes the edge (already in its target, with the rest of the step to go) and what does not."""
-    on_state = [h for h in edge.guard.half_spaces if any(h.a)]
-    on_input = [h for h in edge.guard.half_spaces if not any(h.a)]
+    on_state = [h for h in edge.guard.half_spaces if h.on_state]
+    on_input = [h for h in edge.guard.half_spaces if not h.on_state]
     blocked = edge.target in piece.entered and not edge.is_self_transition
     if blocked or not all(_holds(h, u) for h in on_input):
         return None, piece

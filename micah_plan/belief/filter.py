@@ -139,7 +139,7 @@ def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travell
 def guard_limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
     """The guards of one half-space on the state alone, turned round: weights @ x >= offset is outside the guard."""
     single = [edge.guard.half_spaces[0] for edge in edges if len(edge.guard.half_spaces) == 1]
-    return [(-np.array(h.a), -h.c) for h in single if any(h.a) and not any(h.b)]
+    return [(-np.array(h.a), -h.c) for h in single if h.on_state and not h.on_input]
 
 
 def _assembled(

@@ -115,6 +115,6 @@ def margin(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> tu
 def half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> float:
     """Probability of a'x + b'u >= c: Φ(margin / std). For a half-space on u alone it is 0 or 1."""
     value, deviation = margin(mean, factor, u, half_space)
-    if not any(half_space.a):
+    if not half_space.on_state:
         return float(value > 0 or (value == 0 and not half_space.strict))
     return float(ndtr(value / deviation))

@@ -30,14 +30,12 @@ def slid(automaton: HybridAutomaton, piece: Piece, u: Floats) -> Piece:
 def blocked_edges(automaton: HybridAutomaton, mode: str) -> list[Edge]:
     """The transitions out of a mode, with guards on the state, that may be blocked after it was entered."""
     edges = automaton.edges_from(mode)
-    return [edge for edge in edges if not edge.is_self_transition and any(any(h.a) for h in edge.guard.half_spaces)]
+    return [edge for edge in edges if not edge.is_self_transition and edge.guard.on_state]
 
 
 def free_normal(mode: Mode, a: Floats) -> Floats:
     """(n,) the part of a boundary's normal along which the mode can give way; zeros where it holds the coordinate."""
-    normal = a.copy()
-    normal[[pin.coordinate for pin in mode.pins]] = 0.0
-    return normal
+    return np.asarray(np.where(mode.free, a, 0.0))
 
 
 def _slid_along(mode: Mode, piece: Piece, edge: Edge, u: Floats) -> Piece:

@@ -31,7 +31,7 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         InputError: if the automaton is not one that a file may hold (a name twice, a number that is not finite, sizes
             that disagree).
     """
-    names = Variables(tuple(c.name for c in automaton.coordinates), tuple(c.name for c in automaton.inputs))
+    names = Variables(automaton.coordinate_names, automaton.input_names)
     data = {
         "format": MODEL_FORMAT,
         "provenance": dict(automaton.provenance),

@@ -258,7 +258,7 @@ def _trajectory(document: TrajectoryDocument, automaton: HybridAutomaton, locate
     knots, n, m = len(document.modes), automaton.n, automaton.m
     if document.means and len(document.means[0]) != n:
         n = with_memory_states(automaton).n
-    names = [mode.name for mode in automaton.modes]
+    names = automaton.mode_names
     for i, name in enumerate(document.modes):
         if name not in names:
             raise located.unknown(("trajectory", "modes", i), "mode", name, names)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.ranges import Interval, coordinate_ranges
+from micah_plan.automaton.region import Interval
 from micah_plan.documents.expressions import Variables, short_number, short_text
 from micah_plan.documents.located import Located
 from micah_plan.task.goal import Goal
@@ -33,7 +33,7 @@ def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> 
     """By the planner's own rule, so that a file is refused exactly where the planner would find no mode to start in."""
     if start_mode(automaton, start)[0] is not None:
         return
-    names = [mode.name for mode in automaton.modes]
+    names = automaton.mode_names
     allowed = [name for name in names if start_mode(automaton, replace(start, mode=name))[0] is not None]
     values = zip(automaton.coordinates, start.mean, strict=True)
     state = ", ".join(f"{item.name} = {short_number(value)} {item.unit}" for item, value in values)
@@ -46,7 +46,7 @@ def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> 
 
 def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
     """The remedy that says what the modes allow: ``allowed: swings (door >= 0, door <= 1.2)``."""
-    variables = Variables(tuple(c.name for c in automaton.coordinates), tuple(c.name for c in automaton.inputs))
+    variables = Variables(automaton.coordinate_names, automaton.input_names)
     texts = []
     for name in modes[:_MOST_LISTED]:
         regions = start_regions(automaton, automaton.mode(name))
@@ -61,7 +61,7 @@ def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> Non
     modes = [mode for mode in automaton.modes if goal.admits(mode.name)]
     for index, value, tolerance in goal.target:
         name, unit = automaton.coordinates[index].name, automaton.coordinates[index].unit
-        ranges = coordinate_ranges(index, modes)
+        ranges = automaton.ranges(index, modes)
         nearest = _nearest(value, ranges)
         room = LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
         if abs(nearest - value) > tolerance + room:

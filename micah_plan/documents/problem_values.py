@@ -38,7 +38,7 @@ def problem_of(
     planner = document.planner.model_dump(exclude={"max_step"})
     max_step = None
     if document.planner.max_step is not None:
-        names = [item.name for item in automaton.inputs]
+        names = automaton.input_names
         max_step = tuple(by_name(document.planner.max_step, names, "input", located, ("planner", "max_step")))
     robot = robot_of(document.robot, located, folder)
     return Problem(
@@ -61,12 +61,12 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         problem: its noise is that of its automaton and not repeated here.
         model: what to write as the name of the model file.
     """
-    names = [item.name for item in problem.automaton.coordinates]
+    names = problem.automaton.coordinate_names
     settings = {key: value for key, value in vars(problem.settings).items() if key != "confidence"}
     if problem.settings.max_step is None:
         del settings["max_step"]
     else:
-        inputs = [item.name for item in problem.automaton.inputs]
+        inputs = problem.automaton.input_names
         settings["max_step"] = dict(zip(inputs, problem.settings.max_step, strict=True))
     start: dict[str, Any] = {
         "mean": dict(zip(names, problem.start.mean, strict=True)),
@@ -92,7 +92,7 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
 
 def _noise(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Noise:
     """The model's noise, with the problem's where it states any."""
-    names = [item.name for item in automaton.coordinates]
+    names = automaton.coordinate_names
     values = {}
     for key in ("process_std", "observation_std"):
         own: Mapping[str, float] = getattr(document.noise, key)
@@ -103,18 +103,18 @@ def _noise(document: ProblemDocument, automaton: HybridAutomaton, located: Locat
 
 
 def _start(start: StartDocument, automaton: HybridAutomaton, located: Located) -> Start:
-    names = [item.name for item in automaton.coordinates]
+    names = automaton.coordinate_names
     mean = tuple(by_name(start.mean, names, "coordinate", located, ("start", "mean")))
     std = tuple(by_name(start.std, names, "coordinate", located, ("start", "std")))
-    modes = [mode.name for mode in automaton.modes]
+    modes = automaton.mode_names
     if start.mode is not None and start.mode not in modes:
         raise located.unknown(("start", "mode"), "mode", start.mode, modes)
     return Start(mean, std, start.mode)
 
 
 def _goal(goal: GoalDocument, automaton: HybridAutomaton, located: Located) -> Goal:
-    names = [item.name for item in automaton.coordinates]
-    modes = [mode.name for mode in automaton.modes]
+    names = automaton.coordinate_names
+    modes = automaton.mode_names
     for i, mode in enumerate(goal.modes):
         if mode not in modes:
             raise located.unknown(("goal", "modes", i), "mode", mode, modes)

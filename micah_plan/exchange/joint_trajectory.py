@@ -24,7 +24,7 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
     """
     trajectory, arm = require_executable(stored), stored.plan.arm
     if arm is None:
-        names, positions = [c.name for c in stored.automaton.coordinates], trajectory.means
+        names, positions = list(stored.automaton.coordinate_names), trajectory.means
     else:
         names, positions = list(arm.joints), arm.positions
     period = parameters_of(stored.problem).control_period

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY, Joint
-from micah_plan.automaton.ranges import Interval, coordinate_ranges
+from micah_plan.automaton.region import Interval
 from micah_plan.errors import InputError
 from micah_plan.robot.checked_robot import NO_LIMIT
 from micah_plan.robot.xml_text import Element, write_xml
@@ -43,7 +43,7 @@ def urdf_text(automaton: HybridAutomaton, title: str) -> str:
         if joint.kind != "rigid" and link.coordinate in moving:
             raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
         moving |= {link.coordinate} if joint.kind != "rigid" else set()
-        ranges = coordinate_ranges(link.coordinate, automaton.modes) or [(-np.inf, np.inf)]
+        ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
         limits = ranges[0][0], ranges[-1][1]
         name = automaton.coordinates[link.coordinate].name
         elements += _moved((name, link.parent, link.child), joint, limits, parts.get(link.child))

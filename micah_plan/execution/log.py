@@ -70,7 +70,7 @@ class RunLog:
         )
 
     def _belief_columns(self) -> dict[str, list[str]]:
-        modes = [mode.name for mode in self.automaton.modes]
+        modes = self.automaton.mode_names
         columns: dict[str, list[str]] = {"mode": [modes[sample.belief.most_likely] for sample in self._samples]}
         for index, coordinate in enumerate(self.automaton.coordinates):
             beliefs = [(sample.belief, sample.belief.most_likely) for sample in self._samples]

@@ -94,7 +94,7 @@ class MujocoPlant:
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial: a start drawn from the belief, everything at rest, latched if the start mode holds it."""
         mode, x = sample_start(self.automaton, self.start, rng)
-        pinned = {pin.coordinate for pin in self.automaton.mode(mode).pins}
+        pinned = set(np.flatnonzero(~self.automaton.mode(mode).free).tolist())
         self._mj.mj_resetData(self._model, self._data)
         self._still = x.copy()
         for link, address in zip(self._links, self._qpos, strict=True):

@@ -73,8 +73,7 @@ class NominalPlant:
     def truth(self) -> Truth:
         """The true mode and configuration."""
         position, quaternion = self._poses()
-        held = np.zeros(self.automaton.n, dtype=bool)
-        held[[pin.coordinate for pin in self.automaton.mode(self._mode).pins]] = True
+        held = ~self.automaton.mode(self._mode).free
         return Truth(self._mode, self._x.copy(), position, quaternion, held)
 
     def close(self) -> None:

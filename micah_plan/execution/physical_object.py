@@ -15,7 +15,6 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.kinematics import forward, jacobian
-from micah_plan.automaton.ranges import mode_interval
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -109,7 +108,7 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
 
 def _range(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
     """From the least to the largest value that the modes' invariants and pins allow for one coordinate."""
-    intervals = [mode_interval(mode, coordinate) for mode in automaton.modes]
+    intervals = [mode.interval(coordinate) for mode in automaton.modes]
     return min(low for low, _ in intervals), max(high for _, high in intervals)
 
 

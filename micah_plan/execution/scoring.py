@@ -40,7 +40,7 @@ def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
     A plant may be another model or physics. Then x follows from the true poses by the model's inverse kinematics, and
     the mode is the one that pins what is latched, with the largest margin inside its invariant among those.
     """
-    if truth.mode is not None and truth.mode in {mode.name for mode in automaton.modes}:
+    if truth.mode is not None and truth.mode in automaton.mode_names:
         return truth.mode, truth.x
     still = np.zeros(automaton.m)
     x = configuration(automaton, automaton.modes[0].name, truth.position, truth.quaternion, truth.x)
@@ -48,11 +48,9 @@ def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
 
     def fit(number: int) -> tuple[int, float, float]:
         mode = automaton.modes[number]
-        pinned = np.zeros(automaton.n, dtype=bool)
-        pinned[[pin.coordinate for pin in mode.pins]] = True
         distance = sum(abs(pin.value - float(x[pin.coordinate])) for pin in mode.pins)
         margin = float(mode.invariant.margins(x, still).min(initial=0.0))
-        return -int((pinned != truth.held).sum()), -distance, margin
+        return -int((mode.free == truth.held).sum()), -distance, margin
 
     best = max(range(len(automaton.modes)), key=fit)
     return automaton.modes[best].name, x

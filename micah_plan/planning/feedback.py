@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits
@@ -53,7 +54,7 @@ def belief_lqr(
         value += rest.T @ goal @ rest
     gains = np.zeros((len(is_transition), m, n))
     for k in reversed(range(len(is_transition))):
-        value = _without_pinned(problem, modes[k + 1], value)
+        value = _without_pinned(automaton.mode(modes[k + 1]), value)
         if is_transition[k]:
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
@@ -63,19 +64,11 @@ def belief_lqr(
         x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
         A, B = linear_step(automaton, modes[k], x, u, limits.max_step)
         gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value @ A)
-        gains[k] = gain * _is_free(problem, modes[k])
+        gains[k] = gain * automaton.mode(modes[k]).free
         closed = A + B @ gain
         value = tracking + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains
 
 
-def _is_free(problem: Problem, mode: str) -> Floats:
-    """(n,) 1 where a mode leaves a coordinate free, 0 where it pins it."""
-    free = np.ones(problem.automaton.n)
-    free[[pin.coordinate for pin in problem.automaton.mode(mode).pins]] = 0.0
-    return free
-
-
-def _without_pinned(problem: Problem, mode: str, value: Floats) -> Floats:
-    free = _is_free(problem, mode)
-    return value * np.outer(free, free)
+def _without_pinned(mode: Mode, value: Floats) -> Floats:
+    return value * np.outer(mode.free, mode.free)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from micah_plan.automaton.ranges import coordinate_ranges, mode_interval
 from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.transcription.rows import Row, Shortfall
 from micah_plan.quantities import percent, quantity
@@ -151,7 +150,7 @@ def _start_finding(problem: Problem) -> Finding | None:
     if outside[worst] <= 0:  # it is out of a range that is not of one coordinate alone
         return Finding("start", sentence, remedy, mode=nearest.name)
     coordinate = automaton.coordinates[worst]
-    low, high = mode_interval(nearest, worst)
+    low, high = nearest.interval(worst)
     place = min(max(start.mean[worst], low), high)
     return Finding(
         "start",
@@ -166,7 +165,7 @@ def _start_finding(problem: Problem) -> Finding | None:
 
 def _outside(problem: Problem, mode: str) -> list[float]:
     """How far each coordinate of the start's mean lies outside of a mode's range [its unit]; 0 inside."""
-    intervals = [mode_interval(problem.automaton.mode(mode), i) for i in range(problem.automaton.n)]
+    intervals = [problem.automaton.mode(mode).interval(i) for i in range(problem.automaton.n)]
     return [max(0.0, low - x, x - high) for x, (low, high) in zip(problem.start.mean, intervals, strict=True)]
 
 
@@ -175,7 +174,7 @@ def _goal_findings(problem: Problem) -> list[Finding]:
     goal, found = problem.goal, []
     modes = [mode for mode in problem.automaton.modes if goal.admits(mode.name)]
     for index, value, tolerance in goal.target:
-        coordinate, ranges = problem.automaton.coordinates[index], coordinate_ranges(index, modes)
+        coordinate, ranges = problem.automaton.coordinates[index], problem.automaton.ranges(index, modes)
         if not ranges:
             continue
         nearest = min((min(max(value, low), high) for low, high in ranges), key=lambda x: abs(x - value))

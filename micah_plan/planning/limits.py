@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.region import HalfSpace
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -81,15 +80,15 @@ def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
     """Everything that the invariants, guards, pins, start and goal mention, with room where nothing bounds a side."""
     automaton = problem.automaton
     lower, upper = np.zeros(automaton.n), np.zeros(automaton.n)
-    invariants = [h for mode in automaton.modes for h in mode.invariant.half_spaces]
-    guards = [h for edge in automaton.edges for h in edge.guard.half_spaces]
+    inside = [h.bound for mode in automaton.modes for h in mode.invariant.half_spaces if h.bound]
+    guards = [h.bound for edge in automaton.edges for h in edge.guard.half_spaces if h.bound]
     for i in range(automaton.n):
         values = [problem.start.mean[i], *(value for index, value, _ in problem.goal.target if index == i)]
         values += [pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == i]
-        values += [h.c / h.a[i] for h in (*invariants, *guards) if _is_on(h, i)]
+        values += [b.value for b in (*inside, *guards) if b.coordinate == i]
         room = 0.5 * (max(values) - min(values)) or 1.0
-        free_below = not any(_is_on(h, i) and h.a[i] > 0 for h in invariants)
-        free_above = not any(_is_on(h, i) and h.a[i] < 0 for h in invariants)
+        free_below = not any(b.coordinate == i and b.is_lower for b in inside)
+        free_above = not any(b.coordinate == i and not b.is_lower for b in inside)
         lower[i] = min(values) - (room if free_below else 0.0)
         upper[i] = max(values) + (room if free_above else 0.0)
     return lower, upper
@@ -98,7 +97,7 @@ def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
 def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> float:
     """Largest admissible |u| if all modes together bound it on both sides, else a share of the range that it moves."""
     rows = [h for mode in automaton.modes for h in mode.inputs.half_spaces]
-    rows = [h for h in rows if not any(h.a) and np.count_nonzero(h.b) == 1 and h.b[index] != 0]
+    rows = [h for h in rows if not h.on_state and np.count_nonzero(h.b) == 1 and h.b[index] != 0]
     if {np.sign(h.b[index]) for h in rows} == {-1.0, 1.0}:
         return float(max(abs(h.c / h.b[index]) for h in rows))
     gains = np.max([np.abs(mode.B[:, index]) for mode in automaton.modes], axis=0)
@@ -111,9 +110,9 @@ def _useful_step(automaton: HybridAutomaton, index: int, largest: float) -> floa
 
     An optimiser that starts beyond would see no slope, and a search would count with steps that are never made.
     """
-    names, useful = [coordinate.name for coordinate in automaton.coordinates], 0.0
+    useful = 0.0
     for mode in automaton.modes:
-        acting = motions(automaton.effects, names, mode.name)
+        acting = motions(automaton.effects, automaton.coordinate_names, mode.name)
         for i in np.flatnonzero(mode.B[:, index]):
             if i not in acting:
                 return largest
@@ -130,8 +129,3 @@ def _reach(motion: CoordinateMotion, gain: float, largest: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if abs(motion.commanded(np, gain * middle)) >= full else (middle, high)
     return high
-
-
-def _is_on(half_space: HalfSpace, i: int) -> bool:
-    """Whether the half-space bounds this coordinate alone."""
-    return not any(half_space.b) and np.count_nonzero(half_space.a) == 1 and half_space.a[i] != 0

@@ -92,8 +92,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     channel = InputChannel(automaton, memory)
     unseen = np.full((len(chances.starts), whole.n - automaton.n), np.nan)
     trials, everyone = len(chances.starts), np.arange(len(chances.starts))
-    index = [mode.name for mode in automaton.modes].index(trajectory.modes[0])
-    modes, x = np.full(trials, index), chances.starts
+    modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
     start = initial_belief(whole, known.start.mean, known.start.std, trajectory.modes[0])
     beliefs = repeated(whole, start, trials)
     knots = time_knots(trajectory)
@@ -127,5 +126,5 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
     """(t,) whether each true end lies in the goal set."""
-    admitted = problem.goal.admitted([mode.name for mode in problem.automaton.modes])
+    admitted = problem.goal.admitted(problem.automaton.mode_names)
     return np.asarray(admitted[ends.modes] & problem.goal.holds(ends.states))

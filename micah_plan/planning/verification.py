@@ -184,8 +184,7 @@ def _localising(automaton: HybridAutomaton, last: str, index: int) -> str:
     """A mode that pins a coordinate or senses it better than the last one; empty if there is none."""
     worst = automaton.sensing(automaton.mode(last)).std[index]
     for mode in automaton.modes:
-        pinned = any(pin.coordinate == index for pin in mode.pins)
-        if mode.name != last and (pinned or automaton.sensing(mode).std[index] < worst):
+        if mode.name != last and (not mode.free[index] or automaton.sensing(mode).std[index] < worst):
             return mode.name
     return ""
 

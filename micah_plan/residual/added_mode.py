@@ -60,4 +60,4 @@ def _inside(split: HybridAutomaton, i: int, missing: MissingMode) -> tuple[str, 
         low, high = range_of(replace(split, modes=(mode,)), i)
         return low < high and low >= missing.low and high <= missing.high
 
-    return tuple(mode.name for mode in split.modes if any(mode.input_matrix[i]) and holds(mode))
+    return tuple(mode.name for mode in split.modes if mode.driven[i] and holds(mode))

@@ -72,7 +72,7 @@ def judge(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Judgemen
     if len(known) < len(found):
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     one_step, rollout = _floors(automaton, runs, known)
-    names = [coordinate.name for coordinate in automaton.coordinates]
+    names = automaton.coordinate_names
     follows = [(name, *one) for name, own in zip(names, known, strict=True) for one in own.follows]
     lasting = [n for n, r in zip(names, correlations, strict=True) if r * np.sqrt(len(errors)) > _CLEARLY]
     surely = [name for name, own in zip(names, known, strict=True) if own.probability < UNLIKELY]

@@ -115,7 +115,7 @@ def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, 
     return tuple(
         _lane(automaton, tracks, number, link.coordinate)
         for number, link in measuring_links(automaton)
-        if any(any(mode.input_matrix[link.coordinate]) for mode in automaton.modes)
+        if any(mode.driven[link.coordinate] for mode in automaton.modes)
     )
 
 
@@ -151,7 +151,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     action = np.zeros((*shape, 3))
-    moving = next(mode for mode in automaton.modes if any(mode.input_matrix[i]))
+    moving = next(mode for mode in automaton.modes if mode.driven[i])
     for s, (track, first, start, end, share) in enumerate(kept):
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
@@ -185,7 +185,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         holds=holds,
         period=float(np.median(periods)),
         rows=total,
-        modes=tuple(mode.name for mode in automaton.modes),
+        modes=automaton.mode_names,
     )
 
 
@@ -228,7 +228,7 @@ def _ends(
                 holds[side] = True
                 for edge in automaton.edges_from(mode.name):
                     for h in edge.guard.half_spaces:
-                        if h.b[i] and not any(h.a) and not edge.is_self_transition:
+                        if h.b[i] and not h.on_state and not edge.is_self_transition:
                             away = (h.b[i] > 0) == (side == 0)
                             release[side] = max(release[side], h.c / abs(h.b[i])) if away else release[side]
     return (holds[0], holds[1]), (release[0], release[1])

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.ranges import coordinate_ranges
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
@@ -99,7 +98,7 @@ def rmse(errors: list[Floats]) -> float:
 
 
 def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
-    moving = [next((m for m in automaton.modes if any(m.input_matrix[i])), None) for i in range(automaton.n)]
+    moving = [next((m for m in automaton.modes if m.driven[i]), None) for i in range(automaton.n)]
     rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
     return RunPrediction(
         run=track.run,
@@ -114,7 +113,7 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
     u = _inputs(track)
     belief = _first_belief(automaton, track)
-    names = [mode.name for mode in automaton.modes]
+    names = automaton.mode_names
     predicted, modes = [], []
     channel = InputChannel(automaton)
     for k in range(len(u)):
@@ -149,7 +148,7 @@ def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
             continue
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
-        ranges = coordinate_ranges(index, automaton.modes)
+        ranges = automaton.ranges(index)
         measured.append(f"{coordinate.name} = {value:.4g} {coordinate.unit}")
         allowed.append(f"{coordinate.name} " + " or ".join(f"{low:.4g} to {high:.4g}" for low, high in ranges))
     raise InputError(

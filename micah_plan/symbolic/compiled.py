@@ -134,7 +134,7 @@ class _Modes(Mapping[str, CompiledMode]):
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
-        return (mode.name for mode in self._automaton.modes)
+        return iter(self._automaton.mode_names)
 
     def __len__(self) -> int:
         return len(self._automaton.modes)
@@ -227,10 +227,9 @@ def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.S
 def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols, u: ca.SX) -> ca.SX:
     """x⁺ = x + B u with the effects of the mode that have no memory."""
     moved = ca.mtimes(ca.DM(mode.B), u)
-    acting = motions(automaton.effects, [c.name for c in automaton.coordinates], mode.name)
-    held = {pin.coordinate for pin in mode.pins}
+    acting = motions(automaton.effects, automaton.coordinate_names, mode.name)
     for i, motion in acting.items():
-        if i not in held:
+        if mode.free[i]:
             moved[i] = motion.displacement(CasadiOperations(), s.x[i], moved[i])
     return s.x + moved
 

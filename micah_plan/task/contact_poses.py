@@ -15,7 +15,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.contacts.task import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.part_poses import part_poses
-from micah_plan.automaton.ranges import region_interval
 from micah_plan.scene.body import corners
 from micah_plan.scene.surroundings import faces_of
 from micah_plan.task.problem import Problem
@@ -59,7 +58,7 @@ def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Fl
     found, followed = mode, x
     for contact in automaton.modes:  # line before surface: pressing passes from one to the other
         for tie in contact.ties:
-            low, high = region_interval(contact.invariant, tie.coordinate)
+            low, high = contact.invariant.interval(tie.coordinate)
             asked = float(tie.value(x))
             closes = 1.0 if low + high > 2 * x[tie.coordinate] else -1.0
             begin = low if closes > 0 else high

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.ranges import region_interval, single_bound
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
 
@@ -126,9 +125,8 @@ def _sigmas_beyond(mean: Floats, std: Floats, region: Region) -> float:
         weights = np.array(half_space.a)
         size = float(np.linalg.norm(weights)) or 1.0
         shortage = -float(half_space.margin(mean, np.zeros(len(half_space.b)))) / size
-        bound = single_bound(half_space)
-        if bound is not None:
-            low, high = region_interval(region, bound[0])
+        if half_space.bound is not None:
+            low, high = region.interval(half_space.bound.coordinate)
             shortage -= LIMIT_ROOM * (high - low) if np.isfinite(high - low) else 0.0
         if shortage > 0:
             outside = max(outside, shortage / max(float(np.linalg.norm(std * weights)) / size, _SMALLEST_STD))

@@ -6,6 +6,8 @@ import json
 import re
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.errors import InputError
 from micah_plan.view.placement import coordinate_range, representative_state
@@ -60,7 +62,7 @@ def first_problem(automaton: HybridAutomaton) -> str:
         InputError: if nothing in the model can be moved.
     """
     mode, moved = _moving_mode(automaton)
-    names = [coordinate.name for coordinate in automaton.coordinates]
+    names = automaton.coordinate_names
     ranges = {i: coordinate_range(automaton, mode, i)[:2] for i in moved}
     length = {i: high - low for i, (low, high) in ranges.items()}
     mean = representative_state(automaton, mode)
@@ -94,8 +96,7 @@ def first_problem(automaton: HybridAutomaton) -> str:
 def _moving_mode(automaton: HybridAutomaton) -> tuple[Mode, list[int]]:
     """The first mode in which something can be moved, and the coordinates that can."""
     for mode in automaton.modes:
-        pinned = {pin.coordinate for pin in mode.pins}
-        moved = [i for i in range(automaton.n) if any(mode.B[i]) and i not in pinned]
+        moved = np.flatnonzero(mode.driven & mode.free).tolist()
         if moved:
             return mode, moved
     raise InputError("nothing in this model can be moved", remedy="record the part while it is moved, and learn again")

@@ -44,7 +44,7 @@ _SWEEP_FRAMES = 33
 
 def mode_colors(automaton: HybridAutomaton) -> dict[str, str]:
     """The colour of each mode, the same on every page and figure of a model."""
-    return {mode.name: category(i) for i, mode in enumerate(automaton.modes)}
+    return {name: category(i) for i, name in enumerate(automaton.mode_names)}
 
 
 def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
@@ -92,7 +92,7 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     for mode in automaton.modes:
         begin = clock
         rest = representative_state(automaton, mode)
-        moved = [i for i in range(automaton.n) if np.any(mode.B[i]) and i not in {pin.coordinate for pin in mode.pins}]
+        moved = np.flatnonzero(mode.driven & mode.free).tolist()
         for coordinate in moved:
             lower, upper, _ = coordinate_range(automaton, mode, coordinate)
             phase = np.linspace(0.0, 2 * np.pi, _SWEEP_FRAMES)
@@ -213,7 +213,7 @@ def _described(automaton: HybridAutomaton, mode: Mode) -> str:
     joints = ", ".join(f"{link.child} {joint.kind}" for link, joint in zip(automaton.links, mode.joints, strict=True))
     ranges = []
     for i, coordinate in enumerate(automaton.coordinates):
-        if np.any(mode.B[i]):
+        if mode.driven[i]:
             lower, upper, stated = coordinate_range(automaton, mode, i)
             ends = f"{coordinate.name} from {quantity(lower, coordinate.unit)} to {quantity(upper, coordinate.unit)}"
             ranges.append(ends if stated else f"{ends} (range not stated, chosen for display)")

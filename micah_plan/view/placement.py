@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.part_poses import poses_of_states
-from micah_plan.automaton.ranges import region_interval, single_bound
 
 Floats = NDArray[np.float64]
 
@@ -57,11 +56,11 @@ def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) ->
     Looked for in the mode's invariant, then in its clamps (self transitions), then in its guards; an end that none
     states is put 1 rad or 0.2 m away from the other end, or from 0.
     """
-    lower, upper = region_interval(mode.invariant, coordinate)
+    lower, upper = mode.invariant.interval(coordinate)
     for own in (True, False):
         for edge in automaton.edges_from(mode.name):
             if edge.is_self_transition == own:
-                above, below = region_interval(edge.guard, coordinate)
+                above, below = edge.guard.interval(coordinate)
                 # A guard that holds above a value ends the mode there.
                 upper = above if np.isinf(upper) and np.isfinite(above) else upper
                 lower = below if np.isinf(lower) and np.isfinite(below) else lower
@@ -78,7 +77,7 @@ def representative_state(automaton: HybridAutomaton, mode: Mode) -> Floats:
     """(n,) a state inside the mode to draw it at: pinned values, else the value closest to 0."""
     x = np.zeros(automaton.n)
     for i in range(automaton.n):
-        lower, upper = region_interval(mode.invariant, i)
+        lower, upper = mode.invariant.interval(i)
         x[i] = min(max(0.0, lower), upper)
     for pin in mode.pins:
         x[pin.coordinate] = pin.value
@@ -90,7 +89,7 @@ def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
     found: dict[tuple[int, float, frozenset[str]], Threshold] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces:
-            limit = single_bound(half_space)
+            limit = half_space.bound
             if limit is not None and not edge.is_self_transition:
                 coordinate, value, _ = limit
                 key = (coordinate, round(value, 9), frozenset((edge.source, edge.target)))

@@ -194,7 +194,7 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
     entries += [LegendEntry(START, "start", "start"), LegendEntry(GOAL, "goal", "goal")]
     colors = mode_colors(problem.automaton)
     entries.append(LegendEntry(INK, "joint axes, and paths by mode:", "joints", "line"))
-    shown = [mode.name for mode in problem.automaton.modes if mode.name != COLLIDED or COLLIDED in plan.mode_sequence]
+    shown = [name for name in problem.automaton.mode_names if name != COLLIDED or COLLIDED in plan.mode_sequence]
     entries += [LegendEntry(colors[name], f"mode {name}", shape="line") for name in shown]
     return [*entries, *arm_legend(plan, problem), *surroundings_legend(spacing)]
 

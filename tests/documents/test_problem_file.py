@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from spec_attempt import attempt, told
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
-from micah_plan.automaton.ranges import coordinate_ranges
 from micah_plan.automaton.region import Region, above, box
 from micah_plan.documents.model_file import dump_model
 from micah_plan.documents.problem_document import PlannerDocument, PlantDocument
@@ -244,11 +243,11 @@ def test_a_goal_within_tolerance_of_the_range_is_accepted(folder: Path) -> None:
 
 
 def test_ranges_join_what_modes_allow(door: HybridAutomaton) -> None:
-    assert coordinate_ranges(0, door.modes) == [(0.0, 1.2)]
-    assert coordinate_ranges(0, door.modes[1:]) == [(1.2, 1.2)]
+    assert door.ranges(0) == [(0.0, 1.2)]
+    assert door.ranges(0, door.modes[1:]) == [(1.2, 1.2)]
     free = replace(door.modes[1], pins=(), invariant=Region((above(0, 2.0, 1, 1, name="door"),)))
-    assert coordinate_ranges(0, (free, door.modes[0])) == [(0.0, 1.2), (2.0, float("inf"))]
-    assert coordinate_ranges(0, (replace(free, invariant=Region()),)) == [(-float("inf"), float("inf"))]
+    assert door.ranges(0, (free, door.modes[0])) == [(0.0, 1.2), (2.0, float("inf"))]
+    assert door.ranges(0, (replace(free, invariant=Region()),)) == [(-float("inf"), float("inf"))]
 
 
 def test_overrides_replace_values(folder: Path) -> None:

@@ -16,7 +16,6 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, screw
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.ranges import coordinate_ranges
 from micah_plan.documents.model_file import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
@@ -52,7 +51,7 @@ def test_pinocchio_finds_the_parts_where_the_model_does(name: str) -> None:
             found = data.oMf[robot.getFrameId(part, pin.FrameType.BODY)]
             np.testing.assert_allclose(found.homogeneous, pose.as_matrix(), atol=1e-9)
     for index, at in enumerate(order):
-        ranges = np.clip(coordinate_ranges(index, automaton.modes), -1e9, 1e9)
+        ranges = np.clip(automaton.ranges(index), -1e9, 1e9)
         np.testing.assert_allclose(
             [robot.lowerPositionLimit[at], robot.upperPositionLimit[at]], [ranges[0][0], ranges[-1][1]]
         )
@@ -93,7 +92,7 @@ def test_limits_stop_the_motion(tmp_path: Path) -> None:
     convert(ROOT / "models" / "drawer.yaml", tmp_path / "d.urdf")
     convert(tmp_path / "d.urdf", tmp_path / "d.yaml")
     model = load_model(tmp_path / "d.yaml")
-    (low, high) = coordinate_ranges(0, model.modes)[0]
+    (low, high) = model.ranges(0)[0]
     run = simulate(model, "moves", [0.1], np.array([[0.3], [-0.1], [-0.5]]))
     np.testing.assert_allclose(run.states[:, 0], [0.1, high, high - 0.1, low], atol=1e-12)
 

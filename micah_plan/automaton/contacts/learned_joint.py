@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from micah_plan.automaton.contacts.task import Grip
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Pin
 from micah_plan.automaton.joint import JointKind
-from micah_plan.automaton.ranges import mode_interval, single_bound
 from micah_plan.errors import InputError
 
 
@@ -71,7 +70,7 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
     if kind not in ("revolute", "prismatic"):
         raise InputError(f"contacts need a revolute or prismatic joint. Got {kind}")
     latches = tuple(latch for edge in automaton.edges_from(mode.name) if (latch := _latch(automaton, edge)) is not None)
-    high = mode_interval(mode, 0)[1]
+    high = mode.interval(0)[1]
     datum = grip.datum
     if datum is None:
         known = [latch.threshold for latch in latches if latch.direction > 0] + [high]
@@ -96,7 +95,7 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
 def _latch(automaton: HybridAutomaton, edge: Edge) -> Latch | None:
     """The rigid mode that an edge leads to; None if it leads elsewhere."""
     pins = automaton.mode(edge.target).pins
-    bound = single_bound(edge.guard.half_spaces[0]) if len(edge.guard.half_spaces) == 1 else None
+    bound = edge.guard.half_spaces[0].bound if len(edge.guard.half_spaces) == 1 else None
     if not pins or bound is None:
         return None
-    return Latch(edge.target, pins[0], bound[1], edge.threshold_std, 1 if bound[2] else -1)
+    return Latch(edge.target, pins[0], bound.value, edge.threshold_std, 1 if bound.is_lower else -1)

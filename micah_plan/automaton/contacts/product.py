@@ -288,7 +288,6 @@ def _collisions(modes: list[Mode], joint: LearnedJoint, grip: Grip, surroundings
         if mode.pins:
             low = high = mode.pins[0].value
         else:
-            bounds = [h for h in mode.invariant.half_spaces if h.a[_JOINT] and np.count_nonzero(h.a) == 1]
-            low, high = sorted(h.c / h.a[_JOINT] for h in bounds)
+            low, high = mode.invariant.interval(_JOINT)
         for region in collision_regions(grip, surroundings, joint.datum, low, high, joint.turns):
             yield Edge(mode.name, COLLIDED, region)

@@ -118,7 +118,7 @@ class InputChannel:
 
     def __init__(self, automaton: HybridAutomaton, memory: Mapping[Effect, Sequence[float]] | None = None) -> None:
         """Args: the model, and what its effects remember; left out: they are at rest."""
-        self._names = [mode.name for mode in automaton.modes]
+        self._names = automaton.mode_names
         remembering = [effect for effect in automaton.effects if form(effect.name).layer == "memory"]
         self._parts = [(effect, *_input(automaton, effect), _device(effect)) for effect in remembering]
         for effect, _, _, device in self._parts:

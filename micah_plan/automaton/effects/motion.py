@@ -65,11 +65,10 @@ def displaced(automaton: HybridAutomaton, mode: Mode, x: Floats, u: Floats) -> t
         return np.asarray(moved), slope
     known: dict[str, dict[int, CoordinateMotion]] = automaton.derived.setdefault("motions", {})
     if mode.name not in known:
-        known[mode.name] = motions(automaton.effects, [c.name for c in automaton.coordinates], mode.name)
-    held = {pin.coordinate for pin in mode.pins}
+        known[mode.name] = motions(automaton.effects, automaton.coordinate_names, mode.name)
     d = moved.copy()
     for i, motion in known[mode.name].items():
-        if i in held:
+        if not mode.free[i]:
             continue
         d[..., i] = motion.displacement(np, x[..., i], moved[..., i])
         ahead = motion.displacement(np, x[..., i] + _SMALL, moved[..., i])

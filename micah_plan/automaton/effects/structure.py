@@ -19,11 +19,11 @@ def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]
     """(low, high) over which some mode moves a coordinate; infinite where nothing ends it."""
     lows, highs = [], []
     for mode in automaton.modes:
-        if not any(mode.input_matrix[coordinate]):
+        if not mode.driven[coordinate]:
             continue
-        bounds = [bound_of(h, coordinate) for h in mode.invariant.half_spaces]
-        lows.append(max((value for value, is_lower in filter(None, bounds) if is_lower), default=-math.inf))
-        highs.append(min((value for value, is_lower in filter(None, bounds) if not is_lower), default=math.inf))
+        low, high = mode.invariant.interval(coordinate)
+        lows.append(low)
+        highs.append(high)
     return (min(lows), max(highs)) if lows else (0.0, 0.0)
 
 
@@ -50,7 +50,7 @@ def with_release(automaton: HybridAutomaton, coordinate: int, release: float) ->
     for edge in automaton.edges:
         holds = any(pin.coordinate == coordinate for pin in automaton.mode(edge.source).pins)
         rows = tuple(
-            replace(h, c=h.c + release * abs(h.b[coordinate])) if h.b[coordinate] and not any(h.a) else h
+            replace(h, c=h.c + release * abs(h.b[coordinate])) if h.b[coordinate] and not h.on_state else h
             for h in edge.guard.half_spaces
         )
         edges.append(replace(edge, guard=Region(rows)) if holds else edge)
@@ -85,15 +85,6 @@ def _held(moving: Joint, at: float, before: Joint) -> Joint:
     return rigid(pose.translation, pose.rotation.as_quat(), at)
 
 
-def bound_of(half_space: HalfSpace, coordinate: int) -> tuple[float, bool] | None:
-    """Value and whether it is a lower bound, of a half-space on this coordinate alone."""
-    along = [i for i, weight in enumerate(half_space.a) if weight]
-    if along != [coordinate] or any(half_space.b):
-        return None
-    weight = half_space.a[coordinate]
-    return half_space.c / weight, weight > 0
-
-
 def _moved(automaton: HybridAutomaton, coordinate: int, old: float, new: float) -> HybridAutomaton:
     modes = tuple(_moved_mode(automaton, mode, coordinate, old, new) for mode in automaton.modes)
     edges = tuple(_moved_edge(edge, coordinate, old, new) for edge in automaton.edges)
@@ -124,12 +115,12 @@ def _moved_region(region: Region, i: int, old: float | None, by: float) -> Regio
     """The region with its half-spaces on coordinate i alone moved: those at `old`, or all if that is None."""
     rows = []
     for half_space in region.half_spaces:
-        bound = bound_of(half_space, i)
-        if bound is None or (old is not None and abs(bound[0] - old) > _SAME):
+        bound = half_space.bound
+        if bound is None or bound.coordinate != i or (old is not None and abs(bound.value - old) > _SAME):
             rows.append(half_space)
         else:
             threshold = half_space.c + half_space.a[i] * by
-            rows.append(replace(half_space, c=threshold, name=_renamed(half_space, bound[0], bound[0] + by)))
+            rows.append(replace(half_space, c=threshold, name=_renamed(half_space, bound.value, bound.value + by)))
     return Region(tuple(rows))
 
 
@@ -145,7 +136,7 @@ def _clamped(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) -> H
     inside = (below if is_upper else above)(i, at, n, m, name=label)
     keep = tuple(tuple(float(r == k and r != i) for k in range(n)) for r in range(n))
     offset = tuple(at if k == i else 0.0 for k in range(n))
-    moving = [mode.name for mode in automaton.modes if any(mode.input_matrix[i])]
+    moving = [mode.name for mode in automaton.modes if mode.driven[i]]
     modes = tuple(
         replace(mode, invariant=Region((*mode.invariant.half_spaces, inside))) if mode.name in moving else mode
         for mode in automaton.modes

@@ -123,11 +123,11 @@ def whole_step(
 
 def cross(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, inputs: Floats) -> tuple[Pieces, Pieces]:
     """What takes the edge (already in its target) and what does not; either may be empty. Inputs (p, m)."""
-    on_state = [h for h in edge.guard.half_spaces if any(h.a)]
-    target = _index(automaton, edge.target)
+    on_state = [h for h in edge.guard.half_spaces if h.on_state]
+    target = automaton.mode_index(edge.target)
     may = np.ones(len(pieces), dtype=bool) if edge.is_self_transition else ~pieces.entered[:, target]
     for half_space in edge.guard.half_spaces:
-        if not any(half_space.a):
+        if not half_space.on_state:
             margin = inputs @ np.array(half_space.b) - half_space.c
             may &= (margin > 0) | ((margin == 0) & (not half_space.strict))
     if on_state:
@@ -174,10 +174,6 @@ def _same(half_space: HalfSpace, count: int) -> _Bindings:
     """One half-space for all."""
     a, b = (np.tile(np.array(w, dtype=float), (count, 1)) for w in (half_space.a, half_space.b))
     return _Bindings(a, b, np.full(count, half_space.c), np.zeros(count, dtype=np.int64))
-
-
-def _index(automaton: HybridAutomaton, name: str) -> int:
-    return next(i for i, mode in enumerate(automaton.modes) if mode.name == name)
 
 
 def _counted(pieces: Pieces) -> Pieces:
@@ -289,7 +285,7 @@ def _event(automaton: HybridAutomaton, pieces: Pieces, edge: Edge, u: Floats, bi
         displacement = share[:, None] * nominal
         new_end_mean = new_start_mean + behind_mean + share[:, None] * change
         new_end = new_start + behind + change[:, :, None] * slope[:, None, :]
-    source, target = _index(automaton, edge.source), _index(automaton, edge.target)
+    source, target = automaton.mode_index(edge.source), automaton.mode_index(edge.target)
     at_once = (share > 1.0 - 1e-9)[:, None]
     entered = np.where(at_once, pieces.entered, np.arange(len(automaton.modes)) == source)
     entered[:, target] = True

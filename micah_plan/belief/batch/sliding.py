@@ -18,9 +18,8 @@ Floats = NDArray[np.float64]
 def slid(automaton: HybridAutomaton, pieces: Pieces, u: Floats) -> Pieces:
     """The pieces, inputs u (p, m), with the ends of their steps on the boundaries that lead back."""
     mode = automaton.modes[pieces.mode]
-    names = [q.name for q in automaton.modes]
     for edge in blocked_edges(automaton, mode.name) if pieces.events.any() else ():
-        blocked = pieces.entered[:, names.index(edge.target)] & (pieces.events > 0)
+        blocked = pieces.entered[:, automaton.mode_index(edge.target)] & (pieces.events > 0)
         if blocked.any():
             pieces = _slid_along(mode, pieces, edge, u, blocked)
     return pieces

@@ -128,9 +128,9 @@ class MixtureProgramme:
             cost += settings.weight_goal * ((last[index] - value) / tolerance) ** 2
             cost += settings.weight_covariance * ca.sumsqr(factor[index, :]) / tolerance**2
         if problem.goal.modes:
-            names = [mode.name for mode in problem.automaton.modes]
+            automaton = problem.automaton
             first = n + n * (n + 1) // 2
-            weight = sum((last[first + names.index(name)] for name in problem.goal.modes), start=ca.MX(0))
+            weight = sum((last[first + automaton.mode_index(name)] for name in problem.goal.modes), start=ca.MX(0))
             cost -= ca.log(ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT)
         return cost
 
@@ -146,7 +146,6 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     z, u = ca.SX.sym("z", n + n * (n + 1) // 2 + len(automaton.modes)), ca.SX.sym("u", m)
     mean, factor, weights = _unpacked(z, n)
     branches: list[tuple[int, ca.SX, ca.SX, ca.SX]] = []
-    names = [mode.name for mode in automaton.modes]
     compiled = compile_automaton(automaton)
     for number, mode in enumerate(automaton.modes):
         held, spread = _flowed(compiled.modes[mode.name], mean, factor, u)
@@ -157,10 +156,10 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
             pins = [(p.coordinate, p.value, p.std, p.follows) for p in automaton.mode(edge.target).pins]
             reset = ca.mtimes(ca.DM(a), held) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
             after = hold(reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), pins)
-            branches.append((names.index(edge.target), left * chance, *after))
+            branches.append((automaton.mode_index(edge.target), left * chance, *after))
             left = left * (1 - chance)
         branches.append((number, left, held, spread))
-    arrived = [ca.SX(0)] * len(names)
+    arrived = [ca.SX(0)] * len(automaton.modes)
     for target, weight, _, _ in branches:
         arrived[target] += weight
     middle = sum((weight * center for _, weight, center, _ in branches), start=ca.SX(n, 1))
@@ -221,7 +220,7 @@ def _outside_function(automaton: HybridAutomaton, limits: Limits) -> ca.Function
     mean, _, weights = _unpacked(z, n)
     total = ca.SX(0)
     for number, mode in enumerate(automaton.modes):
-        for row in (h for h in mode.invariant.half_spaces if not any(h.b)):
+        for row in (h for h in mode.invariant.half_spaces if not h.on_input):
             short = (row.c - ca.dot(ca.DM(row.a), mean)) / _scale(row, limits)
             total += weights[number] * ca.fmax(short, 0.0) ** 2
     return ca.Function("outside", [z], [total])

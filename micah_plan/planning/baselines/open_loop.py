@@ -142,5 +142,4 @@ def _plan_along(
 
 def _factor(problem: Problem, belief: HybridBelief, mode: str) -> Floats:
     """(n, n) of the belief's Gaussian in a mode."""
-    number = [q.name for q in problem.automaton.modes].index(mode)
-    return np.array(belief.factors[number])
+    return np.array(belief.factors[problem.automaton.mode_index(mode)])

@@ -101,7 +101,6 @@ class _System:
 
     def __init__(self, problem: Problem, limits: Limits) -> None:
         self.automaton, self.goal, self.limits = problem.automaton, problem.goal, limits
-        self.names = [mode.name for mode in problem.automaton.modes]
         width = limits.upper - limits.lower
         self.width = np.where(width > 0, width, 1.0)
         self.rest = np.zeros(problem.automaton.m)
@@ -116,7 +115,7 @@ class _System:
         space = ob.CompoundStateSpace()
         space.addSubspace(continuous, 1.0)
         # OMPL asks for two values at least; the second of one mode is never reached.
-        space.addSubspace(ob.DiscreteStateSpace(0, max(1, len(self.names) - 1)), _MODE_DISTANCE)
+        space.addSubspace(ob.DiscreteStateSpace(0, max(1, len(self.automaton.modes) - 1)), _MODE_DISTANCE)
         controls = oc.RealVectorControlSpace(space, self.automaton.m)
         most = ob.RealVectorBounds(self.automaton.m)
         for j, largest in enumerate(self.limits.max_step):
@@ -132,12 +131,12 @@ class _System:
 
     def read(self, state: Any) -> tuple[Floats, str]:
         x = np.array([state[0][i] for i in range(self.automaton.n)]) * self.width
-        return x, self.names[state[1].value]
+        return x, self.automaton.mode_names[state[1].value]
 
     def write(self, state: Any, x: Floats, mode: str) -> None:
         for i, value in enumerate(x / self.width):
             state[0][i] = float(value)
-        state[1].value = self.names.index(mode)
+        state[1].value = self.automaton.mode_index(mode)
 
     def propagate(self, state: Any, control: Any, _duration: float, after: Any) -> None:
         x, name = self.read(state)

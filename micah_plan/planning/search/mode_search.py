@@ -154,9 +154,7 @@ def _guards_in_the_way(
 ) -> tuple[str, ...]:
     """The guards on states without any one of which, in all modes, the same samples would connect start and goal."""
     automaton, found = problem.automaton, []
-    changes = [
-        e for e in automaton.edges if not e.is_self_transition and not any(any(h.b) for h in e.guard.half_spaces)
-    ]
+    changes = [e for e in automaton.edges if not e.is_self_transition and not e.guard.on_input]
     for name in dict.fromkeys(edge.guard.name for edge in changes):
         kept = tuple(edge for edge in automaton.edges if edge.guard.name != name)
         motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)

@@ -68,7 +68,7 @@ def motions_of(automaton: HybridAutomaton, max_step: Floats, speed: Floats) -> d
 def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:
     """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
     guards = [edge.guard for edge in automaton.edges_from(mode) if not edge.is_self_transition]
-    return tuple(g for g in guards if g.half_spaces and not any(any(h.b) for h in g.half_spaces))
+    return tuple(g for g in guards if g.half_spaces and not g.on_input)
 
 
 def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:

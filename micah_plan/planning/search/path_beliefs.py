@@ -76,7 +76,7 @@ class PathBeliefs:
         variance: Floats = np.square(std)
         for pin in mode.pins:
             variance[[pin.coordinate]] = _together(variance[[pin.coordinate]], np.array([pin.std**2]))
-        moved = mode.B.any(axis=1)
+        moved = mode.driven
         steps = int(np.max(self._k * std / self.limits.speed, where=moved, initial=0.0))
         for _ in range(steps):
             variance = self._measured(variance[None], self.points[[vertex]], self.mode_of[[vertex]])[0]
@@ -146,10 +146,10 @@ class PathBeliefs:
     def _overshoot(self, edge: Edge, variance: Floats) -> Floats:
         """(p,) steps from a guard's boundary to where it holds with the planned confidence."""
         deepest = np.zeros(len(variance))
-        pinned = {pin.coordinate for pin in self.problem.automaton.mode(edge.source).pins}
+        free = self.problem.automaton.mode(edge.source).free
         for half_space in edge.guard.half_spaces:
             a = np.array(half_space.a)
-            if not a.any() or set(np.flatnonzero(a)) <= pinned:
+            if not a[free].any():
                 continue
             std = np.sqrt(variance @ a**2 + edge.threshold_std**2)
             deepest = np.maximum(deepest, self._k * std / float(np.abs(a) @ self.limits.speed))

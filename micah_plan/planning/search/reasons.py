@@ -38,7 +38,7 @@ def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the
     """
     automaton = problem.automaton
     edges = (automaton.edges[i] for i in samples.exits)
-    moved = np.any([automaton.mode(name).B.any(axis=1) for name in _reachable(start_mode, edges)], axis=0)
+    moved = np.any([automaton.mode(name).driven for name in _reachable(start_mode, edges)], axis=0)
     for index, value, tolerance in problem.goal.target:
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
         if not moved[index] and abs(start - value) > tolerance:
@@ -63,7 +63,7 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
         f"{automaton.coordinates[i].name} = {value:g} ± {tolerance:g} {automaton.coordinates[i].unit}"
         for i, value, tolerance in problem.goal.target
     )
-    names = problem.goal.modes or tuple(mode.name for mode in automaton.modes)
+    names = problem.goal.modes or automaton.mode_names
     indices = list(problem.goal.indices)
     ranges = "; ".join(f"'{name}' {_range_text(automaton, limits, name, indices)}" for name in names)
     among = "the goal's modes" if problem.goal.modes else "the modes"

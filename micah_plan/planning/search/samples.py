@@ -174,7 +174,7 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
     A guard that depends on the input can be taken anywhere, and a guard that fills the mode has no boundary in it.
     """
     half_spaces = edge.guard.half_spaces
-    if any(any(h.b) for h in half_spaces):
+    if edge.guard.on_input:
         return x
     normals = [np.array(h.a) for h in half_spaces]
     shifts = [a * (float(a @ x) - h.c) / float(a @ a) for a, h in zip(normals, half_spaces, strict=True) if a.any()]
@@ -235,9 +235,7 @@ def _at(states: Polytope, held: Booleans, x: Floats) -> Polytope | None:
 
 def _held(mode: Mode) -> Booleans:
     """(n,) the coordinates that a mode neither moves nor pins."""
-    held = np.asarray(~mode.B.any(axis=1))
-    held[[pin.coordinate for pin in mode.pins]] = False
-    return held
+    return ~mode.driven & mode.free
 
 
 def _after(problem: Problem, edge: Edge, x: Floats) -> Floats:
@@ -259,9 +257,8 @@ def _landmarks(problem: Problem) -> list[Floats]:
             values[pin.coordinate].append(pin.value)
     regions = [mode.invariant for mode in automaton.modes] + [edge.guard for edge in automaton.edges]
     for half_space in (h for region in regions for h in region.half_spaces):
-        support = np.flatnonzero(half_space.a)
-        if len(support) == 1 and not any(half_space.b):
-            values[support[0]].append(half_space.c / half_space.a[support[0]])
+        if half_space.bound is not None:
+            values[half_space.bound.coordinate].append(half_space.bound.value)
     return [np.array(list(dict.fromkeys(v))) for v in values]
 
 
@@ -269,9 +266,8 @@ def _draw(states: Polytope, mode: Mode, landmarks: list[Floats], rng: np.random.
     """(at most count, n) random states; coordinates that the mode cannot move take landmark values only."""
     random = states.sample(rng, count)
     named = np.stack([rng.choice(values, count) for values in landmarks], axis=1)
-    pinned = np.isin(np.arange(states.n), [pin.coordinate for pin in mode.pins])
     held = _held(mode)
-    mixed = (rng.random(random.shape) < _LANDMARK_SHARE) & ~pinned
+    mixed = (rng.random(random.shape) < _LANDMARK_SHARE) & mode.free
     points = np.where(mixed | held, named, random)
     fits = states.contains(points)
     if held.any():

@@ -100,8 +100,8 @@ def _fixed_boundaries(
 ) -> list[tuple[HalfSpace, float, bool]]:
     """(boundary, sign, uncertain) of the invariant and clamps, without the boundary through which the phase leaves."""
     clamps = [edge.guard.half_spaces for edge in automaton.edges_from(mode.name) if edge.is_self_transition]
-    ends = [rows[0] for rows in clamps if len(rows) == 1 and not any(rows[0].b)]
-    rows = [h for h in mode.invariant.half_spaces if not any(h.b) and not any(faces(h, g) for g in exits)]
+    ends = [rows[0] for rows in clamps if len(rows) == 1 and not rows[0].on_input]
+    rows = [h for h in mode.invariant.half_spaces if not h.on_input and not any(faces(h, g) for g in exits)]
     inside = [(h, 1.0, not any(faces(h, end) for end in ends)) for h in rows]
     free_ends = [end for end in ends if not any(faces(h, end) for h in mode.invariant.half_spaces)]
     return inside + [(end, -1.0, False) for end in free_ends]
@@ -114,10 +114,10 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
         rows = edge.guard.half_spaces
         if edge.source != mode.name or edge.is_self_transition or index == exit_edge or not rows:
             continue
-        if not any(any(g.a) for g in rows):
+        if not edge.guard.on_state:
             continue
         outside = any(faces(h, g) and is_beyond(h, g) for h in mode.invariant.half_spaces for g in rows)
-        if not outside and not any(any(g.b) for g in rows):
+        if not outside and not edge.guard.on_input:
             obstacles.append(rows)
     return obstacles
 
@@ -131,4 +131,4 @@ def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess, step: int) -> Hal
         stds = np.linalg.norm(a @ guess.factors[step - 1 : step + 1], axis=-1)
         return float(np.min(away / (stds + _SMALLEST_STD * float(np.linalg.norm(a)))))
 
-    return max((h for h in guard if any(h.a)), key=outside)
+    return max((h for h in guard if h.on_state), key=outside)

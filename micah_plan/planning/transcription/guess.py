@@ -135,13 +135,13 @@ def _divide(
 
 
 def _is_by_input(automaton: HybridAutomaton, edge: int) -> bool:
-    return any(any(h.b) for h in automaton.edges[edge].guard.half_spaces)
+    return automaton.edges[edge].guard.on_input
 
 
 def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
     """Steps that the feedback needs to make up for a start that is k standard deviations off."""
     k = problem.settings.sigmas
-    moved = problem.automaton.mode(mode).B.any(axis=1)
+    moved = problem.automaton.mode(mode).driven
     return float(np.max(k * np.array(problem.start.std) / limits.speed, where=moved, initial=0.0))
 
 
@@ -215,8 +215,7 @@ def _spread_after(problem: Problem, edge: int, spread: Floats) -> Floats:
     """The estimate's covariance after a transition: through the reset, and none where the new mode pins."""
     automaton = problem.automaton
     A = matrix_after(automaton, automaton.edges[edge])
-    free = np.ones(automaton.n)
-    free[[pin.coordinate for pin in automaton.mode(automaton.edges[edge].target).pins]] = 0.0
+    free = automaton.mode(automaton.edges[edge].target).free
     return np.asarray(A @ spread @ A.T * np.outer(free, free))
 
 
@@ -265,7 +264,7 @@ def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: 
         for row in guard.half_spaces:
             a = np.array(row.a)
             direction = B @ (B.T @ a)
-            if any(row.b) or a @ direction <= 0:
+            if row.on_input or a @ direction <= 0:
                 continue
             std = float(np.sqrt(a @ covariance @ a + taken.threshold_std**2))
             wanted = k * std + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)

@@ -171,10 +171,10 @@ def _require_inputs(
     groups = [(mode.inputs, mode.mode.inputs.half_spaces, 1.0), (mode.invariant, mode.mode.invariant.half_spaces, 1.0)]
     for number, edge in enumerate(automaton.edges):
         rows = edge.guard.half_spaces
-        if edge.source == guess.mode and not edge.is_self_transition and len(rows) == 1 and any(rows[0].b):
+        if edge.source == guess.mode and not edge.is_self_transition and len(rows) == 1 and edge.guard.on_input:
             groups.append((compiled.edges[number].guard, rows, -1.0))
     for function, half_spaces, sign in groups:
-        chosen = [i for i, h in enumerate(half_spaces) if any(h.b)]
+        chosen = [i for i, h in enumerate(half_spaces) if h.on_input]
         if not chosen or not guess.steps:
             continue
         margins = sign * function.map(guess.steps)(states[: automaton.n, :-1], inputs)[chosen, :]
@@ -250,16 +250,16 @@ def _join(
     edge = compiled.edges[guess.edge if guess.edge is not None else 0]
     state = nlp.phases[before].states[:, -1]
     u = target.inputs[:, 0] if nlp.guess[after].steps else ca.DM.zeros(automaton.m)
-    by_input = any(any(h.b) for h in edge.edge.guard.half_spaces)
+    by_input = edge.edge.guard.on_input
     last = nlp.phases[before].inputs[:, -1] if guess.steps else ca.MX.zeros(automaton.m, 1)
     crossing = _crossing_function(edge, nlp.pattern, automaton.m)
     margins, stds, reset = crossing(state, u, ca.MX(u) if by_input else last)
     k, knot = problem.settings.sigmas, guess.first_knot + guess.steps
-    pinned = {pin.coordinate for pin in automaton.mode(guess.mode).pins}
+    free = automaton.mode(guess.mode).free
     for i, half_space in enumerate(edge.edge.guard.half_spaces):
         # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
-        certain = set(np.flatnonzero(half_space.a)) <= pinned
-        if certain and not any(half_space.b):
+        certain = not np.any(np.array(half_space.a)[free])
+        if certain and not half_space.on_input:
             continue
         scale = float(np.abs(half_space.a) @ limits.speed + np.abs(half_space.b) @ limits.max_step)
         low = STRICT_SHARE * scale if half_space.strict else 0.0
