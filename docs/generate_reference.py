@@ -36,8 +36,8 @@ INTRODUCTIONS = {
         "Parts file",
         "models/parts/drawer.yaml",
         "Shapes and handles of an object's parts. `micah-plan learn --parts` copies them into the model. They are for "
-        "drawing, for physics and for the clearances of a [robot](../concepts/robot.md); the plan of the object itself "
-        "does not look at the shapes.",
+        "drawing, for physics and for the clearances of a [robot](../concepts/execution.md#robots); the plan of the "
+        "object itself does not use the shapes.",
     ),
     "problem": (
         "Problem file",
@@ -48,7 +48,7 @@ INTRODUCTIONS = {
         "Sweep file",
         "problems/sweeps/drawer.yaml",
         "What `micah-plan sweep` solves: problems, values to try in them, and seeds. See "
-        "[many at once](../guides/sweep.md).",
+        "[many problems at once](../guides/sweep.md).",
     ),
     "plan": (
         "Plan file",
@@ -224,9 +224,9 @@ def help_text(*command: str) -> str:
 
 def _cli_page() -> str:
     sections = [
-        "# Command line\n\nThe help texts, as the commands print them. Exit codes: 0 done, 1 an honest negative (for "
-        "example: no plan), 2 bad input. Results go to stdout, progress and errors to stderr. With `--json`, stdout "
-        "gets exactly one JSON object.\n",
+        "# Command line\n\nThe help texts, as the commands print them. Exit codes: 0 done, 1 no result (for example: "
+        "no plan found), 2 bad input. Results go to stdout, progress and errors to stderr. With `--json`, stdout gets "
+        "exactly one JSON object.\n",
         f"```text\n{help_text()}```\n",
     ]
     commands = [str(info.name or getattr(info.callback, "__name__", "")) for info in app.registered_commands]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import pkgutil
 import re
 import shlex
 import subprocess
@@ -201,6 +202,45 @@ def test_relative_links_and_images_lead_somewhere(generated: dict[str, str]) -> 
             if not re.match(r"[a-z]+:|#", target) and not file.exists() and file.resolve() not in made:
                 dead.append((page, target))
     assert dead == []
+
+
+def test_cross_references_name_code_that_exists() -> None:
+    """What `[text][micah_plan.place]` refers to can be imported; the built docs link it to the reference."""
+    named = {(page, place) for page in PAGES for place in re.findall(r"\]\[(micah_plan[\w.]*)\]", text_of(page))}
+    assert {page for page, _ in named} >= {"docs/glossary.md", "docs/concepts/joints.md"}
+    assert [(page, place) for page, place in sorted(named) if not resolves(place)] == []
+
+
+def resolves(place: str) -> bool:
+    try:
+        pkgutil.resolve_name(place)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def test_every_page_is_in_the_navigation_and_every_concept_on_the_home_page() -> None:
+    navigation, home = text_of("mkdocs.yml"), text_of("docs/index.md")
+    pages = [page.removeprefix("docs/") for page in PAGES if page.startswith("docs/")]
+    assert [page for page in pages if f": {page}\n" not in navigation] == []
+    concepts = [page for page in pages if page.startswith("concepts/") or "/" not in page]
+    assert [page for page in concepts if page != "index.md" and f"({page})" not in home] == []
+
+
+def test_every_benchmark_named_in_the_docs_exists_and_takes_the_options_shown() -> None:
+    """Commands `python benchmarks/...`: the script is there, and knows its options (it mentions them in its source)."""
+    shown = [command for page in PAGES for command in re.findall(r"python (benchmarks/[^`\n]+)", text_of(page))]
+    assert len(shown) > 15
+    for command in shown:
+        script, *arguments = shlex.split(command, comments=True)
+        source = text_of(script)
+        assert [a for a in arguments if a.startswith("--") and f'"{a}"' not in source] == [], command
+
+
+def test_every_benchmark_is_on_the_page_of_evidence() -> None:
+    page = text_of("docs/evidence.md")
+    scripts = [file for file in (ROOT / "benchmarks").glob("*.py") if "__main__" in file.read_text(encoding="utf-8")]
+    assert [file.name for file in scripts if f"benchmarks/{file.name}" not in page] == []
 
 
 def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) -> None:
