@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.gain import drawn_gains, with_gains
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, jacobian
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian, placements
 from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.execution.pose import carried, chain, components, moving_joints
+from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.task.start import Start, sample_start
 
@@ -98,13 +97,11 @@ class NominalPlant:
         automaton = self.automaton
         joints = moving_joints(automaton, self._mode)
         shown, slope = self._shown()
-        relative = [forward(j, shown[link.coordinate])[0] for j, link in zip(joints, automaton.links, strict=True)]
+        links = zip(joints, automaton.links, strict=True)
+        relative = np.array([placements(joint, shown[link.coordinate])[0] for joint, link in links])
         sensing = automaton.sensing(automaton.mode(self._mode))
         noise = pose_noise(automaton, slope * sensing.std_at(self._x))
-        position, quaternion = self._tracker.measure(*components(relative), elapsed, noise)
-        seen = [
-            RigidTransform.from_components(p, Rotation.from_quat(q)) for p, q in zip(position, quaternion, strict=True)
-        ]
+        seen = matrices(*self._tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
         return Measurement(self._time, *components(carried(automaton, seen)))
 
 
@@ -115,13 +112,20 @@ def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None
     std s in p and s / L in r gives a configuration of std s / |J|, J the Jacobian with its rotation scaled by L.
     """
     std = np.array(automaton.noise.observation_std) if observation_std is None else observation_std
-    of_coordinate = np.zeros(automaton.n)
-    joints = moving_joints(automaton, automaton.modes[0].name)
-    for number, link in measuring_links(automaton):
-        scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
-        # An unmoving part has no configuration; its noise is that of a slide.
-        sensitivity = float(np.linalg.norm(scaled)) or 1.0
-        of_coordinate[link.coordinate] = std[link.coordinate] * sensitivity
     # A part fixed to another is seen as well as that one.
-    position = np.array([of_coordinate[link.coordinate] for link in automaton.links])
+    position = (std * _sensitivity(automaton))[[link.coordinate for link in automaton.links]]
     return TrackerNoise(position, np.minimum(position / ROTATION_LENGTH, _MOST_ROTATION))
+
+
+def _sensitivity(automaton: HybridAutomaton) -> Floats:
+    """(n,) |J| of each coordinate that is measured, 0 for the others."""
+    known: Floats | None = automaton.derived.get("pose_sensitivity")
+    if known is None:
+        known = np.zeros(automaton.n)
+        joints = moving_joints(automaton, automaton.modes[0].name)
+        for number, link in measuring_links(automaton):
+            scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
+            # An unmoving part has no configuration; its noise is that of a slide.
+            known[link.coordinate] = float(np.linalg.norm(scaled)) or 1.0
+        automaton.derived["pose_sensitivity"] = known
+    return known

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import forward, inverse
+from micah_plan.automaton.kinematics import inverse, placements
 from micah_plan.automaton.tracks import in_base_frame, measuring_links
 from micah_plan.execution.plant import Command
 
@@ -35,29 +35,40 @@ def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
 
 def moving_joints(automaton: HybridAutomaton, mode: str) -> tuple[Joint, ...]:
     """Per link, the joint that relates poses to its coordinate even while `mode` holds it still."""
-    links = enumerate(automaton.links)
-    return tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
+    memo: dict[str, tuple[Joint, ...]] = automaton.derived.setdefault("moving_joints", {})
+    if mode not in memo:
+        links = enumerate(automaton.links)
+        memo[mode] = tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
+    return memo[mode]
 
 
-def chain(automaton: HybridAutomaton, joints: Sequence[Joint], x: Floats) -> tuple[RigidTransform, ...]:
-    """Pose of each link's child in the base frame, for one joint per link and x (n,)."""
-    relative = [forward(joint, x[link.coordinate])[0] for link, joint in zip(automaton.links, joints, strict=True)]
-    return carried(automaton, relative)
+def chain(automaton: HybridAutomaton, joints: Sequence[Joint], x: Floats) -> Floats:
+    """(l, 4, 4) pose of each link's child in the base frame, for one joint per link and x (n,)."""
+    relative = [placements(joint, x[link.coordinate])[0] for link, joint in zip(automaton.links, joints, strict=True)]
+    return carried(automaton, np.array(relative).reshape(-1, 4, 4))
 
 
-def carried(automaton: HybridAutomaton, relative: Sequence[RigidTransform]) -> tuple[RigidTransform, ...]:
-    """Pose of each link's child in the base frame, from its pose relative to its parent."""
-    poses: dict[str, RigidTransform] = {}
+def carried(automaton: HybridAutomaton, relative: Floats) -> Floats:
+    """(l, 4, 4) pose of each link's child in the base frame, from its pose (l, 4, 4) relative to its parent."""
+    poses: dict[str, Floats] = {}
     for link, pose in zip(automaton.links, relative, strict=True):
-        poses[link.child] = poses[link.parent] * pose if link.parent in poses else pose
-    return tuple(poses[link.child] for link in automaton.links)
+        poses[link.child] = poses[link.parent] @ pose if link.parent in poses else pose
+    return np.array([poses[link.child] for link in automaton.links]).reshape(-1, 4, 4)
 
 
-def components(poses: Sequence[RigidTransform]) -> tuple[Floats, Floats]:
-    """Positions (l, 3) [m] and quaternions (l, 4), scalar last and not negative."""
-    position = np.array([pose.translation for pose in poses]).reshape(-1, 3)
-    quaternion = np.array([pose.rotation.as_quat(canonical=True) for pose in poses]).reshape(-1, 4)
-    return position, quaternion
+def matrices(position: Floats, quaternion: Floats) -> Floats:
+    """(l, 4, 4) poses from positions (l, 3) and quaternions (l, 4), scalar last."""
+    poses = np.tile(np.eye(4), (len(position), 1, 1))
+    poses[:, :3, 3] = position
+    if len(position):
+        poses[:, :3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    return poses
+
+
+def components(poses: Floats) -> tuple[Floats, Floats]:
+    """Positions (l, 3) [m] and quaternions (l, 4), scalar last and not negative, of poses (l, 4, 4)."""
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True) if len(poses) else np.zeros((0, 4))
+    return poses[:, :3, 3].copy(), turns
 
 
 def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quaternion: Floats, near: Floats) -> Floats:
@@ -72,17 +83,15 @@ def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quate
         (n,) [rad or m]; NaN for coordinates of no link.
     """
     x = np.full(automaton.n, np.nan)
-    rotations = Rotation.from_quat(quaternion)
-    measured = {
-        link.child: RigidTransform.from_components(position[number], rotations[number])
-        for number, link in enumerate(automaton.links)
-    }
+    poses = matrices(position, quaternion)
+    measured = {link.child: poses[number] for number, link in enumerate(automaton.links)}
     joints = moving_joints(automaton, mode)
     for number, link in measuring_links(automaton):
         pose = measured[link.child]
         if link.parent != BASE and link.parent in measured:
-            pose = measured[link.parent].inv() * pose
-        x[link.coordinate] = inverse(joints[number], pose.translation, pose.rotation, near=near[link.coordinate])[0]
+            pose = np.linalg.solve(measured[link.parent], pose)
+        turn = Rotation.from_matrix(pose[:3, :3])
+        x[link.coordinate] = inverse(joints[number], pose[:3, 3], turn, near=near[link.coordinate])[0]
     return x
 
 
@@ -101,9 +110,8 @@ def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Comm
     before = chain(automaton, joints, x)
     after = chain(automaton, joints, x + input_effect(automaton, mode) @ u)
     handles = [automaton.part(link.child).handle or (0.0, 0.0, 0.0) for link in automaton.links]
-    origin = [b.translation - a.translation for a, b in zip(before, after, strict=True)]
-    handle = [b.apply(h) - a.apply(h) for a, b, h in zip(before, after, handles, strict=True)]
-    given = [np.array(moved).reshape(len(automaton.links), 3) for moved in (origin, handle)]
+    points = np.concatenate([np.array(handles).reshape(-1, 3), np.ones((len(handles), 1))], axis=1)[:, :, None]
+    given = [(after - before)[:, :3, 3], ((after - before) @ points)[:, :3, 0]]
     for number, link in enumerate(automaton.links if automaton.effects else ()):
         if link.parent == BASE:
             turned = in_base_frame(automaton, link.coordinate, np.eye(3))  # rows: what becomes of each unit vector

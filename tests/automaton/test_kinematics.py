@@ -24,6 +24,7 @@ from micah_plan.automaton.kinematics import (
     inverse_jacobian,
     jacobian,
     origin,
+    placements,
     rebased,
     reversed_direction,
     shifted,
@@ -75,6 +76,12 @@ seeds = st.integers(0, 10_000)
 
 
 class TestConstruction:
+    @pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+    def test_placements_are_the_poses_of_forward(self, kind: str) -> None:
+        for seed in range(20):
+            joint, c = random_joint(kind, seed), np.linspace(-4.0, 4.0, 9)
+            np.testing.assert_allclose(placements(joint, c), forward(joint, c).as_matrix(), atol=1e-13)
+
     def test_axis_is_normalised_and_the_center_is_closest_to_the_position(self) -> None:
         joint = revolute([0, 0, 4], [1, 0, -7], [1.0, 0.5, 2.0])
         assert joint.axis == (0.0, 0.0, 1.0)
