@@ -43,6 +43,7 @@ class Library:
 
 LIBRARIES = (
     Library("casadi", "casadi", "optimise plans"),
+    Library("jinja2", "jinja2", "pages"),
     Library("matplotlib", "matplotlib.figure", "figures"),
     Library("meshcat", "meshcat", "pages"),
     Library("numpy", "numpy", "numbers"),

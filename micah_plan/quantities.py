@@ -1,15 +1,162 @@
-"""Amounts in the words of messages."""
+"""Amounts in words: the one place where a number becomes text for people, in messages, tables, pages and figures.
+
+The rule:
+
+- **Three significant digits**, without trailing zeros: ``0.785``, ``12.3``, ``1234``; below 0.0001 and from a million
+  on with an exponent, ``1.2e-5``. What is not 0 is therefore never printed as ``0.000``.
+- **Lengths** below a metre in mm, from a metre on in m: ``50 mm``, ``1.2 m``; so too per something, ``4 mm/rad``.
+- **Angles** in rad with degrees in brackets, ``0.785 rad (45°)``; without them where space is scarce.
+- **A spread** (one standard deviation, or a tolerance) has two significant digits, and its value ends at the same
+  decimal: ``1.204 ± 0.012 rad (69 ± 0.69°)``. Source: JCGM 100:2008 (GUM), 7.2.6.
+- **Shares** in percent, ``95 %``, with as many decimals as tell them from none and all: ``99.75 %``, ``>99.99 %``.
+
+Files keep full precision and SI units; numbers that a message asks somebody to write into a file are a `setting`.
+"""
 
 from __future__ import annotations
 
-_SHORT_M = 1.0
+import math
+
+_DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
+_SMALL, _LARGE = -4, 6
+"""Powers of ten between which numbers are written without an exponent."""
+_NO_UNIT = ("", "1")
 
 
-def quantity(value: float, unit: str) -> str:
-    """A length below a metre in mm, anything else in its unit, with three digits."""
-    return f"{1e3 * value:.3g} mm" if unit == "m" and abs(value) < _SHORT_M else f"{value:.3g} {unit}".rstrip()
+def plain(value: float, digits: int = _DIGITS) -> str:
+    """A plain number with so many significant digits; digits before the decimal point are all kept."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value + 0.0:g}".removeprefix("-") if value == 0 else f"{value:g}"
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    power = int(exponent)
+    if not _SMALL <= power < _LARGE:
+        return f"{_stripped(mantissa)}e{power}"
+    return _stripped(f"{value:.{max(digits - 1 - power, 0)}f}")
 
 
-def percent(share: float) -> str:
-    """A probability with the digits that tell it from 1: 95%, 99.75%."""
-    return f"{100.0 * share:.4g}%"
+def quantity(value: float, unit: str, *, digits: int = _DIGITS, degrees: bool = True) -> str:
+    """An amount with its unit: ``"50 mm"``, ``"1.2 m"``, ``"0.785 rad (45°)"``, ``"3.2 s"``.
+
+    Args:
+        value: in `unit`.
+        unit: SI, such as m, rad, s, N, m/rad; "" or "1" for none.
+        digits: significant ones; 2 for a spread that stands alone.
+        degrees: whether an angle has them in brackets.
+    """
+    scale, shown = _scaled(value, unit)
+    text = _with_unit(plain(scale * value, digits), shown)
+    return f"{text} ({in_degrees(value, digits=digits)})" if unit == "rad" and degrees and value else text
+
+
+def in_degrees(angle: float, spread: float | None = None, *, digits: int = _DIGITS) -> str:
+    """An angle [rad] in degrees alone, where only people read it: ``"45°"``, with its spread ``"24.0 ± 1.2°"``."""
+    turned = math.degrees(angle)
+    return f"{plain(turned, digits) if spread is None else _pair(turned, math.degrees(spread))}°"
+
+
+def with_spread(value: float, spread: float, unit: str, *, degrees: bool = True) -> str:
+    """An amount and its standard deviation or tolerance: ``"50 ± 2 mm"``, ``"1.204 ± 0.012 rad (69 ± 0.69°)"``."""
+    scale, shown = _scaled(max(abs(value), abs(spread)), unit)
+    text = _with_unit(_pair(scale * value, scale * spread), shown)
+    if unit == "rad" and degrees and (value or spread):
+        text += f" ({_pair(math.degrees(value), math.degrees(spread))}°)"
+    return text
+
+
+def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str:
+    """What lies between two amounts: ``"10 to 20 mm"``; with an end at infinity ``"at least 10 mm"`` or ``"any"``."""
+    finite = [end for end in (low, high) if math.isfinite(end)]
+    if len(finite) < 2:
+        end = quantity(finite[0], unit, degrees=degrees) if finite else ""
+        return f"at {'least' if math.isfinite(low) else 'most'} {end}" if finite else "any"
+    scale, shown = _scaled(max(abs(low), abs(high)), unit)
+    text = _with_unit(_ends(scale * low, scale * high), shown)
+    if unit == "rad" and degrees and (low or high):
+        text += f" ({_ends(math.degrees(low), math.degrees(high))}°)"
+    return text
+
+
+def percent(share: float, decimals: int | None = None) -> str:
+    """A share or probability: ``"95 %"``, ``"99.75 %"``; what is neither none nor all is never written as 0 or 100.
+
+    Args:
+        share: 1 for all.
+        decimals: None for one, and two below 1 % and above 99 %; 0 where space is scarce.
+    """
+    return f"{_percents(share, decimals)} %"
+
+
+def percent_interval(low: float, high: float) -> str:
+    """What lies between two shares: ``"93.7 to 96.4 %"``."""
+    return f"{_percents(low)} to {_percents(high)} %"
+
+
+def duration(seconds: float) -> str:
+    """A time that somebody waited: ``"0.35 s"``, ``"2 min 5 s"``, ``"1 h 4 min"``."""
+    whole = round(seconds)
+    if whole < 60:
+        return quantity(seconds, "s")
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def count(amount: int, noun: str, plural: str | None = None) -> str:
+    """So many things: ``"1 run"``, ``"1,200 rows"``."""
+    return f"{amount:,} {noun if amount == 1 else plural or noun + 's'}"
+
+
+def setting(value: float, unit: str = "") -> str:
+    """A number that somebody shall write into a file: in the file's unit, with four digits, ``"0.1235 m"``."""
+    return _with_unit(f"{value:.4g}", unit)
+
+
+def _scaled(value: float, unit: str) -> tuple[float, str]:
+    """Factor and name of the unit that an amount is printed in."""
+    if (unit == "m" or unit.startswith("m/")) and float(f"{abs(value):.{_DIGITS - 1}e}") < 1.0:
+        return 1e3, f"m{unit}"
+    return 1.0, unit
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return text if unit in _NO_UNIT else f"{text} {unit}"
+
+
+def _pair(value: float, spread: float) -> str:
+    if not spread or not math.isfinite(spread + value):
+        return f"{plain(value)} ± {plain(spread)}"
+    shown = plain(spread, _SPREAD_DIGITS)
+    power = math.floor(math.log10(abs(spread)))
+    decimals = _SPREAD_DIGITS - 1 - power if "e" in shown else len(shown.partition(".")[2])
+    digits = decimals + (math.floor(math.log10(abs(value))) + 1 if value else 1)
+    if digits > _MOST_DIGITS or power < _SMALL or power >= _LARGE:
+        return f"{plain(value, _MOST_DIGITS)} ± {shown}"  # no fixed number of decimals suits both
+    text = f"{value:.{decimals}f}"
+    return f"{text.removeprefix('-') if float(text) == 0 else text} ± {shown}"
+
+
+def _ends(low: float, high: float) -> str:
+    """Both ends with so many digits that they do not read alike."""
+    for digits in range(_DIGITS, _MOST_DIGITS + 1):
+        texts = plain(low, digits), plain(high, digits)
+        if texts[0] != texts[1]:
+            return " to ".join(texts)
+    return plain(low)
+
+
+def _percents(share: float, decimals: int | None = None) -> str:
+    hundredfold = 100.0 * share
+    if not 0.0 <= share <= 1.0:
+        return plain(hundredfold)
+    if decimals is None:
+        decimals = 1 if 1.0 <= hundredfold <= 99.0 else 2
+    least = 10.0**-decimals
+    if 0.0 < hundredfold <= least / 2:
+        return f"<{least:g}"
+    if 100.0 - least / 2 <= hundredfold < 100.0:
+        return f">{100.0 - least:g}"
+    return _stripped(f"{hundredfold:.{decimals}f}")
+
+
+def _stripped(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -62,7 +62,7 @@ def learn(
 
         save_figure(learning_figure(learned.recording, learned.graph), figure)
     if html is not None:
-        from micah_plan.view.page import recording_page
+        from micah_plan.view.recording_page import recording_page
 
         replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
     summary = summaries.learned(learned, seed)

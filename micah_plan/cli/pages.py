@@ -69,23 +69,26 @@ def _kind_of(file: Path) -> str:
 
 def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
     from micah_plan import workflow
-    from micah_plan.view import page
 
     kind = _kind_of(file)
     if kind == "model":
         from micah_plan.documents.model_file import load_model
+        from micah_plan.view.model_page import model_page
 
-        return page.model_page(load_model(file), title=title_of(file))
+        return model_page(load_model(file), title=title_of(file))
     if kind == "plan":
         from micah_plan.documents.plan_file import load_plan
+        from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)
-        return page.plan_page(stored.plan, stored.problem, title=title_of(file))
+        return plan_page(stored.plan, stored.problem, title=title_of(file))
+    from micah_plan.view.recording_page import recording_page
+
     recording = workflow.read(file)
     if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
-        return page.recording_page(recording, None, title=title_of(file))
+        return recording_page(recording, None, title=title_of(file))
     try:
         learned = workflow.learn(recording, progress=progress)
     except InputError as error:
         raise error.located(file) from None
-    return page.recording_page(recording, learned.graph, title=title_of(file))
+    return recording_page(recording, learned.graph, title=title_of(file))

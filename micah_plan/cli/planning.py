@@ -57,7 +57,7 @@ def solve(
     write_plan(plan, asked, output)
     write_timings(plan, output)
     if html is not None:
-        from micah_plan.view.page import plan_page
+        from micah_plan.view.plan_page import plan_page
 
         replace_file(html, plan_page(plan, asked, title=title_of(problem)).encode())
     if figure is not None and plan.trajectory is not None:

@@ -79,7 +79,7 @@ def calibrate(
     dump_model(found.automaton, output)
     if report is not None:
         from micah_plan.files import replace_file
-        from micah_plan.view.page import calibration_page
+        from micah_plan.view.calibration_page import calibration_page
 
         replace_file(report, calibration_page(found, title=recording.stem).encode())
     changes = differences(automaton, found.automaton)

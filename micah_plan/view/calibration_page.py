@@ -1,166 +1,209 @@
-"""The page of a calibration: what was compared, what is missing, how sure that is, what remains, what to do next."""
+"""The page of a calibration: what was compared, what the model lacks, how sure that is, what remains, what is next."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from html import escape
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.trace import LaneTrace
-from micah_plan.view.calibration_charts import ranking_chart, residual_charts
+from micah_plan.view.page import Bar, Bars, Status, Table, render
+from micah_plan.view.palette import BLUE, ORANGE
+from micah_plan.view.svg import AXIS, Panel, Svg, drawing
 
-_SENTENCES = {
-    "none": "Nothing is missing that this recording can show.",
-    "explained": "The named effects explain what the model missed.",
-    "partly": "The named effects explain a part of what the model missed.",
-    "unexplained": "Something is missing that no effect of the library explains.",
+Floats = NDArray[np.float64]
+
+_VERDICTS: dict[str, tuple[str, Status, str]] = {
+    "none": ("nothing is missing", "good", "The model lacks nothing that this recording can show."),
+    "explained": ("explained", "good", "The effects below explain what the model lacked."),
+    "partly": ("explained in part", "fair", "The effects below explain a part of what the model lacks."),
+    "unexplained": ("not explained", "bad", "The model lacks something that no effect of the library explains."),
 }
-_MOST_RUNS = 60
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1f2933; --muted: #5b6770; --line: #c3ccd5; --page: #fff; --bar: #9aa5b1; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6eaee; --muted: #a7b1bb; --line: #46525e; --page: #171c21; --bar: #6b7783; }
-}
-body { font: 16px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--page); margin: 2rem auto;
-  max-width: 46rem; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin: 0; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
-.badge { display: inline-block; border: 1px solid var(--line); border-radius: 1rem; padding: .1rem .8rem; }
-.badge.explained, .badge.none { border-color: #009e73; } .badge.partly { border-color: #e69f00; }
-.badge.unexplained { border-color: #d55e00; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; } .wide { overflow-x: auto; }
-th, td { text-align: left; padding: .25rem .6rem .25rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-.pair { display: flex; flex-wrap: wrap; gap: .5rem; } .pair svg { flex: 1 1 300px; min-width: 0; }
-svg { width: 100%; height: auto; } svg text { font: 11px system-ui, sans-serif; fill: var(--muted); }
-svg .mid { text-anchor: middle; } svg .end { text-anchor: end; } svg .frame { fill: none; stroke: var(--line); }
-svg .zero { stroke: var(--line); fill: none; } svg .trend { stroke: var(--ink); stroke-width: 1.6; fill: none; }
-svg .dots { stroke: var(--tint); stroke-width: 3; stroke-linecap: round; opacity: .55; fill: none; }
-svg .bar { fill: var(--bar); } svg .bar.chosen { fill: #0072b2; }
-.note { color: var(--muted); }
-"""
+_MOST_RUNS, _MOST_BARS = 60, 12
+_WIDTH, _HEIGHT = 400.0, 140.0
+_LEFT, _RIGHT, _TOP = 66.0, 10.0, 10.0
+_SHARE_SHOWN = 0.995
+_SIDE = 1.5
+"""Where the axis of directions ends: dots of commands forward lie around 1, those backward around -1."""
+
+
+@dataclass(frozen=True)
+class _Effect:
+    """An effect in words; `ambiguity` is empty if the recording tells it from all others."""
+
+    name: str
+    sentences: str
+    source: str
+    ambiguity: str
+
+
+@dataclass(frozen=True)
+class _Coordinate:
+    """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
+
+    name: str
+    summary: str
+    pairs: tuple[tuple[Svg, Svg], ...]
+    ranking: Bars
+    runs: Table
+
+
+@dataclass(frozen=True)
+class _Report:
+    """What the template shows, as texts, tables and drawings."""
+
+    title: str
+    kind: str
+    badge: tuple[str, Status]
+    message: str
+    notes: tuple[str, ...]
+    modes: tuple[str, ...]
+    parameters: Table
+    effects: tuple[_Effect, ...]
+    errors: Table
+    unexplained: str
+    coordinates: tuple[_Coordinate, ...]
+    experiment: str
 
 
 def calibration_page(found: Calibration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    body = [
-        f"<h1>{escape(title)}</h1>",
-        '<p class="note">calibration: measured motion against the model</p>',
-        f'<p class="badge {found.verdict}">{found.verdict}</p> {escape(_SENTENCES[found.verdict])}',
-        *(f'<p class="note">{escape(note)}</p>' for note in found.notes),
-        *_missing_modes(found),
-        *_effects(found),
-        *_errors(found),
-    ]
-    for one in found.traces:
-        body += _coordinate(one)
-    body += ["<h2>What next</h2>", f"<p>{escape(_capital(found.experiment))}.</p>"]
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en"><head><meta charset="utf-8">',
-            "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; "
-            'img-src data:">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f'<title>{escape(title)} (calibration)</title><link rel="icon" href="data:,">',
-            f"<style>{_STYLE}</style></head><body>",
-            *body,
-            "</body></html>",
-            "",
-        ]
-    )
-
-
-def _missing_modes(found: Calibration) -> list[str]:
+    badge, status, message = _VERDICTS[found.verdict]
     modes = [mode for one in found.traces for mode in one.missing_modes]
-    if not modes:
-        return []
-    told = [
-        f"<p>{escape(_capital(str(mode)))}. Evidence over any gradual change: {mode.evidence:.0f} nats.</p>"
-        for mode in modes
-    ]
-    return ["<h2>Modes that are missing</h2>", *told]
-
-
-def _effects(found: Calibration) -> list[str]:
-    if not found.effects:
-        return []
-    rows = [row for effect in found.effects for row in _effect_rows(effect)]
-    head = ("effect", "parameter", "value", "95 % interval", "evidence [nats]")
-    parts = ["<h2>What is missing</h2>", _table(head, rows, numeric=(4,))]
-    for effect in found.effects:
-        sentence = f"<p><b>{escape(effect.effect.name)}</b>: {escape(effect.sentence)}"
-        if effect.effect.modes:
-            sentence += escape(f" It acts only in {', '.join(effect.effect.modes)}.")
-        if not effect.is_added:
-            sentence += " It makes the roll-out worse, so the new model does not have it."
-        if effect.since is not None:
-            sentence += escape(f" It was seen from run {effect.since[0]}, {effect.since[1]:.3g} s on.")
-        sentence += f' <span class="note">Source: {escape(effect.source)}.</span></p>'
-        parts.append(sentence)
-        if effect.tied:
-            told = f"This recording cannot tell it from {', '.join(effect.tied)}. To tell: {effect.experiment}."
-            parts.append(f"<p>{escape(told)}</p>")
-    return parts
-
-
-def _effect_rows(effect: FoundEffect) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    zipped = zip(effect.effect.parameters, effect.units, effect.interval, strict=True)
-    for number, ((name, value), unit, (low, high)) in enumerate(zipped):
-        first = number == 0
-        shown = "" if unit == "1" else unit
-        interval = f"{low:.4g} to {high:.4g}" if high > low else "chosen"
-        head = f"{effect.effect.name} ({effect.effect.coordinate})" if first else ""
-        rows.append((head, name, f"{value:.4g} {shown}".rstrip(), interval, f"{effect.evidence:.1f}" if first else ""))
-    return rows
-
-
-def _errors(found: Calibration) -> list[str]:
-    rows: list[tuple[str, ...]] = [
-        ("one step", f"{found.before.one_step:.4g}", f"{found.after.one_step:.4g}", f"{found.noise_floor:.4g}"),
-        ("roll-out", f"{found.before.rollout:.4g}", f"{found.after.rollout:.4g}", ""),
-    ]
-    left = f"Of the error that can be explained, {100 * found.unexplained_fraction:.0f} % has no name."
-    return [
-        "<h2>Errors on rows held out from the fit</h2>",
-        _table(("root mean square [rad or m]", "before", "after", "noise floor"), rows, numeric=(1, 2, 3)),
-        f"<p>{left}</p>",
-    ]
-
-
-def _coordinate(one: LaneTrace) -> list[str]:
-    lane = one.lane
-    parts = [f"<h2>{escape(lane.coordinate)}</h2>"]
-    compared = (
-        f"{int(lane.counted.sum())} steps of {len(np.unique(lane.run))} run(s) were compared, in "
-        f"{len(lane.run)} stretches of which a fifth was held out in turn."
+    gain = "It predicts {} nats better than any gradual change."
+    report = _Report(
+        title=title,
+        kind="calibration: measured motion against the model",
+        badge=(badge, status),
+        message=message,
+        notes=found.notes,
+        modes=tuple(f"{_capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes),
+        parameters=_parameters(found),
+        effects=tuple(map(_effect, found.effects)),
+        errors=_errors(found),
+        unexplained=f"Of the error that could be explained, {percent(found.unexplained_fraction, 0)} is not.",
+        coordinates=tuple(map(_coordinate, found.traces)),
+        experiment=f"{_capital(found.experiment)}.",
     )
-    white = f"What remains has an autocorrelation of {one.correlation:.2f} (p = {one.white_probability:.2g} if white)."
-    parts += [f"<p>{escape(compared)} {escape(white)}</p>", residual_charts(one), "<h3>Candidates, each alone</h3>"]
-    return [*parts, ranking_chart(one), "<h3>Run by run</h3>", _runs(one)]
+    return render("calibration.html.j2", page=report)
 
 
-def _runs(one: LaneTrace) -> str:
+def _parameters(found: Calibration) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for one in found.effects:
+        values = zip(one.effect.parameters, one.units, one.interval, strict=True)
+        for order, ((name, value), unit, (low, high)) in enumerate(values):
+            first = (f"{one.effect.name} ({one.effect.coordinate})", plain(one.evidence)) if order == 0 else ("", "")
+            sure = interval(low, high, unit) if high > low else "not fitted"
+            rows.append((first[0], name, quantity(value, unit), sure, first[1]))
+    return Table(("effect", "parameter", "value", "95 % interval", "evidence [nats]"), tuple(rows), (4,))
+
+
+def _effect(found: FoundEffect) -> _Effect:
+    sentences = [found.sentence]
+    if found.effect.modes:
+        sentences.append(f"It acts only in {', '.join(found.effect.modes)}.")
+    if not found.is_added:
+        sentences.append("It makes the roll-out worse, so the new model does not have it.")
+    if found.since is not None:
+        run, time = found.since
+        sentences.append(f"It is seen from {quantity(time, 's')} into run {run}.")
+    tied = f"This recording cannot tell it from {', '.join(found.tied)}. To tell: {found.experiment}."
+    return _Effect(found.effect.name, " ".join(sentences), found.source, tied if found.tied else "")
+
+
+def _errors(found: Calibration) -> Table:
+    """Over all coordinates; where all are lengths, so are the errors."""
+    unit = "m" if {one.lane.unit for one in found.traces} == {"m"} else ""
+    head = f"root mean square on rows held out from the fit{'' if unit else ' [rad or m]'}"
+    before, after = found.before, found.after
+    rows = (
+        ("one step ahead", *(quantity(e, unit) for e in (before.one_step, after.one_step, found.noise_floor))),
+        ("roll-out from the first row", *(quantity(e, unit) for e in (before.rollout, after.rollout)), ""),
+    )
+    return Table((head, "before", "after", "noise alone"), rows, (1, 2, 3))
+
+
+def _coordinate(one: LaneTrace) -> _Coordinate:
+    lane = one.lane
+    steps, runs = count(int(lane.counted.sum()), "step"), count(len(np.unique(lane.run)), "run")
+    chance = percent(one.white_probability)
+    summary = (
+        f"{steps} of {runs} were compared; a fifth of {count(len(lane.run), 'stretch', 'stretches')} was held out in "
+        f"turn. What remains has an autocorrelation of {plain(one.correlation, 2)}; noise alone would have so much "
+        f"with a probability of {chance}."
+    )
+    best = [row for row in one.ranking if row[1] > 0][:_MOST_BARS]
+    chosen = {finding.part.name for finding in one.findings}
+    bars = [
+        Bar(name, with_spread(gain, error, "nats"), gain / best[0][1], BLUE, faint=name not in chosen)
+        for name, gain, error in best
+    ]
+    return _Coordinate(lane.coordinate, summary, _residuals(one), Bars("", tuple(bars)), _runs(one))
+
+
+def _runs(one: LaneTrace) -> Table:
     lane, search = one.lane, one.search
     kinds = [search.errors(model, kind) for kind in ("one_step", "rollout") for model in (one.nominal, one.final)]
     rows: list[tuple[str, ...]] = []
     for run in np.unique(lane.run)[:_MOST_RUNS]:
         chosen = lane.counted & (lane.run == run)[:, None]
-        rows.append((str(run), *(f"{float(np.sqrt(np.mean(errors[chosen] ** 2))):.4g}" for errors in kinds)))
-    head = ("run", "one step before", "after", "roll-out before", "after")
-    return _table(head, rows, numeric=(1, 2, 3, 4))
+        sizes = [float(np.sqrt(np.mean(errors[chosen] ** 2))) for errors in kinds]
+        rows.append((str(run), *(quantity(size, lane.unit, degrees=False) for size in sizes)))
+    return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
 
 
-def _table(head: Iterable[str], rows: Iterable[tuple[str, ...]], numeric: tuple[int, ...]) -> str:
-    def cells(row: Iterable[str], tag: str) -> str:
-        return "".join(
-            f"<{tag}{' class=n' if i in numeric else ''}>{escape(cell)}</{tag}>" for i, cell in enumerate(row)
-        )
+def _residuals(one: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
+    """One-step errors before and after against time, configuration, direction and size of the command."""
+    lane = one.lane
+    counted, starts = lane.counted, lane.counted_starts
+    before = one.search.errors(one.nominal, "one_step")[counted]
+    after = one.search.errors(one.final, "one_step")[counted]
+    u = lane.u[starts]
+    side = np.sign(u) + 0.24 * np.linspace(-1, 1, u.size)
+    axes = (
+        ("time in the run [s]", lane.time[counted]),
+        (f"{lane.coordinate} [{lane.unit}]", lane.z[starts]),
+        ("direction of the command", side),
+        (f"size of the command [{lane.unit}]", np.abs(u)),
+    )
+    reach = float(np.quantile(np.abs(before), _SHARE_SHOWN)) * 1.1 or 1e-9
+    names = f"error before\n[{lane.unit}]", f"error after\n[{lane.unit}]"
+    return tuple(
+        (_scatter(x, before, names[0], label, reach, ORANGE), _scatter(x, after, names[1], label, reach, BLUE))
+        for label, x in axes
+    )
 
-    lines = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    return f'<div class="wide"><table><tr>{cells(head, "th")}</tr>{lines}</table></div>'
+
+def _scatter(x: Floats, y: Floats, y_label: str, x_label: str, reach: float, color: str) -> Svg:
+    low, high = float(x.min()), float(x.max())
+    margin = 0.03 * (high - low) or 1e-3
+    is_side = x_label.startswith("direction")
+    ends = (-_SIDE, _SIDE) if is_side else (low - margin, high + margin)
+    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, -reach, reach)
+    inside = np.clip(y, -reach, reach)
+    sides = ((-1.0, "backward"), (0.0, "none"), (1.0, "forward"))
+    parts = [
+        panel.frame,
+        panel.level(0.0, "zero"),
+        panel.curve(x, inside, "dots small", color, dots=True),
+        _trend(panel, x, inside),
+        panel.y_axis(y_label),
+        panel.named_x_axis(x_label, sides) if is_side else panel.x_axis(x_label, 5, whole=False),
+    ]
+    return drawing(_WIDTH, panel.bottom + AXIS, parts, f"{y_label} against {x_label}".replace("\n", " "))
+
+
+def _trend(panel: Panel, x: Floats, y: Floats) -> Svg:
+    """Means over tenths of the rows, in order of x."""
+    order = np.argsort(x, kind="stable")
+    groups = [group for group in np.array_split(order, min(12, max(len(order) // 8, 1))) if group.size]
+    at = np.array([float(np.median(x[group])) for group in groups])
+    mean = np.array([float(np.mean(y[group])) for group in groups])
+    return panel.curve(at, mean, "trend")
 
 
 def _capital(words: str) -> str:

@@ -1,4 +1,4 @@
-"""How joints, frames, bodies and the ground look: in the 3-D scene, and as curves that the figures share."""
+"""How joints, frames, parts and the ground look in the 3-D scene; parts without shapes get some that suit a joint."""
 
 from __future__ import annotations
 
@@ -10,46 +10,21 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.kinematics import origin
 from micah_plan.automaton.tracks import moving_joint
-from micah_plan.view.default_shapes import base_shapes, moving_shapes
-from micah_plan.view.palette import FRAME_AXES, GRID, INK
-from micah_plan.view.placement import coordinate_range
+from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
+from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import arrow, merge, perpendicular, tube
 
 Floats = NDArray[np.float64]
 
-VIEW_ANGLE_DEG = 36.0
-_MARGIN = 1.08
-_HIDDEN_COST = 2.0
-_CURVE_POINTS = 49
-_ELEVATION, _LOW_ELEVATION = math.radians(28.0), math.radians(13.0)
-_AZIMUTHS = np.radians(np.arange(-60, 300, 15))
-
-
-def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None = None) -> Floats:
-    """(k, 3) path of a point of the part [part frame, m; None: its origin] from one configuration to another.
-
-    An arc for revolute, a helix for screw, a line for prismatic, one point for rigid.
-    """
-    count = 1 if joint.kind == "rigid" else 2 if joint.kind == "prismatic" else _CURVE_POINTS
-    poses = forward(joint, np.linspace(lower, upper, count))
-    return np.asarray(poses.apply(np.zeros(3) if point is None else point))
-
-
-def joint_axis(joint: Joint, length: float) -> Floats | None:
-    """(2, 3) ends of the axis to draw, centred beside the part's origin; None for rigid."""
-    if joint.kind == "rigid":
-        return None
-    axis = np.array(joint.axis)
-    middle = np.array(joint.position if joint.kind == "prismatic" else joint.center)
-    return np.stack([middle - axis * length / 2, middle + axis * length / 2])
+_SMALLEST = 0.02
 
 
 def circle(center: Floats, normal: Floats, radius: float) -> Floats:
     """(k, 3) closed circle."""
-    angle = np.linspace(0.0, 2 * np.pi, _CURVE_POINTS)[:, None]
+    angle = np.linspace(0.0, 2 * np.pi, CURVE_POINTS)[:, None]
     across = perpendicular(normal)
     return np.asarray(center + radius * (np.cos(angle) * across + np.sin(angle) * np.cross(normal, across)))
 
@@ -107,85 +82,6 @@ def draw_ground(scene: Scene) -> float:
         ends += [[offset, -half, 0.0], [offset, half, 0.0], [-half, offset, 0.0], [half, offset, 0.0]]
     scene.lines("ground/grid", np.array(ends) + np.array([*center, floor]), GRID)
     return spacing
-
-
-def camera(scene: Scene, motion: Floats, blockers: Floats | None = None) -> dict[str, object]:
-    """Position, target and clipping that show the whole scene, from where the motion spreads widest.
-
-    Args:
-        motion: (k, 3) points that the moving parts pass.
-        blockers: (b, 2, 3) lower and upper corners of boxes that should not stand before them [m].
-    """
-    lower, upper = scene.bounds()
-    target = (lower + upper) / 2
-    radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-3)
-    best = viewing_direction(motion, target, radius, blockers)
-    distance = _distance_to_see(upper - target, best)
-    position = target + distance * best
-    return {
-        "position": [float(p) for p in position],
-        "target": [float(p) for p in target],
-        "near": distance / 200,
-        "far": distance * 50,
-        "angle": VIEW_ANGLE_DEG,
-    }
-
-
-def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: Floats | None = None) -> Floats:
-    """(3,) unit vector from the target (3,) [m] towards a camera, a little above, that sees the motion (k, 3) best.
-
-    Args:
-        radius: of what the camera looks at [m].
-        blockers: as for `camera`.
-    """
-    toward = _directions(_ELEVATION)
-    if blockers is not None and len(blockers):
-        toward = np.concatenate([toward, _directions(_LOW_ELEVATION)])  # to look under what stands above
-    hidden = [_hidden_share(way, motion, blockers) for way in toward]
-    quality = [_view_quality(way, motion, target, radius) for way in toward]
-    return np.asarray(toward[np.argmax(np.array(quality) - _HIDDEN_COST * np.array(hidden))])
-
-
-def _directions(elevation: float) -> Floats:
-    """(a, 3) unit vectors all around, at an elevation [rad]."""
-    level = math.cos(elevation) * np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], axis=1)
-    return np.column_stack([level, np.full(len(level), math.sin(elevation))])
-
-
-def _hidden_share(way: Floats, motion: Floats, blockers: Floats | None) -> float:
-    """Share of the points (k, 3) that a camera in direction `way` does not see for the boxes (b, 2, 3)."""
-    if blockers is None or not len(blockers):
-        return 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = (blockers[None] - motion[:, None, None]) / way  # (k, b, 2, 3): where the rays cross the boxes' planes
-    enter, leave = np.nanmax(ends.min(axis=2), axis=2), np.nanmin(ends.max(axis=2), axis=2)
-    return float(((leave > enter) & (leave > 0)).any(axis=1).mean())
-
-
-def _distance_to_see(half: Floats, way: Floats) -> float:
-    """Distance at which a camera in direction `way` sees a box of half lengths `half` in a square picture [m]."""
-    across = np.cross([0.0, 0.0, 1.0], way)
-    across /= np.linalg.norm(across)
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * half
-    offset = np.abs(corners @ np.column_stack([across, np.cross(way, across)])).max(axis=1)
-    tangent = math.tan(math.radians(VIEW_ANGLE_DEG) / 2)
-    return float((corners @ way + _MARGIN * offset / tangent).max())
-
-
-def _view_quality(way: Floats, motion: Floats, target: Floats, radius: float) -> float:
-    """How well a camera in direction `way` (unit, (3,)) shows the motion; larger is better.
-
-    It should see the motion spread out (an arc as an arc), stand on the side of the moving part, and a little off the
-    perpendicular of the motion, where a panel would be edge on in the middle of its swing.
-    """
-    centred = motion - motion.mean(axis=0)
-    flat = centred - np.outer(centred @ way, way)
-    wide, high, _ = np.sqrt(np.linalg.svd(flat.T @ flat, compute_uv=False))
-    directions, extent, _ = np.linalg.svd(centred.T @ centred)
-    spread = (0.3 * wide + high) / max(math.sqrt(extent[0]), 1e-12)
-    side = float(way @ (motion.mean(axis=0) - target)) / radius
-    off_perpendicular = abs(abs(float(way @ directions[:, 0])) - 0.45)
-    return float(spread + 0.5 * side - 0.8 * off_perpendicular)
 
 
 def link_shapes(automaton: HybridAutomaton, link: int) -> tuple[Primitive, ...]:
@@ -265,3 +161,70 @@ def _half_lengths(shape: Primitive) -> Floats:
 def _round_length(length: float) -> float:
     power = 10.0 ** math.floor(math.log10(length))
     return power * next(step for step in (1, 2, 5, 10) if step * power >= length * 0.999)
+
+
+def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
+    """Shapes of a moving part, in its own frame.
+
+    A thin panel from the axis to the part's origin for revolute and screw, a box along the motion for prismatic, a
+    small cube for rigid.
+
+    Args:
+        joint: that moves the part.
+        reach: length of its motion, to scale a prismatic part by [m].
+    """
+    pose = origin(joint)
+    if joint.kind == "rigid":
+        return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
+    axis = np.array(joint.axis)
+    if joint.kind == "prismatic":
+        length = max(reach, 2 * _SMALLEST)
+        frame = _level_frame(axis)
+        return (_box(pose, pose.translation, frame, (length, 0.7 * length, 0.35 * length)),)
+    arm = np.array(joint.position) - joint.center
+    radius = float(np.linalg.norm(arm))
+    if radius < _SMALLEST / 4:
+        return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
+    frame = np.column_stack([arm / radius, np.cross(axis, arm / radius), axis])
+    return (_box(pose, joint.center + arm / 2, frame, (radius, 0.05 * radius, 0.75 * radius)),)
+
+
+def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
+    """Shapes of the base that carries a joint, in the base frame: a post on the axis, or a rail under the motion."""
+    axis, position = np.array(joint.axis), np.array(joint.position)
+    if joint.kind == "rigid":
+        return ()
+    if joint.kind == "prismatic":
+        length = max(reach, 2 * _SMALLEST)
+        frame = _level_frame(axis)
+        center = position + axis * length / 2 - frame[:, 2] * 0.22 * length
+        return (_box(RigidTransform.identity(), center, frame, (2 * length, 0.75 * length, 0.04 * length), MUTED),)
+    radius = max(float(np.linalg.norm(position - joint.center)), _SMALLEST)
+    across = perpendicular(axis)
+    upright = Rotation.from_matrix(np.column_stack([across, np.cross(axis, across), axis])).as_quat()
+    size = (0.06 * radius, 0.85 * radius)
+    return (Primitive("cylinder", size, _triple(joint.center), _quadruple(upright), MUTED),)
+
+
+def _level_frame(axis: Floats) -> Floats:
+    """(3, 3) right-handed axes in columns: the motion, across it, and as upright as possible."""
+    upright = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
+    size = float(np.linalg.norm(upright))
+    upright = upright / size if size > 0.1 else perpendicular(axis)
+    return np.column_stack([axis, np.cross(upright, axis), upright])
+
+
+def _box(
+    part: RigidTransform, center: Floats, frame: Floats, size: tuple[float, float, float], color: str = BODY
+) -> Primitive:
+    """A box given in the base frame, written in the frame of a part at pose `part`."""
+    relative = part.inv() * RigidTransform.from_components(center, Rotation.from_matrix(frame))
+    return Primitive("box", size, _triple(relative.translation), _quadruple(relative.rotation.as_quat()), color)
+
+
+def _triple(values: Floats | tuple[float, float, float]) -> tuple[float, float, float]:
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+def _quadruple(values: Floats) -> tuple[float, float, float, float]:
+    return (float(values[0]), float(values[1]), float(values[2]), float(values[3]))

@@ -14,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from micah_plan.automaton.graph import KinematicGraph
+from micah_plan.quantities import count
 from micah_plan.recording.value import Recording
-from micah_plan.view.certainty_words import changepoint_words, channel_words, headline, joint_words, misfit_words
 from micah_plan.view.learned import LearnedRun, learned_runs
 from micah_plan.view.learning_panels import (
     PANEL_INK,
@@ -24,11 +24,12 @@ from micah_plan.view.learning_panels import (
     plot_counts,
     plot_evidence,
     plot_kinds,
+    plot_plain_track,
+    plot_track,
     shade_segments,
 )
+from micah_plan.view.learning_words import block_title, block_words, channel_words, has_misfit, misfit_words
 from micah_plan.view.palette import INK, MISFIT, MUTED
-from micah_plan.view.segments import is_misfit
-from micah_plan.view.track_panel import plot_plain_track, plot_track
 
 WIDTH = 11.0
 MOST_BLOCKS = 12
@@ -79,7 +80,7 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
         _draw_block(figure, block, top, several_runs)
         top -= block.height
     if note:
-        figure.text(_LEFT / WIDTH, 0.1 / height, f"{len(runs) - MOST_BLOCKS} more runs are not shown", color=MUTED)
+        figure.text(_LEFT / WIDTH, 0.1 / height, f"{count(len(runs) - MOST_BLOCKS, 'more run')} not shown", color=MUTED)
     return figure
 
 
@@ -152,17 +153,13 @@ def _draw_block(figure: Figure, block: _Block, top: float, several_runs: bool) -
 def _write_header(figure: Figure, learned: LearnedRun, top: float, several_runs: bool) -> None:
     """The finding in large letters, on yellow if no joint fits; below it changepoints and the joints' parameters."""
     height = figure.get_figheight()
-    name = learned.edge.child + (f", run {learned.run}" if several_runs else "")
-    wrong = any(is_misfit(stretch.segment) for stretch in learned.stretches)
-    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if wrong else None
+    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
+    title = block_title(learned, several_runs=several_runs)
     figure.text(
-        _LEFT / WIDTH, (top - 0.38) / height, f"{name}:  {headline(learned)}", fontsize=15, weight="bold", color=INK,
-        va="center", bbox=box,
-    )  # fmt: skip
-    joints = {s.colored.color: s.segment for s in learned.stretches if not is_misfit(s.segment)}
-    words = [changepoint_words(learned)]
-    words += [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.kind != "rigid"]
-    figure.text(_LEFT / WIDTH, (top - 0.7) / height, "   ·   ".join(words), fontsize=10, color=PANEL_INK, va="center")
+        _LEFT / WIDTH, (top - 0.38) / height, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box
+    )
+    words = "   ·   ".join(block_words(learned))
+    figure.text(_LEFT / WIDTH, (top - 0.7) / height, words, fontsize=10, color=PANEL_INK, va="center")
 
 
 def _panel(

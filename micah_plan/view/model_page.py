@@ -9,9 +9,9 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.part_poses import part_poses
-from micah_plan.view.document import Band, Document, LegendEntry, Timeline, render
+from micah_plan.quantities import interval, plain, quantity
+from micah_plan.view.camera import camera
 from micah_plan.view.drawing import (
-    camera,
     draw_frame,
     draw_ground,
     draw_joint,
@@ -22,8 +22,10 @@ from micah_plan.view.drawing import (
     shape_corners,
     shown_links,
 )
-from micah_plan.view.motion import Keyframes, Moved, animate_attached, animate_bodies, handle_path
-from micah_plan.view.palette import FRAME_AXES, GRID, GUARD, INK, category
+from micah_plan.view.keyframes import Keyframes
+from micah_plan.view.motion import Moved, animate_attached, animate_bodies, handle_path
+from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
+from micah_plan.view.palette import FRAME_AXES, GRID, GUARD, INK, mode_colors
 from micah_plan.view.placement import (
     Threshold,
     chain_coordinates,
@@ -34,17 +36,11 @@ from micah_plan.view.placement import (
 )
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import tube
-from micah_plan.view.text import length, quantity
 
 Floats = NDArray[np.float64]
 
-_SWEEP_S, _HOLD_S, _GAP_S = 4.0, 1.5, 0.05
+_SWEEP_S, _REST_S, _GAP_S = 4.0, 1.5, 0.05
 _SWEEP_FRAMES = 33
-
-
-def mode_colors(automaton: HybridAutomaton) -> dict[str, str]:
-    """The colour of each mode, the same on every page and figure of a model."""
-    return {name: category(i) for i, name in enumerate(automaton.mode_names)}
 
 
 def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
@@ -56,21 +52,18 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
     draw_mode_joints(scene, automaton, keys, size)
     marks = thresholds(automaton)
     _draw_thresholds(scene, automaton, marks, size)
-    spacing = draw_surroundings(scene, size)
+    spacing = draw_ground_and_frame(scene, size)
     colors = mode_colors(automaton)
-    legend = [
-        LegendEntry(colors[mode.name], f"mode {mode.name}: path of the handle", shape="line")
-        for mode in automaton.modes
-    ]
-    legend.append(LegendEntry(INK, "joint axes and paths", "joints", "line"))
+    legend = [LegendEntry(colors[mode.name], f"mode {mode.name}", shape="line") for mode in automaton.modes]
+    legend.append(LegendEntry(INK, "joint axes and paths of the handle", "joints", "line"))
     if marks:
-        legend.append(LegendEntry(GUARD, "configurational changepoints (guards)", "guards"))
-    document = Document(
+        legend.append(LegendEntry(GUARD, "guards: where the mode changes", "guards"))
+    page = ScenePage(
         title=title,
-        kind="hybrid automaton",
+        kind="model (hybrid automaton)",
         camera=camera(scene, np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])),
         facts=_facts(automaton),
-        legend=[*legend, *surroundings_legend(spacing)],
+        legend=[*legend, *ground_legend(spacing)],
         details=[
             ("Modes", [_described(automaton, mode) for mode in automaton.modes]),
             ("Transitions", [_edge_text(edge) for edge in automaton.edges]),
@@ -78,7 +71,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
         ],
         timeline=Timeline(keys.duration, bands, readouts(automaton, keys)),
     )
-    return render(document, scene)
+    return render_scene(page, scene)
 
 
 def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
@@ -104,10 +97,10 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
                 states.append(x)
             clock += _SWEEP_S + _GAP_S
         if not moved:
-            times += [clock, clock + _HOLD_S]
+            times += [clock, clock + _REST_S]
             modes += [mode.name] * 2
             states += [rest, rest]
-            clock += _HOLD_S + _GAP_S
+            clock += _REST_S + _GAP_S
         bands.append(Band(begin, clock, colors[mode.name], mode.name))
     return Keyframes(np.array(times), tuple(modes), np.stack(states)), tuple(bands)
 
@@ -139,7 +132,7 @@ def draw_mode_joints(
     animate_attached(scene, automaton, keys, paths, moved)
 
 
-def draw_surroundings(scene: Scene, size: float) -> float:
+def draw_ground_and_frame(scene: Scene, size: float) -> float:
     """The base frame, if it lies near, and the ground; returns the grid's spacing [m]."""
     lower, upper = scene.bounds()
     if np.all(np.abs((lower + upper) / 2) < upper - lower + size):
@@ -148,10 +141,10 @@ def draw_surroundings(scene: Scene, size: float) -> float:
     return draw_ground(scene)
 
 
-def surroundings_legend(spacing: float) -> list[LegendEntry]:
+def ground_legend(spacing: float) -> list[LegendEntry]:
     return [
         LegendEntry(FRAME_AXES[0], "base frame (x red, y green, z blue)", "frames", "line"),
-        LegendEntry(GRID, f"grid of {length(spacing)}", "ground", "line"),
+        LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}", "ground", "line"),
     ]
 
 
@@ -190,23 +183,29 @@ def _facts(automaton: HybridAutomaton) -> list[tuple[str, str]]:
     facts = [("Coordinates", ", ".join(f"{c.name} [{c.unit}]" for c in automaton.coordinates))]
     facts += [("Modes", str(len(automaton.modes))), ("Transitions", str(len(automaton.edges)))]
     for mark in thresholds(automaton):
-        coordinate = automaton.coordinates[mark.coordinate]
-        facts.append((f"{mark.source} | {mark.target}", f"{coordinate.name} = {quantity(mark.value, coordinate.unit)}"))
-    for coordinate, process, observation in zip(
+        named = automaton.coordinates[mark.coordinate]
+        facts.append((f"{mark.source} | {mark.target} at", f"{named.name} = {quantity(mark.value, named.unit)}"))
+    for named, process, observation in zip(
         automaton.coordinates, automaton.noise.process_std, automaton.noise.observation_std, strict=True
     ):
-        facts.append((f"{coordinate.name}: σ per step", quantity(process, coordinate.unit)))
-        facts.append((f"{coordinate.name}: σ measured", quantity(observation, coordinate.unit)))
+        facts.append((f"{named.name}: σ of motion per step", quantity(process, named.unit)))
+        facts.append((f"{named.name}: σ of a measurement", _measured_to(observation, named.unit)))
     for mode in automaton.modes:
         for i, std in mode.observation_std:
-            name, unit = automaton.coordinates[i].name, automaton.coordinates[i].unit
-            facts.append((f"{name}: σ measured in {mode.name}", quantity(std, unit)))
+            named = automaton.coordinates[i]
+            facts.append((f"{named.name}: σ of a measurement in {mode.name}", _measured_to(std, named.unit)))
     light = automaton.noise.light
     if light is not None:
-        places = [f"{automaton.coordinates[i].name} = {value:g}" for i, value in light.at]
-        grows = [f"{c.name} {g:g}" for c, g in zip(automaton.coordinates, light.growth, strict=True) if g]
-        facts.append((f"σ measured grows away from {', '.join(places)} by", f"{', '.join(grows)} per unit"))
+        at = [(automaton.coordinates[i], value) for i, value in light.at]
+        places = [f"{named.name} = {quantity(value, named.unit)}" for named, value in at]
+        grows = [f"{c.name} {plain(g)}" for c, g in zip(automaton.coordinates, light.growth, strict=True) if g]
+        label = f"σ of a measurement grows with the distance from {', '.join(places)}"
+        facts.append((label, f"by {', '.join(grows)} per unit of distance"))
     return facts
+
+
+def _measured_to(std: float, unit: str) -> str:
+    return quantity(std, unit) if np.isfinite(std) else "not measured"
 
 
 def _described(automaton: HybridAutomaton, mode: Mode) -> str:
@@ -215,13 +214,16 @@ def _described(automaton: HybridAutomaton, mode: Mode) -> str:
     for i, coordinate in enumerate(automaton.coordinates):
         if mode.driven[i]:
             lower, upper, stated = coordinate_range(automaton, mode, i)
-            ends = f"{coordinate.name} from {quantity(lower, coordinate.unit)} to {quantity(upper, coordinate.unit)}"
-            ranges.append(ends if stated else f"{ends} (range not stated, chosen for display)")
-    pins = [f"{automaton.coordinates[p.coordinate].name} held at {p.value:.3f}" for p in mode.pins]
-    return "; ".join([f"{mode.name}: {joints}", *ranges, *pins])
+            ends = f"{coordinate.name} from {interval(lower, upper, coordinate.unit)}"
+            ranges.append(ends if stated else f"{ends} (the model states no range; this one is for the picture)")
+    fixed = []
+    for pin in mode.pins:
+        named = automaton.coordinates[pin.coordinate]
+        fixed.append(f"{named.name} fixed at {quantity(pin.value, named.unit)}")
+    return "; ".join([f"{mode.name}: {joints}", *ranges, *fixed])
 
 
 def _edge_text(edge: Edge) -> str:
-    guard = " and ".join(h.name or f"a'x + b'u >= {h.c:g}" for h in edge.guard.half_spaces) or "always"
-    reset = "" if edge.reset.is_identity else (", clamped" if edge.is_self_transition else ", with a reset")
-    return f"{edge.name}: {guard}{reset}"
+    guard = " and ".join(h.name or f"a'x + b'u >= {plain(h.c)}" for h in edge.guard.half_spaces) or "always"
+    kept = ", the coordinate stops there" if edge.is_self_transition else ", the state is reset"
+    return f"{edge.name}: {guard}{'' if edge.reset.is_identity else kept}"

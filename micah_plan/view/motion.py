@@ -1,9 +1,8 @@
-"""An automaton's parts set in motion: keyframes of states, and everything in the scene that follows them."""
+"""An automaton's parts set in motion: everything in the scene that follows the keyframes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,32 +11,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.part_poses import part_poses, poses_of_states
 from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
+from micah_plan.view.keyframes import Keyframes
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 from micah_plan.view.scene import Scene, slug, transforms
 
 Floats = NDArray[np.float64]
 Moved = Mapping[str, RigidTransform]
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframes:
-    """States to show in time order.
-
-    Attributes:
-        times: (k,) [s], strictly increasing.
-        modes: (k,) mode names.
-        states: (k, n) [rad or m].
-        factors: (k, n, n) Cholesky factors of the belief's covariance; None if there is no belief.
-    """
-
-    times: Floats
-    modes: tuple[str, ...]
-    states: Floats
-    factors: Floats | None = None
-
-    @property
-    def duration(self) -> float:
-        return float(self.times[-1])
 
 
 def poses_over_time(

@@ -1,10 +1,203 @@
-"""The pages: a recording, a model, a plan and a calibration, each as one self-contained HTML file."""
+"""Pages as values, and the HTML that templates make of them: single files that fetch nothing. The only user of jinja2.
+
+`templates/base.html.j2` is the page that all others extend. What is put into a template is escaped there, except for
+`Svg` and the assets. The same value gives the same bytes.
+"""
 
 from __future__ import annotations
 
-from micah_plan.view.calibration_page import calibration_page
-from micah_plan.view.model_page import model_page
-from micah_plan.view.plan_page import plan_page
-from micah_plan.view.recording_page import recording_page
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-__all__ = ["calibration_page", "model_page", "plan_page", "recording_page"]
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from micah_plan.view.svg import Svg
+
+if TYPE_CHECKING:
+    from micah_plan.view.scene import Scene
+
+Status = Literal["good", "bad", "fair", "plain"]
+
+_ASSETS = Path(__file__).parent / "assets"
+_NO_BREAK = "\N{NO-BREAK SPACE}"
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|(?:m|mm|rad|s|min|h|N|nats|σ)\b))")
+_PLAYER_KEYS = (("space", "play, pause"), ("← →", "step"), ("Home End", "first, last"))
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """A colour and what it means; with a layer, a box to hide it, and a key that does the same if one is named."""
+
+    color: str
+    label: str
+    layer: str | None = None
+    shape: Literal["line", "dot", "area"] = "area"
+    key: str = ""
+    key_label: str = ""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A stretch of the timeline [s] in one colour, in a lane that is counted from 0."""
+
+    start: float
+    end: float
+    color: str
+    label: str
+    lane: int = 0
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What the player plays.
+
+    Attributes:
+        duration: of the animation [s]; 0 for a still scene.
+        bands: the modes or segments along it.
+        readouts: (time [s], lines of text shown from then on).
+    """
+
+    duration: float = 0.0
+    bands: tuple[Band, ...] = ()
+    readouts: tuple[tuple[float, tuple[str, ...]], ...] = ()
+
+    @property
+    def lanes(self) -> tuple[tuple[Band, ...], ...]:
+        """The bars below each other; one is empty where there are no bands."""
+        count = 1 + max((band.lane for band in self.bands), default=0)
+        return tuple(tuple(band for band in self.bands if band.lane == lane) for lane in range(count))
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A row of a small bar chart: its name, a bar over a share (0 to 1) of the width, and words beside it."""
+
+    label: str
+    words: str
+    share: float
+    color: str = ""
+    faint: bool = False
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A small bar chart with its heading."""
+
+    title: str
+    rows: tuple[Bar, ...]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A drawing with its words.
+
+    Attributes:
+        title: above it.
+        words: sentences below the title.
+        drawing: the SVG; empty for none.
+        bars: small bar charts below it.
+        notes: sentences at the end.
+        alarm: whether the title says that something is wrong.
+        keyframes: (time on the player [s], x in the drawing [px]) of the line that follows the player.
+    """
+
+    title: str
+    words: tuple[str, ...] = ()
+    drawing: Svg = field(default_factory=Svg)
+    bars: tuple[Bars, ...] = ()
+    notes: tuple[str, ...] = ()
+    alarm: bool = False
+    keyframes: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts.
+
+    Attributes:
+        head: of the columns.
+        rows: as long as `head` each.
+        numeric: columns (from 0) of numbers, which are set to the right.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class ScenePage:
+    """Everything on a page with a 3-D scene, except the scene.
+
+    Attributes:
+        title, kind: name of the thing, and what sort of thing it is.
+        camera: of `view.camera`.
+        badge: the outcome in a few words, with its status.
+        message: a sentence below it.
+        facts: (label, value) pairs.
+        chips: (text, colour), e.g. the mode sequence.
+        details: (heading, lines) folded away at first.
+        legend, timeline: see their types.
+        hidden: layers that are switched off at first.
+        charts: shown in a column of their own, below the panel where the window is narrow.
+    """
+
+    title: str
+    kind: str
+    camera: Mapping[str, Any]
+    badge: tuple[str, Status] | None = None
+    message: str = ""
+    facts: Sequence[tuple[str, str]] = ()
+    chips: Sequence[tuple[str, str]] = ()
+    details: Sequence[tuple[str, Sequence[str]]] = ()
+    legend: Sequence[LegendEntry] = ()
+    timeline: Timeline = field(default_factory=Timeline)
+    hidden: Sequence[str] = ()
+    charts: Sequence[Chart] = ()
+
+
+def render_scene(page: ScenePage, scene: Scene) -> str:
+    """The page of a plan, a model or a recording as HTML text."""
+    from micah_plan.view.scene import layer_path, viewer_javascript
+
+    data = {
+        "commands": scene.encoded(),
+        "camera": page.camera,
+        "duration": page.timeline.duration,
+        "readouts": [[time, list(lines)] for time, lines in page.timeline.readouts],
+        "layers": {entry.layer: layer_path(entry.layer) for entry in page.legend if entry.layer},
+        "hidden": list(page.hidden),
+        "charts": [[[round(time, 4), round(x, 1)] for time, x in chart.keyframes] for chart in page.charts],
+    }
+    keys = [*_PLAYER_KEYS, *((entry.key, entry.key_label) for entry in page.legend if entry.key)]
+    return render("scene.html.j2", page=page, data=data, keys=keys, viewer=Markup(viewer_javascript()))  # noqa: S704
+
+
+def render(template: str, **values: object) -> str:
+    """HTML text of a file in `templates/` with values, which are escaped."""
+    environment = Environment(
+        loader=PackageLoader("micah_plan", "view/templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False, "sort_keys": False}
+    environment.filters["glued"] = glued
+    environment.globals["asset"] = _asset
+    return environment.get_template(template).render(**values)
+
+
+def glued(words: str) -> str:
+    """Without line breaks between a number, its spread and its unit."""
+    return _BEFORE_UNIT.sub(_NO_BREAK, words.replace(" ± ", f"{_NO_BREAK}±{_NO_BREAK}"))
+
+
+def _asset(name: str) -> Markup:
+    """A style sheet or a script of ours, which needs no escaping."""
+    return Markup((_ASSETS / name).read_text(encoding="utf-8"))  # noqa: S704

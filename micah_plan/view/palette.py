@@ -5,6 +5,8 @@ Source: Okabe and Ito, "Color Universal Design", 2008.
 
 from __future__ import annotations
 
+from micah_plan.automaton.hybrid import HybridAutomaton
+
 BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 GREEN = "#009E73"
@@ -37,3 +39,8 @@ FRAME_AXES = ("#C0392B", "#27AE60", "#2F6FDE")
 def category(index: int) -> str:
     """Colour of segment or mode number `index`; the palette repeats after its last colour."""
     return CATEGORIES[index % len(CATEGORIES)]
+
+
+def mode_colors(automaton: HybridAutomaton) -> dict[str, str]:
+    """The colour of each mode, the same on every page and figure of a model."""
+    return {name: category(i) for i, name in enumerate(automaton.mode_names)}

@@ -1,4 +1,4 @@
-"""Where an automaton's parts are at a state, over which range they move, and how uncertain a belief leaves them."""
+"""Where an automaton's parts are at a state, along what they move and how far, how uncertain a belief leaves them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.part_poses import poses_of_states
 
 Floats = NDArray[np.float64]
 
 _RANGE_IF_UNSTATED = {"rad": 1.0, "m": 0.2}
 _DIFFERENCE = 1e-6
+CURVE_POINTS = 49
+"""Points of an arc or a circle that is drawn."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,25 @@ def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:
         found.append(by_child[part].coordinate)
         part = by_child[part].parent
     return tuple(sorted(set(found)))
+
+
+def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None = None) -> Floats:
+    """(k, 3) path of a point of the part [part frame, m; None: its origin] from one configuration to another.
+
+    An arc for revolute, a helix for screw, a line for prismatic, one point for rigid.
+    """
+    count = 1 if joint.kind == "rigid" else 2 if joint.kind == "prismatic" else CURVE_POINTS
+    poses = forward(joint, np.linspace(lower, upper, count))
+    return np.asarray(poses.apply(np.zeros(3) if point is None else point))
+
+
+def joint_axis(joint: Joint, length: float) -> Floats | None:
+    """(2, 3) ends of the axis to draw, centred beside the part's origin; None for rigid."""
+    if joint.kind == "rigid":
+        return None
+    axis = np.array(joint.axis)
+    middle = np.array(joint.position if joint.kind == "prismatic" else joint.center)
+    return np.stack([middle - axis * length / 2, middle + axis * length / 2])
 
 
 def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) -> tuple[float, float, bool]:

@@ -10,29 +10,24 @@ from scipy.stats import chi2
 
 from micah_plan.automaton.contacts.product import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
+from micah_plan.scene.body import corners
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
-from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
-from micah_plan.view.document import Band, Document, LegendEntry, Status, Timeline, render
-from micah_plan.view.drawing import camera, draw_shapes, link_shapes, object_size, shape_corners, shown_links
-from micah_plan.view.held_object import settled_over_time, with_shown_points
-from micah_plan.view.model_page import (
-    draw_mode_joints,
-    draw_object,
-    draw_surroundings,
-    mode_colors,
-    surroundings_legend,
-)
-from micah_plan.view.motion import Keyframes, animate_ghosts, belief_ellipsoids, handle_path
-from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START
+from micah_plan.view.camera import camera
+from micah_plan.view.drawing import draw_shapes, link_shapes, object_size, shape_corners, shown_links
+from micah_plan.view.keyframes import Keyframes, duration, keyframes, knot_times, step_times, stretches
+from micah_plan.view.model_page import draw_ground_and_frame, draw_mode_joints, draw_object, ground_legend
+from micah_plan.view.motion import Moved, animate_ghosts, belief_ellipsoids, handle_path
+from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline, render_scene
+from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
-from micah_plan.view.plan_clock import duration, keyframes, knot_times, step_times, stretches
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import Scene, slug, transforms
 from micah_plan.view.solids import straightened, tube
-from micah_plan.view.text import length, percent, quantity, short_quantity
+from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 
 Floats = NDArray[np.float64]
 
@@ -80,11 +75,11 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     if plan.trajectory and plan.arm:
         draw_arm(scene, problem, plan.arm, knot_times(plan.trajectory), keys.times)
     draw_bodies(scene, problem.scene)
-    spacing = draw_surroundings(scene, size)
+    spacing = draw_ground_and_frame(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
     points = np.concatenate([handle_path(automaton, keys, part) for part in parts])
     goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), part) for part in parts])
-    document = Document(
+    page = ScenePage(
         title=title,
         kind="plan",
         camera=camera(scene, np.concatenate([points, goal_points]), body_boxes(problem.scene)),
@@ -98,7 +93,7 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
         hidden=["spread"],
         charts=plan_charts(plan, problem),
     )
-    return render(document, scene)
+    return render_scene(page, scene)
 
 
 def _start_mode(problem: Problem) -> str:
@@ -180,13 +175,13 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
             LegendEntry(
                 BELIEF,
                 f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least "
-                f"{length(sigmas.floor)})",
+                f"{quantity(sigmas.floor, 'm')})",
                 "belief",
                 "dot",
                 "b",
                 "belief",
             ),
-            LegendEntry(BELIEF, f"object at the mean ± {sigmas.ghosts:.2f} σ", "spread", "area", "s", "spread"),
+            LegendEntry(BELIEF, f"object at the mean ± {plain(sigmas.ghosts)} σ", "spread", "area", "s", "spread"),
             LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]
         if problem.hold is not None:
@@ -196,47 +191,47 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
     entries.append(LegendEntry(INK, "joint axes, and paths by mode:", "joints", "line"))
     shown = [name for name in problem.automaton.mode_names if name != COLLIDED or COLLIDED in plan.mode_sequence]
     entries += [LegendEntry(colors[name], f"mode {name}", shape="line") for name in shown]
-    return [*entries, *arm_legend(plan, problem), *surroundings_legend(spacing)]
+    return [*entries, *arm_legend(plan, problem), *ground_legend(spacing)]
 
 
 def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     coordinates = problem.automaton.coordinates
     units = {coordinates[index].unit for index, _, _ in problem.goal.target}
     unit = units.pop() if len(units) == 1 else ""
-    facts = [("Confidence asked", percent(problem.settings.confidence))]
+    facts = [("Confidence asked for", percent(problem.settings.confidence))]
     for index, value, tolerance in problem.goal.target:
-        named = coordinates[index]
-        facts.append((f"Goal: {named.name}", f"{value:.3f} ± {short_quantity(tolerance, named.unit)}"))
+        goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)
+        facts.append((f"Goal for {coordinates[index].name}", goal))
     if problem.goal.modes:
         facts.append(("Goal modes", ", ".join(problem.goal.modes)))
     if plan.goal_error is not None:
-        facts.append(("Predicted error", quantity(plan.goal_error, unit)))
+        facts.append(("Distance to target", quantity(plan.goal_error, unit)))
     if plan.goal_std is not None:
-        facts.append(("Predicted σ", quantity(plan.goal_std, unit)))
+        facts.append(("σ at the end", quantity(plan.goal_std, unit)))
     if plan.success_probability is not None:
-        facts.append(("Success probability", percent(plan.success_probability)))
+        runs = count(plan.verification_trials, "simulated run")
+        facts.append((f"Success in {runs}", percent(plan.success_probability)))
         if plan.success_interval is not None:
-            facts.append(("Its 95 % interval", " to ".join(percent(end) for end in plan.success_interval)))
-        facts.append(("Verified with", f"{plan.verification_trials} roll-outs"))
+            facts.append(("95 % interval of success", percent_interval(*plan.success_interval)))
     if plan.cost is not None:
-        facts.append(("Cost", f"{plan.cost:.4g}"))
+        facts.append(("Cost", plain(plan.cost)))
     if plan.trajectory is not None:
-        facts.append(("Steps", str(int(step_times(plan.trajectory)[-1]))))
+        facts.append(("Steps", f"{step_times(plan.trajectory)[-1]}"))
     return [*facts, *arm_facts(plan), ("Seed", str(plan.seed))]
 
 
 def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
     tried = []
     for candidate in plan.candidates:
-        cost = "failed" if candidate.cost is None else f"cost {candidate.cost:.4g}"
+        cost = "failed" if candidate.cost is None else f"cost {plain(candidate.cost)}"
         tried.append(f"{' → '.join(candidate.modes)}: {cost}. {candidate.message}")
     details = [("Mode sequences tried", tried)] if tried else []
     findings = [f"{finding.sentence}. Remedy: {finding.remedy}" for finding in plan.findings]
     if findings:
-        title = "Kept only in part" if plan.outcome == "solved" else "What stands in the way"
+        title = "Limits kept only in part" if plan.outcome == "solved" else "What stands in the way"
         details.insert(0, (title, findings))
     start = [
-        f"{c.name} = {quantity(mean, c.unit)}, σ {quantity(std, c.unit)}"
+        f"{c.name} = {with_spread(mean, std, c.unit)} (1 σ)"
         for c, mean, std in zip(problem.automaton.coordinates, problem.start.mean, problem.start.std, strict=True)
     ]
     return [*details, ("Start belief", [*start, f"mode {_start_mode(problem)}"])]
@@ -250,6 +245,28 @@ def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
         lines = [f"step {steps[k]} of {steps[-1]}, mode {trajectory.modes[k]}"]
         for i, c in enumerate(automaton.coordinates):
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
-            lines.append(f"{c.name} = {mean:.3f} {c.unit}, σ {std:.4f}")
+            lines.append(f"{c.name} = {with_spread(mean, std, c.unit, degrees=False)} (1 σ)")
         found.append((float(time), tuple(lines)))
     return Timeline(duration(trajectory), _bands(trajectory, automaton), tuple(found))
+
+
+def settled_over_time(problem: Problem, keys: Keyframes) -> Moved:
+    """(k,) poses of every part, as contacts leave them."""
+    single = [settled_poses(problem, mode, x) for mode, x in zip(keys.modes, keys.states, strict=True)]
+    return {name: transforms([poses[name] for poses in single]) for name in single[0]}
+
+
+def with_shown_points(problem: Problem) -> Problem:
+    """The problem with handles for a held object: the hand's point on the held part, the moving part's far end.
+
+    The belief of the joint is seen at the far end, that of the hand at the hand. Other problems come back as they are.
+    """
+    if problem.hold is None:
+        return problem
+    grip = problem.hold.grip
+    points = np.concatenate([corners(shape) for shape in grip.moving.shapes])
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    end = (float(upper[0]), float(lower[1] + upper[1]) / 2, float(lower[2] + upper[2]) / 2)
+    handles = {grip.held.name: grip.point, grip.moving.name: end}
+    parts = tuple(replace(part, handle=handles.get(part.name, part.handle)) for part in problem.automaton.parts)
+    return replace(problem, automaton=replace(problem.automaton, parts=parts))

@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.graph import KinematicGraph
+from micah_plan.automaton.joint import radius
+from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
-from micah_plan.view.certainty_words import NO_FIT, misfit_words
-from micah_plan.view.document import Band, ChartBlock, Document, LegendEntry, Timeline, render
-from micah_plan.view.drawing import camera, draw_frame, draw_ground, draw_joint
+from micah_plan.view.camera import camera
+from micah_plan.view.drawing import draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import learned_runs
-from micah_plan.view.learning_charts import MOST_BLOCKS, chart_block
+from micah_plan.view.learning_charts import learning_charts
+from micah_plan.view.learning_words import NO_FIT, misfit_words
+from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.segments import (
@@ -24,7 +27,6 @@ from micah_plan.view.segments import (
     rows_of_run,
 )
 from micah_plan.view.solids import beads
-from micah_plan.view.text import length, short_quantity
 
 Floats = NDArray[np.float64]
 
@@ -58,14 +60,14 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
     spacing = draw_ground(scene)
     legend = [LegendEntry(c.color, c.label, shape="dot") for c in segments]
     if segments and not shown_rows.all():
-        legend.append(LegendEntry(MUTED, "rows of no segment", shape="dot"))
+        legend.append(LegendEntry(MUTED, "rows in no segment", shape="dot"))
     legend.append(LegendEntry(MUTED, "all measured positions" if segments else "measured positions", "track", "dot"))
     misfits = [c for c in segments if is_misfit(c.segment)]
     if len(misfits) < len(segments):
         legend.append(LegendEntry(INK, "fitted joints: axis and centre, arc, line, ring (rigid)", "joints", "line"))
     legend.append(LegendEntry(FRAME_AXES[0], "measured frame of the part (x red, y green, z blue)", "frames", "line"))
-    legend.append(LegendEntry(GRID, f"grid of {length(spacing)}, base frame, z up", "ground", "line"))
-    document = Document(
+    legend.append(LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}, base frame, z up", "ground", "line"))
+    page = ScenePage(
         title=title,
         kind="recording",
         camera=camera(scene, recording.position),
@@ -74,18 +76,9 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
         details=[("Fitted joints", [_described(c) for c in segments])] if segments else [],
         legend=legend,
         timeline=timeline,
-        charts=() if graph is None else _charts(recording, graph, shown),
+        charts=() if graph is None else learning_charts(recording, learned_runs(recording, graph), shown),
     )
-    return render(document, scene)
-
-
-def _charts(recording: Recording, graph: KinematicGraph, shown: Floats) -> list[ChartBlock]:
-    runs = learned_runs(recording, graph)
-    several = len(recording.runs) > 1
-    blocks = [chart_block(recording, run, shown, several_runs=several) for run in runs[:MOST_BLOCKS]]
-    if len(runs) > MOST_BLOCKS:
-        blocks.append(ChartBlock(f"<p>{len(runs) - MOST_BLOCKS} more runs have no charts.</p>"))
-    return blocks
+    return render_scene(page, scene)
 
 
 def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float) -> None:
@@ -171,32 +164,31 @@ def _readouts(recording: Recording, bands: list[Band], shown: Floats) -> tuple[t
 
 
 def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[tuple[str, str]]:
-    changepoints = [str(c.segment.start) for c in segments if c.segment is not c.edge.segments[0]]
+    changes = [c.segment.start for c in segments if c.segment is not c.edge.segments[0]]
     facts = [
-        ("Rows", str(len(recording))),
-        ("Runs", str(len(recording.runs))),
+        ("Rows", f"{len(recording):,}"),
+        ("Runs", f"{len(recording.runs):,}"),
         ("Parts", ", ".join(recording.parts)),
         ("Orientation", "measured" if recording.has_orientation else "not measured"),
-        ("Actions", "recorded" if recording.has_actions else "none"),
+        ("Actions", "recorded" if recording.has_actions else "not recorded"),
     ]
-    return facts + (
-        [("Changepoints", "rows " + ", ".join(changepoints) if changepoints else "none")] if segments else []
-    )
+    if segments:
+        rows = f"at {'row' if len(changes) == 1 else 'rows'} {', '.join(map(str, changes))}"
+        facts.append(("Changepoints", rows if changes else "none"))
+    return facts
 
 
 def _described(colored: ColoredSegment) -> str:
     joint, segment = colored.segment.joint, colored.segment
-    text = colored.label
     if is_misfit(segment):
         return misfit_words(segment)
+    words = []
     if joint.kind in ("revolute", "screw"):
-        radius = float(np.linalg.norm(np.array(joint.position) - joint.center))
-        text += f": radius {length(radius)}"
+        words.append(f"radius {quantity(radius(joint), 'm')}")
     if joint.kind == "screw":
-        text += f", pitch {joint.pitch:.4f} m/rad"
+        words.append(f"pitch {quantity(joint.pitch, 'm/rad')}")
     if joint.kind != "rigid":
-        low, high = segment.configuration_range
-        unit = UNITS[joint.kind]
-        axis = ", ".join(f"{a:.3f}" for a in joint.axis)
-        text += f", axis ({axis}), from {short_quantity(low, unit)} to {short_quantity(high, unit)}"
-    return f"{text}; probability {segment.probability:.3f}"
+        words.append(f"axis ({', '.join(plain(a) for a in joint.axis)})")
+        words.append(f"from {interval(*segment.configuration_range, UNITS[joint.kind])}")
+    joined = f"{colored.label}: {', '.join(words)}" if words else colored.label
+    return f"{joined}; probability {percent(segment.probability)}"

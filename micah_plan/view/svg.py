@@ -1,12 +1,13 @@
-"""Small charts as SVG text: a panel with its scales, and marks in it. Colours follow the page, light or dark.
+"""Small charts as SVG: a panel with its scales, and marks in it. Colours follow the page, light or dark.
 
-Numbers are pixels of the drawing, which the page scales to its column. Texts are escaped here.
+Numbers are pixels of the drawing, which the page scales to its column. `element` escapes every text.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -16,6 +17,38 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _MOST_POINTS = 600
+_TICK_ROOM, _LABEL_ROOM = 15.0, 31.0
+AXIS = 38.0
+"""Height below a panel that the axis of its x and its label need."""
+
+
+class Svg(str):
+    """Markup: what has gone through `element` is not escaped again, there or in a template."""
+
+    __slots__ = ()
+
+    def __html__(self) -> str:
+        """The markup as it is; template engines ask for it."""
+        return str(self)
+
+
+def element(tag: str, *inside: str, kind: str = "", color: str = "", **attributes: str | float) -> Svg:
+    """An element of markup.
+
+    Args:
+        inside: elements, or texts, which are escaped.
+        kind: its class of the style sheet.
+        color: that the style sheet finds as ``--tint``.
+        attributes: numbers are rounded to a tenth; an underscore in a name stands for a hyphen.
+    """
+    named: dict[str, str | float] = {"class": kind, **attributes, "style": f"--tint:{color}" if color else ""}
+    texts = (
+        f' {name.replace("_", "-")}="{escape(value) if isinstance(value, str) else f"{value:.1f}"}"'
+        for name, value in named.items()
+        if value != ""
+    )
+    content = "".join(part if isinstance(part, Svg) else escape(part) for part in inside)
+    return Svg(f"<{tag}{''.join(texts)}>{content}</{tag}>" if content else f"<{tag}{''.join(texts)}/>")
 
 
 @dataclass(frozen=True)
@@ -41,65 +74,87 @@ class Panel:
     def bottom(self) -> float:
         return self.top + self.height
 
-    def band(self, start: float, end: float, kind: str, color: str = "") -> str:
+    @property
+    def right(self) -> float:
+        return self.left + self.width
+
+    @property
+    def frame(self) -> Svg:
+        return rectangle(self.left, self.top, self.width, self.height, "frame")
+
+    def band(self, start: float, end: float, kind: str, color: str = "") -> Svg:
         """A stretch of x over the whole height."""
         left, right = self.x(max(start, self.x0)), self.x(min(end, self.x1))
         return rectangle(left, self.top, max(right - left, 0.0), self.height, kind, color)
 
-    def vertical(self, value: float, kind: str) -> str:
-        x = self.x(value)
-        return f'<line class="{kind}" x1="{x:.1f}" x2="{x:.1f}" y1="{self.top:.1f}" y2="{self.bottom:.1f}"/>'
-
-    def level(self, value: float, kind: str) -> str:
-        y = self.y(value)
-        return (
-            f'<line class="{kind}" x1="{self.left:.1f}" x2="{self.left + self.width:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>'
-        )
-
-    def level_band(self, low: float, high: float, kind: str, color: str = "") -> str:
+    def level_band(self, low: float, high: float, kind: str, color: str = "") -> Svg:
         """A stretch of y over the whole width."""
         top, bottom = self.y(min(high, self.y1)), self.y(max(low, self.y0))
         return rectangle(self.left, top, self.width, max(bottom - top, 0.0), kind, color)
 
-    def area(self, x: Floats, low: Floats, high: Floats, kind: str, color: str = "") -> str:
+    def vertical(self, value: float, kind: str) -> Svg:
+        x = self.x(value)
+        return element("line", kind=kind, x1=x, x2=x, y1=self.top, y2=self.bottom)
+
+    def level(self, value: float, kind: str) -> Svg:
+        y = self.y(value)
+        return element("line", kind=kind, x1=self.left, x2=self.right, y1=y, y2=y)
+
+    def area(self, x: Floats, low: Floats, high: Floats, kind: str, color: str = "") -> Svg:
         """What lies between two curves (k,) over x (k,)."""
         edges = zip(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]]), strict=True)
         path = "L".join(f"{self.x(float(a)):.1f} {self.y(float(b)):.1f}" for a, b in edges)
-        return f'<path class="{kind}" d="M{path}Z"{_tint(color)}/>'
+        return element("path", kind=kind, color=color, d=f"M{path}Z")
 
     def curve(
         self, x: NDArray[np.float64 | np.int64], y: Floats, kind: str, color: str = "", *, dots: bool = False
-    ) -> str:
+    ) -> Svg:
         """A line through points (k,), (k,); or a dot at each."""
         chosen = np.unique(np.linspace(0, max(len(x) - 1, 0), min(len(x), _MOST_POINTS)).astype(int))
         points = [f"{self.x(float(x[i])):.1f} {self.y(float(y[i])):.1f}" for i in chosen]
         path = "".join(f"M{point}h0" for point in points) if dots else "M" + "L".join(points)
-        return f'<path class="{kind}" d="{path}"{_tint(color)}/>' if points else ""
+        return element("path", kind=kind, color=color, d=path) if points else Svg()
 
-    def y_axis(self, label: str, most: int = 4) -> str:
+    def y_axis(self, label: str, most: int = 4) -> Svg:
         """Ticks with numbers, and the label up the side."""
         found = ticks(self.y0, self.y1, most)
-        parts = [text(self.left - 6, self.y(value) + 4, _number(value, found), "number end") for value in found]
+        parts = [text(self.left - 6, self.y(value) + 4, tick_text(value, found), "number end") for value in found]
         middle = self.top + self.height / 2
         for number, line in enumerate(label.split("\n")):
-            x = 11 + 13 * number
-            words = f'<text class="label mid" x="{x}" y="{middle:.1f}" transform="rotate(-90 {x} {middle:.1f})">'
-            parts.append(f"{words}{escape(line)}</text>")
-        return "".join(parts)
+            x = 11.0 + 13 * number
+            turned = f"rotate(-90 {x:g} {middle:.1f})"
+            parts.append(element("text", line, kind="label mid", x=x, y=middle, transform=turned))
+        return Svg("".join(parts))
 
-    def x_axis(self, label: str, most: int = 6) -> str:
-        found = [value for value in ticks(self.x0, self.x1, most) if value == round(value)]
-        parts = [text(self.x(value), self.bottom + 15, f"{value:.0f}", "number mid") for value in found]
-        return "".join(parts) + text(self.left + self.width / 2, self.bottom + 31, label, "label mid")
+    def x_axis(self, label: str, most: int = 6, *, whole: bool = True) -> Svg:
+        """Ticks with numbers, whole ones only where x counts something, and the label below."""
+        found = [value for value in ticks(self.x0, self.x1, most) if not whole or value == round(value)]
+        return self.named_x_axis(label, [(value, tick_text(value, found)) for value in found])
+
+    def named_x_axis(self, label: str, named: Sequence[tuple[float, str]]) -> Svg:
+        """Ticks with texts, and the label below."""
+        parts = [text(self.x(value), self.bottom + _TICK_ROOM, words, "number mid") for value, words in named]
+        return Svg("".join([*parts, text(self.left + self.width / 2, self.bottom + _LABEL_ROOM, label, "label mid")]))
 
 
-def rectangle(left: float, top: float, width: float, height: float, kind: str, color: str = "") -> str:
-    place = f'x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"'
-    return f'<rect class="{kind}" {place}{_tint(color)}/>'
+def drawing(width: float, height: float, parts: Sequence[str], label: str) -> Svg:
+    """The SVG around its parts; `label` says what it shows to those who do not see it."""
+    box = f"0 0 {width:.0f} {height:.0f}"
+    return element("svg", Svg("".join(parts)), kind="chart", viewBox=box, role="img", aria_label=label)
 
 
-def text(x: float, y: float, words: str, kind: str) -> str:
-    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{escape(words)}</text>'
+def cursor(panels: Sequence[Panel]) -> Svg:
+    """The line through panels below each other that follows the player of the page."""
+    top, bottom = panels[0].top, panels[-1].bottom
+    return element("line", kind="cursor", x1=0.0, x2=0.0, y1=top, y2=bottom, visibility="hidden")
+
+
+def rectangle(left: float, top: float, width: float, height: float, kind: str, color: str = "") -> Svg:
+    return element("rect", kind=kind, color=color, x=left, y=top, width=width, height=height)
+
+
+def text(x: float, y: float, words: str, kind: str) -> Svg:
+    return element("text", words, kind=kind, x=x, y=y)
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
@@ -113,11 +168,8 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     return [round(step * i, 12) for i in range(first, last + 1)]
 
 
-def _number(value: float, among: list[float]) -> str:
+def tick_text(value: float, among: Sequence[float]) -> str:
+    """A tick with as many decimals as tell it from the other ticks of its axis."""
     gap = min((b - a for a, b in itertools.pairwise(among)), default=1.0)
     digits = max(0, -math.floor(math.log10(gap) + 1e-9))
     return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
-
-
-def _tint(color: str) -> str:
-    return f' style="--tint:{escape(color)}"' if color else ""

@@ -23,7 +23,7 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import replan
 from micah_plan.planning.receding_horizon import RecedingHorizon
 from micah_plan.planning.roll_outs import draw_chances, roll_out
-from micah_plan.view.page import plan_page
+from micah_plan.view.plan_page import plan_page
 
 EFFECTS = {
     "delay": Effect("delay", "drawer", (("steps", 2.0),)),

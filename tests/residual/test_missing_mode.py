@@ -84,5 +84,5 @@ def test_calibration_writes_it_into_the_automaton(door) -> None:
     assert effect.effect.name == "gain"
     assert effect.effect.values[0] == pytest.approx(0.75, abs=0.02)
     assert any("mode that the model lacks" in note for note in found.notes)
-    assert "Modes that are missing" in calibration_page(found, "door")
+    assert "Modes that the model lacks" in calibration_page(found, "door")
     assert found.after.one_step < 1.1 * found.noise_floor < 0.8 * found.before.one_step

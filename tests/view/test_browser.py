@@ -19,8 +19,11 @@ from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 from micah_plan import workflow
 from micah_plan.documents.problem_file import load_problem
 from micah_plan.task.plan import Plan
+from micah_plan.view.calibration_page import calibration_page
 from micah_plan.view.live import PageServer
-from micah_plan.view.page import calibration_page, model_page, plan_page, recording_page
+from micah_plan.view.model_page import model_page
+from micah_plan.view.plan_page import plan_page
+from micah_plan.view.recording_page import recording_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -167,7 +170,7 @@ def test_the_ellipsoid_can_be_hidden_by_its_box_and_by_its_key(show: Any) -> Non
     shown = show(plan_page(solved(), problem()))
     seen = shown.pixels()
     assert max(shown.node("belief", "0_door")["scale"]) == pytest.approx(1.96 * 0.08 * np.hypot(0.3, 0.03), rel=1e-3)
-    assert "95 % ellipsoid" in shown.page.inner_text(".legend")
+    assert "95\N{NO-BREAK SPACE}% ellipsoid" in shown.page.inner_text(".legend")
     shown.page.keyboard.press("b")
     assert not shown.node("belief")["visible"]
     assert not shown.page.is_checked("input[data-layer=belief]")

@@ -12,8 +12,10 @@ from view_objects import HINGE, cabinet
 
 from micah_plan.automaton.joint import Joint
 from micah_plan.recording.read import read_recording
-from micah_plan.view.drawing import camera, circle, draw_ground, joint_axis, joint_curve, reach
-from micah_plan.view.page import recording_page
+from micah_plan.view.camera import camera
+from micah_plan.view.drawing import circle, draw_ground, reach
+from micah_plan.view.placement import joint_axis, joint_curve
+from micah_plan.view.recording_page import recording_page
 from micah_plan.view.scene import Scene
 
 length = st.floats(0.005, 3.0)

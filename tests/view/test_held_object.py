@@ -10,8 +10,7 @@ from micah_plan.documents.problem_file import load_problem
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.drawing import fixed_shapes, object_size, shown_links
-from micah_plan.view.held_object import with_shown_points
-from micah_plan.view.plan_page import plan_page
+from micah_plan.view.plan_page import plan_page, with_shown_points
 from micah_plan.view.solids import straightened
 
 ROOT = Path(__file__).resolve().parents[2]

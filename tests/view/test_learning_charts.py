@@ -12,15 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from learned_objects import assessed_door, cabinet_runs, no_joint
-from view_objects import measured
+from view_objects import measured, words_of
 
 from micah_plan.automaton.graph import KinematicGraph
+from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
-from micah_plan.view.labels import line_labels, percents, segment_labels
 from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs
-from micah_plan.view.learning_charts import chart_block
-from micah_plan.view.page import recording_page
+from micah_plan.view.learning_charts import learning_chart
+from micah_plan.view.learning_words import line_labels, segment_labels
 from micah_plan.view.palette import MISFIT, category
+from micah_plan.view.recording_page import recording_page
 from micah_plan.view.svg import Panel, ticks
 
 Element = ElementTree.Element
@@ -31,11 +32,9 @@ def block(
 ) -> tuple[Element, str, list[tuple[float, float]]]:
     """The drawing, all words around it, and the keyframes of its cursor."""
     run = learned_runs(recording, graph)[number]
-    made = chart_block(recording, run, np.asarray(recording.time), several_runs=False)
-    drawing = re.search(r"<svg.*</svg>", made.html)
-    assert drawing is not None
-    parsed = ElementTree.fromstring(drawing[0])  # noqa: S314 (our own drawing)
-    return parsed, re.sub(r"<[^>]+>", " ", made.html), list(made.keyframes)
+    made = learning_chart(recording, run, np.asarray(recording.time), several_runs=False)
+    parsed = ElementTree.fromstring(made.drawing)  # noqa: S314 (our own drawing)
+    return parsed, words_of(made), list(made.keyframes)
 
 
 def of_class(drawing: Element, name: str) -> list[Element]:
@@ -83,7 +82,7 @@ def test_the_posterior_is_in_bars_and_words() -> None:
     heights = np.array([float(bar.get("height", "nan")) for bar in of_class(drawing, "bar")])
     shown = posterior[posterior >= 1e-4]
     np.testing.assert_allclose(heights / heights.max(), shown / shown.max(), atol=0.01)
-    for text in ("96 %", "revolute 93 %, then screw 6 %", "rigid 88 %, then revolute 9 %", "0.92\xa0±\xa00.02"):
+    for text in ("96 %", "revolute 93 %, then screw 6 %", "rigid 88 %, then revolute 9 %", "0.92 ± 0.02"):
         assert text in words
 
 
@@ -102,7 +101,7 @@ def test_no_joint_fits_is_said_in_words_and_colour() -> None:
     assert '<h3 class="misfit">part: no single-joint model fits</h3>' in page
     drawing, words, _ = block(*no_joint())
     assert [tint(element) for element in of_class(drawing, "shade misfit")] == [MISFIT]
-    assert "misses by 5.8 cm (noise 2 mm)" in words
+    assert "misses by 58 mm (noise alone: 2 mm)" in words
     assert "fitted joints:" not in page, "a joint that does not fit is not drawn"
 
 
@@ -131,7 +130,8 @@ def test_names_are_escaped() -> None:
     drawing, words, _ = block(renamed, changed)
     assert "<script>alert" not in recording_page(renamed, changed)
     assert len(of_class(drawing, "dots")) == 2
-    assert "&lt;script&gt;" in words
+    assert "&lt;script&gt;" in recording_page(renamed, changed)
+    assert name in words
 
 
 @pytest.mark.parametrize("rows", [1, 2, 2400])
@@ -181,4 +181,4 @@ def test_names_of_lines_keep_their_distance() -> None:
     ("p", "text"), [(0.0, "0 %"), (0.001, "<1 %"), (0.5, "50 %"), (0.999, ">99 %"), (1.0, "100 %")]
 )
 def test_percents_never_claim_certainty(p: float, text: str) -> None:
-    assert percents(p) == text
+    assert percent(p, 0) == text

@@ -22,8 +22,11 @@ from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.task.plan import Plan
-from micah_plan.view.motion import Keyframes, belief_ellipsoids, poses_over_time
-from micah_plan.view.page import model_page, plan_page, recording_page
+from micah_plan.view.keyframes import Keyframes
+from micah_plan.view.model_page import model_page
+from micah_plan.view.motion import belief_ellipsoids, poses_over_time
+from micah_plan.view.plan_page import plan_page
+from micah_plan.view.recording_page import recording_page
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 NO_PLAN = Plan(
@@ -55,7 +58,9 @@ class Reader(HTMLParser):
             self.texts.setdefault(self._open[-1], []).append(data)
 
     def visible(self) -> str:
-        return " ".join(text for tag, texts in self.texts.items() if tag not in ("script", "style") for text in texts)
+        """The text without line breaks that the page forbids."""
+        found = " ".join(text for tag, texts in self.texts.items() if tag not in ("script", "style") for text in texts)
+        return found.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def page_data(page: str) -> dict[str, Any]:
@@ -157,7 +162,7 @@ def test_the_timeline_follows_the_modes(all_pages: dict[str, str]) -> None:
     times = [time for time, _ in data["readouts"]]
     assert times == sorted(times)
     assert times[-1] < data["duration"], "the end rests a moment"
-    assert data["readouts"][0][1] == ["step 0 of 20, mode swinging", "door = 0.100 rad, σ 0.0800"]
+    assert data["readouts"][0][1] == ["step 0 of 20, mode swinging", "door = 0.10 ± 0.08 rad (1 σ)"]
     assert data["readouts"][-1][1][0] == "step 20 of 20, mode stopped"
     widths = [float(width) for width in re.findall(r"%;width:([0-9.]+)%", all_pages["plan"])]
     assert sum(widths) == pytest.approx(100.0, abs=0.01)
@@ -200,15 +205,15 @@ def test_the_model_page_sweeps_every_coordinate_of_a_chain(all_pages: dict[str, 
     lines = [text for _, text in page_data(all_pages["chain"])["readouts"]]
     doors = {line[1] for line in lines}
     drawers = {line[2] for line in lines}
-    assert "door = 1.500 rad (85.9°)" in doors
-    assert "drawer = 0.250 m" in drawers
+    assert "door = 1.5 rad (85.9°)" in doors
+    assert "drawer = 250 mm" in drawers
     moved = {a["path"] for c in commands(all_pages["chain"]) if c["type"] == "set_animation" for a in c["animations"]}
     assert any("/joints/" in path for path in moved)  # the slide's axis travels with the door
 
 
 def test_segments_and_changepoints_are_told(all_pages: dict[str, str]) -> None:
     text = Reader(all_pages["recording"]).visible()
-    for expected in ("revolute, rows 0 to 39", "rigid, rows 40 to 59", "rows 40", "radius 30 cm"):
+    for expected in ("revolute, rows 0 to 39", "rigid, rows 40 to 59", "at row 40", "radius 300 mm"):
         assert expected in text
 
 

@@ -10,8 +10,7 @@ from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.automaton.part_poses import part_poses
 from micah_plan.automaton.region import HalfSpace, Region, above
-from micah_plan.view.default_shapes import base_shapes, moving_shapes
-from micah_plan.view.drawing import shape_corners
+from micah_plan.view.drawing import base_shapes, moving_shapes, shape_corners
 from micah_plan.view.placement import (
     chain_coordinates,
     coordinate_range,

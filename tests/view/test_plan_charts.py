@@ -8,11 +8,11 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from scipy.stats import norm
-from view_objects import OPEN_AT, problem, solved, trajectory
+from view_objects import OPEN_AT, problem, solved, trajectory, words_of
 
 from micah_plan.task.plan import ArmTrajectory, Plan
+from micah_plan.view.keyframes import duration, knot_times, step_times, stretches
 from micah_plan.view.plan_charts import plan_charts
-from micah_plan.view.plan_clock import duration, knot_times, step_times, stretches
 
 Element = ElementTree.Element
 CONFIDENCE = 0.9
@@ -21,10 +21,8 @@ CONFIDENCE = 0.9
 def drawn(number: int = 0, **changes) -> tuple[Element, str, np.ndarray]:
     """One block's drawing, the words around it, and its cursor's (time, x)."""
     block = plan_charts(solved(**changes), problem(confidence=CONFIDENCE))[number]
-    drawing = re.search(r"<svg.*</svg>", block.html)
-    assert drawing is not None
-    parsed = ElementTree.fromstring(drawing[0])  # noqa: S314 (our own drawing)
-    return parsed, re.sub(r"<[^>]+>", " ", block.html), np.array(block.keyframes)
+    parsed = ElementTree.fromstring(block.drawing)  # noqa: S314 (our own drawing)
+    return parsed, words_of(block), np.array(block.keyframes)
 
 
 def of_class(drawing: Element, name: str) -> list[Element]:
@@ -62,7 +60,7 @@ def test_goal_and_guard_are_marked_at_their_values() -> None:
     assert float(band.get("height", "nan")) == pytest.approx(bottom - top, abs=0.2)
     (guard,) = of_class(drawing, "guard")
     assert float(guard.get("y1", "nan")) == pytest.approx(heights(drawing, OPEN_AT)[0], abs=0.15)
-    assert "± 1.28 σ (90 %)" in words
+    assert "± 1.28 σ, the room that a confidence of 90 % asks for" in words
 
 
 def test_the_line_of_the_player_stands_at_the_step_that_is_shown() -> None:

@@ -14,8 +14,7 @@ from micah_plan.documents.model_file import load_model
 from micah_plan.documents.problem_file import load_problem
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.view.figures import belief_figure
-from micah_plan.view.plane_panel import is_plane, plot_plane
+from micah_plan.view.figures import belief_figure, is_plane, plot_plane
 
 ROOT = Path(__file__).resolve().parents[2]
 

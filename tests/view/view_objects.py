@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
@@ -26,6 +28,7 @@ from micah_plan.task.plan import Candidate, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
+from micah_plan.view.page import Chart
 
 HINGE = Joint("revolute", position=(0.3, 0.0, 0.1), axis=(0.0, 0.0, -1.0), center=(0.0, 0.0, 0.1))
 OPEN_AT = 1.2
@@ -118,6 +121,12 @@ def measured(rows=60, seed=0, noise=0.002) -> tuple[Recording, KinematicGraph]:
     swing = Segment(HINGE, 0, 0, moving - 1, 0.0, OPEN_AT, (0.0, OPEN_AT), 0.004, 0.01, 100.0, 0.99)
     rest = Segment(held, 0, moving, rows - 1, OPEN_AT, OPEN_AT, (OPEN_AT, OPEN_AT), 0.0, 0.01, 50.0, 0.98)
     return recording, KinematicGraph((KinematicEdge(BASE, "part", (swing, rest)),))
+
+
+def words_of(chart: Chart) -> str:
+    """All texts of a chart: around its drawing, in it, and beside its bars."""
+    bars = [f"{bars.title} {bar.label} {bar.words}" for bars in chart.bars for bar in bars.rows]
+    return " ".join([chart.title, *chart.words, re.sub(r"<[^>]+>", " ", chart.drawing), *bars, *chart.notes])
 
 
 def cabinet() -> HybridAutomaton:

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.quantities import plain, quantity
 from micah_plan.scene.body import Body, Hull, Shape, corners, transform
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.view.document import LegendEntry
+from micah_plan.view.page import LegendEntry
 from micah_plan.view.palette import MUTED
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import Mesh
-from micah_plan.view.text import length
 
 Floats = NDArray[np.float64]
 
@@ -74,9 +74,10 @@ def arm_facts(plan: Plan) -> list[tuple[str, str]]:
     arm = plan.arm
     if arm is None:
         return []
-    facts = [("Least manipulability", f"{arm.manipulability.min():.3f}")]
+    facts = [("Least manipulability", plain(float(arm.manipulability.min())))]
     if arm.least_clearance is not None:
-        facts.insert(0, ("Least clearance", f"{length(arm.least_clearance)}, {' to '.join(arm.closest_pair)}"))
+        least = f"{quantity(arm.least_clearance, 'm')}, between {' and '.join(arm.closest_pair)}"
+        facts.insert(0, ("Least clearance", least))
     return facts
 
 

@@ -1,14 +1,14 @@
-"""A belief trajectory on the clock of a page: time steps, keyframes, stretches of one mode."""
+"""What a page shows when: states at keyframes, and a planned belief on the clock of the page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.task.plan import Trajectory
-from micah_plan.view.motion import Keyframes
 
 Floats = NDArray[np.float64]
 
@@ -16,6 +16,27 @@ _DURATION_S = 10.0
 _FRAMES_PER_STEP = 3
 _TRANSITION_S = 0.02
 _REST_S = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """States to show in time order.
+
+    Attributes:
+        times: (k,) [s], strictly increasing.
+        modes: (k,) mode names.
+        states: (k, n) [rad or m].
+        factors: (k, n, n) Cholesky factors of the belief's covariance; None if there is no belief.
+    """
+
+    times: Floats
+    modes: tuple[str, ...]
+    states: Floats
+    factors: Floats | None = None
+
+    @property
+    def duration(self) -> float:
+        return float(self.times[-1])
 
 
 def step_times(trajectory: Trajectory) -> NDArray[np.int64]:

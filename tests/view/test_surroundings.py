@@ -14,9 +14,9 @@ from micah_plan.documents.problem_file import load_problem
 from micah_plan.scene.body import Body, Hull
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.view.arm_drawing import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
-from micah_plan.view.drawing import viewing_direction
+from micah_plan.view.camera import viewing_direction
 from micah_plan.view.scene import Scene
+from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 
 CUBE = tuple((x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
 
@@ -89,8 +89,8 @@ def test_the_camera_does_not_look_through_a_wall() -> None:
 def test_facts_and_legend_tell_of_the_arm(problem: Problem) -> None:
     plan = Plan("solved", "found", arm=trajectory(np.zeros((2, 7))))
     facts = dict(arm_facts(plan))
-    assert facts["Least clearance"].endswith("hand to table")
-    assert facts["Least manipulability"] == "0.050"
+    assert facts["Least clearance"].endswith("between hand and table")
+    assert facts["Least manipulability"] == "0.05"
     assert [entry.layer for entry in arm_legend(plan, problem)] == ["scene", "robot"]
     assert arm_facts(replace(plan, arm=None)) == []
     assert arm_legend(replace(plan, arm=None), replace(problem, scene=())) == []
