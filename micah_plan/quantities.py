@@ -7,7 +7,7 @@ The rule:
 - **Lengths** below a metre in mm, from a metre on in m: ``50 mm``, ``1.2 m``; so too per something, ``4 mm/rad``.
 - **Angles** in rad with degrees in brackets, ``0.785 rad (45°)``; without them where space is scarce.
 - **A spread** (one standard deviation, or a tolerance) has two significant digits, and its value ends at the same
-  decimal: ``1.204 ± 0.012 rad (69 ± 0.69°)``. Source: JCGM 100:2008 (GUM), 7.2.6.
+  decimal: ``1.204 ± 0.012 rad (68.98 ± 0.69°)``. Source: JCGM 100:2008 (GUM), 7.2.6.
 - **Shares** in percent, ``95 %``, with as many decimals as tell them from none and all: ``99.75 %``, ``>99.99 %``.
 
 Files keep full precision and SI units; numbers that a message asks somebody to write into a file are a `setting`.
@@ -16,6 +16,7 @@ Files keep full precision and SI units; numbers that a message asks somebody to 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
 _SMALL, _LARGE = -4, 6
@@ -55,7 +56,7 @@ def in_degrees(angle: float, spread: float | None = None, *, digits: int = _DIGI
 
 
 def with_spread(value: float, spread: float, unit: str, *, degrees: bool = True) -> str:
-    """An amount and its standard deviation or tolerance: ``"50 ± 2 mm"``, ``"1.204 ± 0.012 rad (69 ± 0.69°)"``."""
+    """An amount and its standard deviation or tolerance: ``"50 ± 2 mm"``, ``"1.204 ± 0.012 rad (68.98 ± 0.69°)"``."""
     scale, shown = _scaled(max(abs(value), abs(spread)), unit)
     text = _with_unit(_pair(scale * value, scale * spread), shown)
     if unit == "rad" and degrees and (value or spread):
@@ -74,6 +75,17 @@ def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str
     if unit == "rad" and degrees and (low or high):
         text += f" ({_ends(math.degrees(low), math.degrees(high))}°)"
     return text
+
+
+def way(values: Sequence[float], unit: str) -> str:
+    """Amounts that are passed one after the other: ``"0 → 1.2 rad"``, ``"0 → 250 → 3 mm"``.
+
+    What is below a thousandth of the largest is 0.
+    """
+    largest = max(map(abs, values), default=0.0)
+    scale, shown = _scaled(largest, unit)
+    texts = [plain(0.0 if abs(value) < 1e-3 * largest else scale * value) for value in values]
+    return _with_unit(" → ".join(texts), shown)
 
 
 def percent(share: float, decimals: int | None = None) -> str:

@@ -37,7 +37,6 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("checking", "environment", "templates"),
     ("workflow",),
     ("sweep",),
-    ("summaries",),
     ("cli",),
     ("__main__",),
 )

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from micah_plan.checking import check_file
+from micah_plan.cli.reports.checked import checked
 from micah_plan.errors import InputError, together
-from micah_plan.summaries import checked
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = {

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from micah_plan import cli, summaries, workflow
+from micah_plan import cli, workflow
 from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, revolute, rigid
 from micah_plan.automaton.kinematics import forward
+from micah_plan.cli.reports import learned as report
 from micah_plan.documents.model_file import load_model
 from micah_plan.learn import learn as learning
 from micah_plan.recording.read import read_recording, write_recording
@@ -104,7 +105,7 @@ def test_several_parts_say_it_per_edge(repository):
     other = replace(edge, child="drawer", certainty=None)
     recording = read_recording(repository / DEMONSTRATION)
     result = workflow.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
-    first, second = summaries.learned(result, 0)["edges"]
+    first, second = report.learned(result, 0)["edges"]
     assert first["action_channel"]["gain"] == 0.94
     assert second["action_channel"] is second["changepoint_counts"] is None
 
@@ -113,10 +114,10 @@ def test_the_table_stays_readable(run):
     code, printed = run(sure_graph())
     assert code == 0
     lines = [" ".join(line.split()) for line in printed.out.splitlines()]
-    assert lines[lines.index("radius start") + 1] == "mode rows configuration axis [m] sure 95 %"
-    assert "revolute 0-99 0.000 → 1.200 rad 0.00 0.00 -1.00 0.310 98 %" in lines
-    assert "rigid 100-130 1.200 >99 % 99-102" in lines
-    assert "actions explain 87 %: gain 0.94 ± 0.02, turned 11° ± 3°, delay 0.11 ± 0.03 s" in lines
+    assert lines[lines.index("start") + 1] == "joint rows configuration axis radius sure 95 %"
+    assert "revolute 0-99 0 → 1.2 rad 0.00 0.00 -1.00 310 mm 98 %" in lines
+    assert "rigid 100-130 1.2 >99 % 99-102" in lines
+    assert "actions explain 87 %: gain 0.94 ± 0.02, turned 11.5 ± 2.9°, delay 0.11 ± 0.03 s" in lines
     assert max(map(len, printed.out.splitlines()[:8])) <= 80
 
 
@@ -124,15 +125,15 @@ def test_the_table_stays_readable(run):
     ("changes", "said"),
     [
         ({"delay": -0.04}, "delay -0.04 ± 0.03 s"),
-        ({"frame_rotation": (0.0, 0.0, 0.0)}, "turned 0° ± 6°"),
-        ({"frame_rotation": (0.3, 0.0, 0.0)}, "turned 17° ± 6°"),
+        ({"frame_rotation": (0.0, 0.0, 0.0)}, "turned 0.0 ± 5.7°"),
+        ({"frame_rotation": (0.3, 0.0, 0.0)}, "turned 17.2 ± 5.7°"),
     ],
 )
 def test_the_line_on_actions(changes, said):
-    assert said in summaries.channel_line(replace(CHANNEL, **changes))
+    assert said in report.channel_line(replace(CHANNEL, **changes))
 
 
-def test_rows_that_no_joint_fits_are_an_honest_negative_without_a_model(run, tmp_path):
+def test_rows_that_no_joint_fits_give_exit_code_1_and_no_model(run, tmp_path):
     figure, page = tmp_path / "segments.png", tmp_path / "page.html"
     code, printed = run(unfit_graph(), "--json", "--figure", figure, "--html", page)
     assert (code, printed.err) == (1, "")
@@ -196,12 +197,12 @@ def test_wide_numbers_wrap_no_names(run):
 @pytest.mark.parametrize(
     ("ends", "reached", "way"),
     [
-        ((0.0, 1.2), (0.0, 1.2), "0.000 → 1.200 rad"),
-        ((0.0, 0.001), (-0.01, 1.4), "0.000 → 1.400 → 0.001 rad"),
-        ((0.5, 0.4), (-0.3, 0.5), "0.500 → -0.300 → 0.400 rad"),
+        ((0.0, 1.2), (0.0, 1.2), "0 → 1.2 rad"),
+        ((0.0, 0.001), (-0.01, 1.4), "0 → 1.4 → 0 rad"),
+        ((0.5, 0.4), (-0.3, 0.5), "0.5 → -0.3 → 0.4 rad"),
     ],
 )
 def test_the_table_says_where_a_part_turned_around(ends, reached, way) -> None:
     moving = sure_graph().edges[0].segments[0]
     there = replace(moving, configuration_start=ends[0], configuration_end=ends[1], configuration_range=reached)
-    assert summaries.segment_row(there)[2] == way
+    assert report.segment_row(there)[2] == way

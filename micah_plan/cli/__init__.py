@@ -1,4 +1,4 @@
-"""The command line. Exit codes: 0 done, 1 an honest negative (no plan), 2 bad input.
+"""The command line. Exit codes: 0 done, 1 nothing found (no plan, no joint that fits), 2 bad input.
 
 Results go to stdout (with --json exactly one JSON object), progress and errors to stderr. Wrong usage is bad input: one
 line, before any work, and so are outputs of a wrong kind or that would overwrite an input or one another.

@@ -9,18 +9,14 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from micah_plan import __version__
-from micah_plan.cli.checking import check
-from micah_plan.cli.comparing import diff
-from micah_plan.cli.console import BAD_INPUT, HONEST_NEGATIVE, INTERRUPTED, Interrupted, err, out
-from micah_plan.cli.environment import doctor
-from micah_plan.cli.exchange import convert
+from micah_plan.cli.checking import check, diff, doctor
+from micah_plan.cli.console import BAD_INPUT, INTERRUPTED, NO_RESULT, Interrupted, err, out
+from micah_plan.cli.files import convert, new, schema
 from micah_plan.cli.learning import learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.residuals import calibrate, predict
-from micah_plan.cli.schemas import schema
 from micah_plan.cli.sweeping import sweep
-from micah_plan.cli.templates import new
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
 COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, diff, sweep, show, convert, check, schema, doctor)
@@ -49,7 +45,7 @@ def main() -> None:
     except Interrupted as error:
         _fail(error, INTERRUPTED)
     except MicahError as error:
-        _fail(error, HONEST_NEGATIVE)
+        _fail(error, NO_RESULT)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Where commands speak: results on stdout, progress and warnings on stderr, and the exit codes."""
+"""What commands share: options, exit codes, and where they speak: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -6,14 +6,22 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from micah_plan.errors import MicahError
 
-HONEST_NEGATIVE = 1
+if TYPE_CHECKING:
+    from rich.table import Table
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all that is random; same seed, same bytes.")]
+OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
+
+NO_RESULT = 1
+"""The command worked, and found nothing: no plan, no joint that fits, no effect that explains."""
 BAD_INPUT = 2
 INTERRUPTED = 130
 
@@ -28,6 +36,8 @@ class Interrupted(MicahError):  # noqa: N818 - it is no mistake
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """What long work reports to: called with a message and the fraction done; shown on a terminal unless quiet."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True, disable=quiet or not err.is_terminal) as bars:
         task = bars.add_task("starting", total=1.0)
@@ -51,3 +61,24 @@ def print_warnings(warnings: Sequence[str]) -> None:
     """One line each on stderr."""
     for warning in warnings:
         err.print(f"warning: {warning}", markup=False, style="yellow")
+
+
+def table(*columns: str, **style: Any) -> Table:
+    """An empty table as all commands print them."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    return Table(*columns, box=SIMPLE, **style)
+
+
+def print_lines(lines: tuple[str, ...]) -> None:
+    """Lines as they are."""
+    for line in lines:
+        out.print(line, markup=False)
+
+
+def print_files(files: tuple[Path | None, ...]) -> None:
+    """What was written."""
+    for path in files:
+        if path is not None:
+            out.print(f"wrote {path}", markup=False)

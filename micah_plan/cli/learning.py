@@ -8,10 +8,7 @@ from typing import Annotated
 
 import typer
 
-from micah_plan import summaries
-from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar
-from micah_plan.cli.options import JsonFlag, OutputPath, Seed
+from micah_plan.cli.console import NO_RESULT, JsonFlag, OutputPath, Seed, print_summary, print_warnings, progress_bar
 from micah_plan.errors import InputError
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
 
@@ -39,6 +36,7 @@ def learn(
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
+    from micah_plan.cli.reports import learned as reports
     from micah_plan.documents.model_file import dump_model
     from micah_plan.documents.parts_file import load_parts
     from micah_plan.files import replace_file
@@ -65,8 +63,8 @@ def learn(
         from micah_plan.view.recording_page import recording_page
 
         replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
-    summary = summaries.learned(learned, seed)
+    summary = reports.learned(learned, seed)
     files = (output if learned.automaton is not None else None, figure, html)
-    print_summary(as_json, summary, lambda: tables.print_learned(learned, files))
+    print_summary(as_json, summary, lambda: reports.print_learned(learned, files))
     if learned.automaton is None:
-        raise typer.Exit(HONEST_NEGATIVE)
+        raise typer.Exit(NO_RESULT)

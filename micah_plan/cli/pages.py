@@ -10,9 +10,7 @@ from typing import Annotated
 
 import typer
 
-from micah_plan.cli import tables
-from micah_plan.cli.console import print_summary, progress_bar, title_of
-from micah_plan.cli.options import JsonFlag
+from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
 from micah_plan.errors import InputError
 from micah_plan.outputs import PAGE, Output, check_outputs
 
@@ -43,7 +41,7 @@ def show(
     if live:
         _serve(current, port, as_json, summary, output)
     else:
-        print_summary(as_json, summary, lambda: tables.print_files((output,)))
+        print_summary(as_json, summary, lambda: print_files((output,)))
 
 
 def _serve(
@@ -55,9 +53,9 @@ def _serve(
     with PageServer(page, port) as server:
         summary["url"] = server.url
         lines = (f"the page is at {server.url} for this machine only; reload it after a change, leave with Ctrl-C",)
-        print_summary(as_json, summary, lambda: tables.print_files((output,)))
+        print_summary(as_json, summary, lambda: print_files((output,)))
         if not as_json:
-            tables.print_lines(lines)
+            print_lines(lines)
         sys.stdout.flush()  # a program that started this waits for the address
         with suppress(KeyboardInterrupt):  # how one leaves
             server.serve_forever()

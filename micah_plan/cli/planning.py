@@ -10,10 +10,17 @@ from typing import Annotated
 
 import typer
 
-from micah_plan import summaries
-from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, print_warnings, progress_bar, title_of
-from micah_plan.cli.options import JsonFlag, OutputPath, Seed
+from micah_plan.cli.console import (
+    NO_RESULT,
+    JsonFlag,
+    OutputPath,
+    Seed,
+    print_lines,
+    print_summary,
+    print_warnings,
+    progress_bar,
+    title_of,
+)
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 
 
@@ -41,6 +48,7 @@ def solve(
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
+    from micah_plan.cli.reports.planned import print_solved, solved
     from micah_plan.documents.plan_file import timings_path, write_plan, write_timings
     from micah_plan.documents.problem_file import load_problem
     from micah_plan.files import replace_file
@@ -65,9 +73,9 @@ def solve(
 
         save_figure(belief_figure(asked, plan), figure)
     written = (output, html, figure if plan.trajectory is not None else None)
-    print_summary(as_json, summaries.solved(plan), lambda: tables.print_solved(plan, asked, written))
+    print_summary(as_json, solved(plan), lambda: print_solved(plan, asked, written))
     if plan.outcome != "solved":
-        raise typer.Exit(HONEST_NEGATIVE)
+        raise typer.Exit(NO_RESULT)
 
 
 def explain(
@@ -75,14 +83,15 @@ def explain(
     as_json: JsonFlag = False,
 ) -> None:
     """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
+    from micah_plan.cli.reports.planned import explained
     from micah_plan.documents.plan_file import load_plan
-    from micah_plan.planning.explain import explain as explained
+    from micah_plan.planning.explain import explain as explanation_of
 
     stored = load_plan(plan)
-    explanation = explained(stored.problem, stored.plan)
-    print_summary(as_json, summaries.explained(explanation), lambda: tables.print_lines(explanation.lines))
+    explanation = explanation_of(stored.problem, stored.plan)
+    print_summary(as_json, explained(explanation), lambda: print_lines(explanation.lines))
     if stored.plan.outcome != "solved":
-        raise typer.Exit(HONEST_NEGATIVE)
+        raise typer.Exit(NO_RESULT)
 
 
 def execute(
@@ -97,6 +106,7 @@ def execute(
 ) -> None:
     """Execute a plan in closed loop and write the runs as a recording."""
     from micah_plan import workflow
+    from micah_plan.cli.reports.executed import executed, print_executed
     from micah_plan.documents.plan_file import load_plan, require_executable
     from micah_plan.recording.read import write_recording
 
@@ -113,5 +123,5 @@ def execute(
         from micah_plan.view.figures import belief_figure, save_figure
 
         save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
-    summary = summaries.executed(statistics, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: tables.print_executed(summary, (output, figure)))
+    summary = executed(statistics, time.perf_counter() - begin)
+    print_summary(as_json, summary, lambda: print_executed(summary, (output, figure)))

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from micah_plan import summaries
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.cli import tables
-from micah_plan.cli.console import HONEST_NEGATIVE, print_summary, progress_bar
-from micah_plan.cli.options import JsonFlag, OutputPath
+from micah_plan.cli.console import NO_RESULT, JsonFlag, OutputPath, print_summary, progress_bar
 from micah_plan.errors import InputError
 from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.hybrid import HybridAutomaton
 
 
 def predict(
@@ -30,6 +29,7 @@ def predict(
     The model of a held object is made of its problem, so runs of it are predicted by the problem or a plan.
     """
     from micah_plan import workflow
+    from micah_plan.cli.reports.predicted import predicted, print_predicted
 
     automaton = _automaton_of(model)
     measured = workflow.read(recording, minimum_rows=2)
@@ -38,8 +38,8 @@ def predict(
         runs = workflow.predict(automaton, measured)
     except InputError as error:
         raise error.located(recording) from None
-    summary = summaries.predicted(automaton, runs)
-    print_summary(as_json, summary, lambda: tables.print_predicted(summary))
+    summary = predicted(automaton, runs)
+    print_summary(as_json, summary, lambda: print_predicted(summary))
 
 
 def _automaton_of(path: Path) -> HybridAutomaton:
@@ -64,6 +64,7 @@ def calibrate(
 ) -> None:
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
     from micah_plan import workflow
+    from micah_plan.cli.reports.calibrated import calibrated, print_calibrated
     from micah_plan.documents.model_difference import differences
     from micah_plan.documents.model_file import dump_model, load_model
 
@@ -83,8 +84,8 @@ def calibrate(
 
         replace_file(report, calibration_page(found, title=recording.stem).encode())
     changes = differences(automaton, found.automaton)
-    summary = summaries.calibrated(found, time.perf_counter() - begin)
+    summary = calibrated(found, time.perf_counter() - begin)
     summary["changes"] = [{"place": d.place, "before": d.before, "after": d.after} for d in changes]
-    print_summary(as_json, summary, lambda: tables.print_calibrated(summary, changes, (output, report)))
+    print_summary(as_json, summary, lambda: print_calibrated(summary, changes, (output, report)))
     if found.verdict == "unexplained":
-        raise typer.Exit(HONEST_NEGATIVE)
+        raise typer.Exit(NO_RESULT)

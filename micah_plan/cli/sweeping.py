@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from micah_plan.cli import tables
-from micah_plan.cli.console import Interrupted, print_summary, progress_bar
-from micah_plan.cli.options import JsonFlag
+from micah_plan.cli.console import Interrupted, JsonFlag, print_summary, progress_bar
 from micah_plan.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,10 +30,10 @@ def sweep(
     as_json: JsonFlag = False,
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
+    from micah_plan.cli.reports.swept import counted, print_counted, print_swept, swept
     from micah_plan.documents.sweep_file import load_sweep
     from micah_plan.sweep.journal import journal_path, read_journal
     from micah_plan.sweep.run import check_sweep_outputs, run_on
-    from micah_plan.sweep.summary import counted, swept
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler exclude each other", remedy="a Dask cluster has its own workers")
@@ -49,7 +47,7 @@ def sweep(
         if output is None or dry_run:
             finished = {} if output is None else read_journal(journal_path(output))
             counts = counted(asked, finished)
-            print_summary(as_json, counts, lambda: tables.print_counted(counts))
+            print_summary(as_json, counts, lambda: print_counted(counts))
             return
         begin = time.perf_counter()
         try:
@@ -58,7 +56,7 @@ def sweep(
         except KeyboardInterrupt:
             raise Interrupted(_how_to_go_on(asked, output)) from None
     summary = swept(done, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: tables.print_swept(summary, done.files))
+    print_summary(as_json, summary, lambda: print_swept(summary, done.files))
 
 
 def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager[Workers]:
@@ -72,8 +70,8 @@ def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager
 
 
 def _how_to_go_on(asked: Sweep, output: Path) -> str:
+    from micah_plan.cli.reports.swept import counted
     from micah_plan.sweep.journal import journal_path, read_journal
-    from micah_plan.sweep.summary import counted
 
     counts = counted(asked, read_journal(journal_path(output)))
     state = f"{counts['finished']} of {counts['cases']} cases are finished"

@@ -5,6 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 Verdict = Literal["none", "explained", "partly", "unexplained"]
+SENTENCES: dict[Verdict, str] = {
+    "none": "The model lacks nothing that this recording can show.",
+    "explained": "The effects below explain what the model lacked.",
+    "partly": "The effects below explain a part of what the model lacks.",
+    "unexplained": "The model lacks something that no effect of the library explains.",
+}
 
 # Shares of the explainable residual that effects leave: up to here it is explained, from there on it is not.
 _EXPLAINED = 0.03

@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, ORANGE
 from micah_plan.view.svg import AXIS, Panel, Svg, drawing
 
 Floats = NDArray[np.float64]
 
-_VERDICTS: dict[str, tuple[str, Status, str]] = {
-    "none": ("nothing is missing", "good", "The model lacks nothing that this recording can show."),
-    "explained": ("explained", "good", "The effects below explain what the model lacked."),
-    "partly": ("explained in part", "fair", "The effects below explain a part of what the model lacks."),
-    "unexplained": ("not explained", "bad", "The model lacks something that no effect of the library explains."),
+_BADGES: dict[Verdict, tuple[str, Status]] = {
+    "none": ("nothing is missing", "good"),
+    "explained": ("explained", "good"),
+    "partly": ("explained in part", "fair"),
+    "unexplained": ("not explained", "bad"),
 }
 _MOST_RUNS, _MOST_BARS = 60, 12
 _WIDTH, _HEIGHT = 400.0, 140.0
@@ -71,14 +72,13 @@ class _Report:
 
 def calibration_page(found: Calibration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    badge, status, message = _VERDICTS[found.verdict]
     modes = [mode for one in found.traces for mode in one.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
     report = _Report(
         title=title,
         kind="calibration: measured motion against the model",
-        badge=(badge, status),
-        message=message,
+        badge=_BADGES[found.verdict],
+        message=SENTENCES[found.verdict],
         notes=found.notes,
         modes=tuple(f"{_capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes),
         parameters=_parameters(found),

@@ -11,10 +11,10 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
+from micah_plan.cli.reports.calibrated import calibrated
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.lane import lanes
 from micah_plan.residual.missing_mode import missing_modes
-from micah_plan.summaries import calibrated
 from micah_plan.view.calibration_page import calibration_page
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))

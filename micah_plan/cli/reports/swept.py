@@ -1,13 +1,18 @@
-"""What `micah-plan sweep` reports, as plain data: the JSON keys that scripts rely on."""
+"""What `sweep` says: how many cases there are, and what became of them."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from micah_plan.sweep.run import SweepResults
-from micah_plan.task.sweep import Sweep
+from micah_plan.cli.console import out, print_files
+from micah_plan.quantities import count, duration
+
+if TYPE_CHECKING:
+    from micah_plan.sweep.run import SweepResults
+    from micah_plan.task.sweep import Sweep
 
 
 def counted(sweep: Sweep, finished: Container[str]) -> dict[str, Any]:
@@ -39,3 +44,22 @@ def swept(done: SweepResults, seconds: float) -> dict[str, Any]:
         "files": [str(file) for file in done.files],
         "seconds": seconds,
     }
+
+
+def print_counted(summary: dict[str, Any]) -> None:
+    """How many cases a sweep has, and of what."""
+    values = [f"{number} of {key}" for key, number in summary["grid"].items()]
+    factors = [count(summary["problems"], "problem"), *values, count(summary["seeds"], "seed")]
+    out.print(f"{count(summary['cases'], 'case')}: {' x '.join(factors)}", markup=False)
+    out.print(f"  finished  {summary['finished']:,}")
+
+
+def print_swept(summary: dict[str, Any], files: tuple[Path, ...]) -> None:
+    """What became of the cases of a sweep."""
+    before = f", {summary['resumed']:,} of them before" if summary["resumed"] else ""
+    out.print(f"finished {count(summary['cases'], 'case')}{before} in {duration(summary['seconds'])}")
+    for outcome, number in summary["outcomes"].items():
+        out.print(f"  {outcome:<12} {number:,}")
+    if summary["trials"]:
+        out.print(f"  {summary['successes']:,} of {summary['trials']:,} trials reached the goal")
+    print_files(files)

@@ -1,0 +1,84 @@
+"""`micah-plan new`, `convert` and `schema`: files to start from, in the formats of others, and what files may hold."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
+from micah_plan.outputs import PLAN, Output, check_outputs
+
+
+class Template(StrEnum):
+    """What can be begun."""
+
+    PROBLEM = "problem"
+    EFFECT = "effect"
+    ROBOT = "robot"
+    SWEEP = "sweep"
+
+
+def new(
+    kind: Annotated[Template, typer.Argument(help="What to begin.")],
+    folder: Annotated[Path, typer.Argument(help="Where to write the files; made if it is not there.")],
+    model: Annotated[Path | None, typer.Option(help="Of a problem: the model (YAML) that it is about.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write a commented problem, effect, sweep or problem with a robot that works as it is; nothing is overwritten."""
+    from micah_plan.templates.write import write_template
+
+    written = write_template(kind.value, folder, model=model)
+    print_summary(as_json, {"files": [str(path) for path in written]}, lambda: print_files(written))
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML) or URDF.")],
+    target: Annotated[Path, typer.Argument(help="File to write; its ending says what.")],
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Topic or child frame of an MCAP file to read; default: all with poses."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Convert recordings (CSV, NPZ, TUM, MCAP), plans (to JointTrajectory) and models (to and from URDF)."""
+    from micah_plan.exchange.convert import convert as converted
+    from micah_plan.exchange.convert import targets
+
+    check_outputs((source,), (Output("the target", target, targets(source)),))
+    kind, notes = converted(source, target, topics=topic or ())
+    print_warnings(notes)
+    summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}
+    print_summary(as_json, summary, lambda: print_files((target,)))
+
+
+class SchemaKind(StrEnum):
+    """The files that have a schema."""
+
+    PROBLEM = "problem"
+    MODEL = "model"
+    PARTS = "parts"
+    SWEEP = "sweep"
+    PLAN = "plan"
+
+
+def schema(
+    kind: Annotated[SchemaKind, typer.Argument(help="The kind of file.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write (.json); default: stdout.")
+    ] = None,
+) -> None:
+    """Print the JSON Schema of a file, with which editors complete, explain and check it."""
+    from micah_plan.documents.schema import schema as described
+    from micah_plan.files import replace_file
+
+    check_outputs((), (Output("-o", output, PLAN),))
+    text = json.dumps(described(kind.value), indent=2)
+    if output is None:
+        print(text)
+        return
+    replace_file(output, (text + "\n").encode())
+    print_files((output,))

@@ -1,0 +1,36 @@
+"""What `execute` says of trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from micah_plan.cli.console import out, print_files
+
+if TYPE_CHECKING:
+    from micah_plan.execution.trials import TrialStatistics
+
+
+def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
+    """Keys of `execute`."""
+    return {
+        "trials": statistics.trials,
+        "successes": statistics.successes,
+        "final_error": {
+            "mean": statistics.final_error.mean,
+            "std": statistics.final_error.std,
+            "max": statistics.final_error.max,
+        },
+        "failures": [{"trial": trial, "reason": reason} for trial, reason in statistics.failures],
+        "seconds": seconds,
+    }
+
+
+def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
+    """Successes and errors of trials."""
+    error = summary["final_error"]
+    out.print(f"{summary['successes']} of {summary['trials']} trials reached the goal")
+    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}")
+    for failure in summary["failures"]:
+        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
+    print_files(files)
