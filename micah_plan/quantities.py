@@ -10,7 +10,7 @@ The rule:
   decimal: ``1.204 ± 0.012 rad (68.98 ± 0.69°)``. Source: JCGM 100:2008 (GUM), 7.2.6.
 - **Shares** in percent, ``95 %``, with as many decimals as tell them from none and all: ``99.75 %``, ``>99.99 %``.
 
-Files keep full precision and SI units; numbers that a message asks somebody to write into a file are a `setting`.
+Files keep full precision and SI units, and so do numbers that a message asks somebody to write into a file.
 """
 
 from __future__ import annotations
@@ -116,11 +116,6 @@ def duration(seconds: float) -> str:
 def count(amount: int, noun: str, plural: str | None = None) -> str:
     """So many things: ``"1 run"``, ``"1,200 rows"``."""
     return f"{amount:,} {noun if amount == 1 else plural or noun + 's'}"
-
-
-def setting(value: float, unit: str = "") -> str:
-    """A number that somebody shall write into a file: in the file's unit, with four digits, ``"0.1235 m"``."""
-    return _with_unit(f"{value:.4g}", unit)
 
 
 def _scaled(value: float, unit: str) -> tuple[float, str]:

@@ -18,7 +18,6 @@ from micah_plan.quantities import (
     percent_interval,
     plain,
     quantity,
-    setting,
     way,
     with_spread,
 )
@@ -163,7 +162,7 @@ def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-def test_counts_ways_and_settings() -> None:
+def test_counts_and_ways() -> None:
     assert [count(1, "row"), count(1200, "row"), count(2, "stretch", "stretches")] == [
         "1 row",
         "1,200 rows",
@@ -171,4 +170,3 @@ def test_counts_ways_and_settings() -> None:
     ]
     assert way([0.0, 0.25, 1e-5], "m") == "0 → 250 → 0 mm"
     assert way([-0.3, 1.2], "rad") == "-0.3 → 1.2 rad"
-    assert setting(0.05, "m") == "0.05 m"

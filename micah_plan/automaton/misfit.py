@@ -9,6 +9,7 @@ from __future__ import annotations
 from micah_plan.automaton.certainty import Misfit
 from micah_plan.automaton.graph import KinematicGraph, Segment
 from micah_plan.errors import InputError
+from micah_plan.quantities import quantity
 
 _REMEDY = (
     "check that the part is stiff, moves in one way at a time and is tracked relative to what it is mounted on, or "
@@ -36,11 +37,11 @@ def misfit_error(graph: KinematicGraph) -> InputError | None:
 
 
 def _sentence(segment: Segment, misfit: Misfit, part: str) -> str:
-    distances = [(1e3 * misfit.position, 1e3 * misfit.position_noise, "mm")]
+    distances = [(misfit.position, misfit.position_noise, "m")]
     if misfit.rotation is not None and misfit.rotation_noise is not None:
         distances.append((misfit.rotation, misfit.rotation_noise, "rad"))
-    missed = " and ".join(f"{miss:.3g} {unit}" for miss, _, unit in distances)
-    noise = " and ".join(f"{alone:.2g} {unit}" for _, alone, unit in distances)
+    missed = " and ".join(quantity(miss, unit, degrees=False) for miss, _, unit in distances)
+    noise = " and ".join(quantity(alone, unit, digits=2, degrees=False) for _, alone, unit in distances)
     return (
         f"no single-joint model fits rows {segment.start} to {segment.end} of part '{part}' (run {segment.run}): the "
         f"best, {segment.joint.kind}, misses them by {missed} where the measurement alone would leave {noise}"

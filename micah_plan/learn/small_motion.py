@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, part_track
+from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
@@ -40,9 +41,10 @@ def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, .
 
 
 def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
-    seen, wander = f"moves over {1e3 * moved:.2g} mm", f"LearnSettings.position_wander ({settings.position_wander:g} m)"
+    seen = f"moves over {quantity(moved, 'm', digits=2)}"
+    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
     if has_orientation:
-        seen += f" and turns by {turned:.2g} rad"
+        seen += f" and turns by {quantity(turned, 'rad', digits=2)}"
         wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
     return (
         f"part '{part}' {seen}, hardly more than a tracker is assumed to wander: its stops and its kind of joint may "

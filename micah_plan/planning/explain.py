@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from micah_plan.planning.findings import endpoint_findings
+from micah_plan.quantities import percent, plain
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan
 from micah_plan.task.problem import Problem
 
@@ -65,12 +66,16 @@ def finding_lines(finding: Finding) -> list[str]:
 
 def _outcome_line(plan: Plan, level: Level | None) -> str:
     if plan.outcome == "solved":
-        share = "" if plan.success_probability is None else f", {plan.success_probability:.1%} of the roll-outs succeed"
+        share = (
+            ""
+            if plan.success_probability is None
+            else f", {percent(plan.success_probability)} of the roll-outs succeed"
+        )
         return f"solved through {' -> '.join(plan.mode_sequence)}{share}"
     failed = "there is no plan" if plan.outcome == "no_plan" else "a plan was found but does not hold"
     return f"{failed}: {plan.reason if level is None else f'the {level} stands in the way'}"
 
 
 def _candidate_line(candidate: Candidate) -> str:
-    cost = "no plan" if candidate.cost is None else f"cost {candidate.cost:.4g}"
+    cost = "no plan" if candidate.cost is None else f"cost {plain(candidate.cost)}"
     return f"tried {' -> '.join(candidate.modes)}: {cost}, {candidate.message}"

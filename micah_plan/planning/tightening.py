@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import Protocol
 
 from micah_plan.planning.verification import verify
+from micah_plan.quantities import percent
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
@@ -130,4 +131,4 @@ def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
     seen = [finding.sentence for finding in before.findings if finding.level == "verification"]
     why = f": {seen[0]}" if seen else ""
     times = "once" if rounds == 1 else f"{rounds} times"
-    return replace(answer, reason=f"{answer.reason}; planned again {times}, at last at {confidence:.4g}{why}")
+    return replace(answer, reason=f"{answer.reason}; planned again {times}, at last at {percent(confidence)}{why}")

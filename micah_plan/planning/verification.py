@@ -68,8 +68,8 @@ def verify(
     if share >= least_share(confidence, count) if plain is None else plain:
         return answer
     reason = (
-        f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({share:.0%}) end in the goal, "
-        f"fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence or "
+        f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
+        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence or "
         f"the noise"
     )
     seen = _findings(problem, plan.mode_sequence, ends)
@@ -137,7 +137,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
     if wrong:
         share, other = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
         wanted = " or ".join(goal.modes)
-        sentence = f"{share:.0%} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
+        sentence = f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
         remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
         found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
     for index, value, tolerance in goal.target:
@@ -150,7 +150,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         elsewhere = _elsewhere(names, missed, modes)
         text, has = quantity(need, coordinate.unit), quantity(tolerance, coordinate.unit)
         sentence = (
-            f"{share:.0%} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
+            f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
             f"{percent(confidence)} of all need {text}, its tolerance is {has}"
         )
         remedy = f"widen the tolerance of '{coordinate.name}' to {text}, lower the noise, or lower `confidence`"

@@ -15,6 +15,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.errors import InputError
+from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.added_mode import with_missing_modes
@@ -161,7 +162,7 @@ def _check_same_object(automaton: HybridAutomaton, seen: Sequence[Track]) -> Non
     across, arm = scatter_across(automaton, seen)
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
-            f"the measured poses do not fit the model: they lie {across:.2g} m beside its joints",
+            f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",
             remedy="take the model that was learned from this object, or the base frame that it was learned in",
         )
 
@@ -217,7 +218,7 @@ def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Ef
     ]
     pairs = tuple(zip([parameter.name for parameter in own.parameters], values, strict=True))
     since = _since(lane, part.starts[0])
-    note = "" if since is None else f"seen from run {since[0]}, {since[1]:.3g} s on"
+    note = "" if since is None else f"seen from run {since[0]}, {quantity(since[1], 's')} on"
     spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
     return Effect(own.name, lane.coordinate, pairs, spread, part.term.modes, note)
 
@@ -283,15 +284,15 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
         if one.verdict == "none":
             least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
-            share = 100 * least / lane.command_size
+            step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
             notes.append(
-                f"{name}: {least:.2g} {lane.unit} more per step, or {share:.2g} % more of each command would have been "
-                "seen; smaller effects are not excluded"
+                f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
+                "are not excluded"
             )
         low, high = lane.visited
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
-        notes += [f"{mode} ({mode.evidence:.0f} nats over any gradual change)" for mode in one.missing_modes]
+        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in one.missing_modes]
         left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
         if left_out and any(may_remember(lane, finding) for finding in one.findings):
             notes.append(
@@ -300,19 +301,19 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         elif left_out:
             notes.append(
                 f"{name}: {left_out} was not added: single steps get better but the roll-out worse "
-                f"(x {one.longer:.2f}), so something else is missing as well"
+                f"({plain(one.longer)} times the error), so something else is missing as well"
             )
         if one.closest:
             notes.append(
                 f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
             )
         if abs(one.correlation) > 0.25:
-            notes.append(f"{name}: what remains is correlated in time ({one.correlation:.2f} from step to step)")
+            notes.append(f"{name}: what remains is correlated in time ({plain(one.correlation, 2)} from step to step)")
             able = correctable_share(lane, one.search.errors(one.final, "one_step"))
             if able is not None:
                 notes.append(
                     f"{name}: steps from alike places with alike commands still differ: no correction of mode, "
-                    f"configuration, direction and speed could take out more than {100 * able:.0f} % of squared errors"
+                    f"configuration, direction and speed could take out more than {percent(able, 0)} of squared errors"
                 )
     return tuple(notes)
 
@@ -328,7 +329,7 @@ def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) 
             return experiments.for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
         if one.verdict in ("partly", "unexplained"):
             low, high = one.lane.visited
-            return experiments.for_unexplained(f"between {low:.3g} and {high:.3g} {one.lane.unit}")
+            return experiments.for_unexplained(f"over {interval(low, high, one.lane.unit)}")
     if found:
         return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
     lane = traces[0].lane

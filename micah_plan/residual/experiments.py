@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from micah_plan.quantities import count, quantity
+
 _SEPARATING: dict[frozenset[str], str] = {
     frozenset({"gain", "sensor_scale"}): (
         "drive the part against a stop whose place is known: a sensor's scale moves the stop's reading, a gain does not"
@@ -49,14 +51,14 @@ def for_unexplained(where: str) -> str:
 def for_missing_mode(place: float, unit: str) -> str:
     """The experiment for a mode that the automaton lacks."""
     return (
-        f"record slow motion through {place:.3g} {unit} in both directions and learn the model again, with that mode: "
-        "micah-plan learn RECORDING.csv -o MODEL.yaml"
+        f"record slow motion through {quantity(place, unit)} in both directions and learn the model again, with that "
+        "mode: micah-plan learn RECORDING.csv -o MODEL.yaml"
     )
 
 
 def for_nothing(rows: int, moved: float, unit: str) -> str:
     """The experiment where nothing was found."""
     return (
-        f"nothing to find in {rows} rows over {moved:.3g} {unit}: commands that are larger, reverse and rest at both "
-        "ends would show smaller effects"
+        f"there is nothing to find in {count(rows, 'row')} over {quantity(moved, unit)}: commands that are larger, "
+        "reverse and rest at both ends would show smaller effects"
     )

@@ -21,6 +21,7 @@ from scipy.stats import t as student_t
 from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.quantities import percent, quantity
 from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import Lane
 
@@ -66,11 +67,13 @@ class MissingMode:
     modes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        ends = [f"from {self.low:.3g} {self.unit} on"] if np.isfinite(self.low) else []
-        ends += [f"up to {self.high:.3g} {self.unit}"] if np.isfinite(self.high) else []
-        moves = f"{100 * self.gain:.0f} % of a command is carried out"
+        ends = [f"from {quantity(self.low, self.unit)} on"] if np.isfinite(self.low) else []
+        ends += [f"up to {quantity(self.high, self.unit)}"] if np.isfinite(self.high) else []
+        moves = f"{percent(self.gain, 0)} of a command is carried out"
         moves += (
-            f" and {self.bias:+.2g} {self.unit} added to each step" if abs(self.bias) > 1e-3 * abs(self.gain) else ""
+            f" and {quantity(self.bias, self.unit, digits=2)} added to each step"
+            if abs(self.bias) > 1e-3 * abs(self.gain)
+            else ""
         )
         added = f"; the new model has it as {', '.join(self.modes)}" if self.modes else ""
         return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}{added}"

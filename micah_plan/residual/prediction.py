@@ -16,6 +16,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
+from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
@@ -149,8 +150,10 @@ def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
         ranges = automaton.ranges(index)
-        measured.append(f"{coordinate.name} = {value:.4g} {coordinate.unit}")
-        allowed.append(f"{coordinate.name} " + " or ".join(f"{low:.4g} to {high:.4g}" for low, high in ranges))
+        measured.append(f"{coordinate.name} = {quantity(value, coordinate.unit)}")
+        allowed.append(
+            f"{coordinate.name} " + " or ".join(interval(low, high, coordinate.unit) for low, high in ranges)
+        )
     raise InputError(
         f"run {track.run} does not fit the model: it starts at {', '.join(measured)}, the model allows "
         + ", ".join(allowed),

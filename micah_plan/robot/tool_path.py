@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from micah_plan.errors import InputError
+from micah_plan.quantities import plain, quantity
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
@@ -302,7 +303,7 @@ class _Follower:
         """What is wrong with a configuration at a knot."""
         measure = float(self.arm.manipulability(q)[0])
         if measure < self._least:
-            sentence = f"the arm is near a singularity at knot {knot}: manipulability {measure:.2g}"
+            sentence = f"the arm is near a singularity at knot {knot}: manipulability {plain(measure, 2)}"
             return ArmFailure(knot, "singularity", (), measure, sentence, "move the robot's base or the grasp")
         clearance = self.model.at(q, path.at(knot), path.allowed(knot))
         return self._collision(knot, clearance) if clearance.distance < self.settings.margin else None
@@ -312,7 +313,7 @@ class _Follower:
         moved = np.abs(after - before)
         if moved.max() > self.settings.longest_step:
             name = self.arm.joints[int(np.argmax(moved))]
-            sentence = f"joint '{name}' would jump by {moved.max():.2f} at knot {knot}"
+            sentence = f"joint '{name}' would jump by {plain(float(moved.max()))} at knot {knot}"
             remedy = "take smaller steps (planner.max_step), or move the robot's base"
             return ArmFailure(knot, "jump", (name,), float(moved.max()), sentence, remedy)
         closest = self._sweep(path, knot - 1, before, after, self.settings.margin)
@@ -325,8 +326,8 @@ class _Follower:
 
     def _collision(self, knot: int, clearance: Clearance) -> ArmFailure:
         first, second = clearance.pair
-        depth = -1000 * clearance.distance
-        says = f"meets {second}, {depth:.0f} mm deep" if depth > 0 else f"comes within {-depth:.1f} mm of {second}"
+        apart = quantity(abs(clearance.distance), "m")
+        says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
         remedy = "move the robot's base, the grasp or the scene"
         return ArmFailure(
             knot, "collision", clearance.pair, clearance.distance, f"{first} {says}, at knot {knot}", remedy
@@ -335,7 +336,7 @@ class _Follower:
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
         away = float(np.linalg.norm(reached.error[3:]))
         turned = float(np.linalg.norm(reached.error[:3]))
-        misses = f"the tool stays {1000 * away:.0f} mm and {turned:.2f} rad from its pose at knot {knot}"
+        misses = f"the tool stays {quantity(away, 'm')} and {quantity(turned, 'rad')} from its pose at knot {knot}"
         stopped = np.flatnonzero(reached.stopped)
         if len(stopped):
             lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]

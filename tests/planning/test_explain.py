@@ -124,7 +124,7 @@ def test_a_plan_of_an_older_version_is_checked_again_or_says_that_it_cannot_tell
 
 def test_short_lengths_are_in_millimetres() -> None:
     assert [quantity(0.012, "m"), quantity(1.5, "m"), quantity(0.3, "rad"), quantity(2.0, "")] == [
-        "12 mm", "1.5 m", "0.3 rad", "2"
+        "12 mm", "1.5 m", "0.3 rad (17.2°)", "2"
     ]  # fmt: skip
 
 

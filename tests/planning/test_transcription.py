@@ -27,7 +27,7 @@ from micah_plan.symbolic.compiled import compile_automaton
 from micah_plan.task.problem import Problem
 
 GUARD_MESSAGE = (
-    r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95% is missed by ([0-9.]+) mm at knot \d+ in mode 'left'"
+    r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95 % is missed by ([0-9.]+) mm at knot \d+ in mode 'left'"
 )
 
 
@@ -145,7 +145,7 @@ def test_where_there_is_no_room_the_boundary_is_kept_in_part_and_said() -> None:
     problem = door_problem(0.2, 1.199, goal_modes=("swings",), tolerance=0.003)
     path = optimised(problem, "swings", ("swings",))
     assert path.feasible
-    assert "'door <= 1.2' holds with less than 95% around knot" in path.message
+    assert "'door <= 1.2' holds with less than 95 % around knot" in path.message
     assert path.means[:, 0].max() <= DOOR_SHUT + 1e-6
 
 
@@ -270,7 +270,7 @@ def test_a_reset_that_depends_on_the_input_gets_the_input_that_opens_the_guard()
 def test_rows_say_what_is_wrong_worst_first() -> None:
     rows = RowNames([Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)])
     assert rows.worst(np.array([-0.25, 0.4])) == [
-        "the goal is missed by 0.3 rad at knot 1 in mode 'q'",
+        "the goal is missed by 0.3 rad (17.2°) at knot 1 in mode 'q'",
         "the guard 'x >= 1' is missed by 250 mm at knot 3 in mode 'q'",
     ]
     assert rows.worst(np.array([0.0, 0.1])) == []

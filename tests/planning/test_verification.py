@@ -39,8 +39,8 @@ def test_a_plan_that_does_not_move_is_not_verified_and_both_numbers_are_said() -
     checked = verify(problem, replace(found, trajectory=still), trials=20)
     assert checked.outcome == "not_verified"
     assert checked.success_probability == 0.0
-    assert "0 of 20 roll-outs (0%)" in checked.reason
-    assert "95%" in checked.reason
+    assert "0 of 20 roll-outs (0 %)" in checked.reason
+    assert "95 %" in checked.reason
 
 
 def test_open_loop_success_probability_is_the_gaussians() -> None:

@@ -166,7 +166,9 @@ def test_a_start_that_no_mode_allows_says_what_was_measured_and_what_is_allowed(
         quaternion=(turned * full.poses().rotation).as_quat(),
         action=full.action,
     )
-    with pytest.raises(InputError, match=r"does not fit .* door = -0\.5 rad, .* door 0 to 1; take the model") as caught:
+    with pytest.raises(
+        InputError, match=r"does not fit .* door = -0\.5 rad .*, .* door 0 to 1 rad .*; take the model"
+    ) as caught:
         predict_recording(door, elsewhere)
     assert "name a mode" not in str(caught.value)
 
