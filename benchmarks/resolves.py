@@ -23,7 +23,7 @@ from planning_growth import cabinet_problem
 from saving import add_json, save_json
 
 from micah_plan.documents.problem_file import load_problem
-from micah_plan.planning.baselines.open_loop import cost_of
+from micah_plan.planning.cost import cost_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan, trajectory_of
@@ -34,7 +34,6 @@ from micah_plan.planning.transcription.guess import PhaseGuess, guess
 from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve
-from micah_plan.symbolic.compiled import compile_automaton
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start, start_mode
@@ -82,13 +81,13 @@ def measure(path: Path, beliefs: int, seed: int) -> Row | None:
     rng, limits, last = np.random.default_rng(seed), limits_of(problem), len(trajectory.modes) - 1
     horizon = RecedingHorizon(problem, trajectory)
     start = beside(problem, trajectory, 1, rng)
-    first = timed(lambda: horizon.from_kept(start.start, trajectory, 1))[1]
+    first = timed(lambda: horizon.from_plan(start.start, trajectory, 1))[1]
     from_new(start, trajectory, 1)
     new, kept, dearer = [], [], []
     for knot in np.linspace(1, last - 1, beliefs).astype(int).tolist():
         here = beside(problem, trajectory, knot, rng)
         new.append(timed(lambda here=here, knot=knot: from_new(here, trajectory, knot)))  # type: ignore[misc]
-        kept.append(timed(lambda here=here, knot=knot: horizon.from_kept(here.start, trajectory, knot)))  # type: ignore[misc]
+        kept.append(timed(lambda here=here, knot=knot: horizon.from_plan(here.start, trajectory, knot)))  # type: ignore[misc]
         if new[-1][0].feasible and kept[-1][0].feasible:
             costs = [cost_of(here, limits, trajectory_of(here, limits, found[-1][0])) for found in (kept, new)]
             dearer.append(costs[0] - costs[1])
@@ -112,16 +111,16 @@ def sequences(name: str, problem: Problem, seed: int) -> str:
     problem = with_input_memory(problem)
     mode = start_mode(problem.automaton, problem.start)[0]
     problem = replace(problem, start=replace(problem.start, mode=mode))
-    limits, compiled, plain = limits_of(problem), compile_automaton(problem.automaton), without_input_memory(problem)
+    limits, plain = limits_of(problem), without_input_memory(problem)
     found = search_modes(plain, limits_of(plain), mode or "", seed).sequences
     before: list[tuple[tuple[PhaseGuess, ...], BeliefPath]] = []
     own, other = [], []
     for sequence in found:
-        phases = guess(problem, limits, compiled, with_memory(problem, sequence)).phases
+        phases = guess(problem, limits, with_memory(problem, sequence)).phases
         if not phases:
             continue
-        nlp = transcribe(problem, limits, compiled, phases)
-        path = solve(nlp, problem)
+        nlp, limit_s = transcribe(problem, limits, phases), problem.settings.time_limit_s
+        path = solve(nlp, limit_s)
         best = max(before, key=lambda known: _shared(known[0], phases), default=None)  # used at once
         if best is not None and best[1].feasible and (count := _shared(best[0], phases)):
             own.append(path.iterations)
@@ -130,7 +129,7 @@ def sequences(name: str, problem: Problem, seed: int) -> str:
                 knots = slice(begin, end + 1)
                 states = pack(best[1].means[knots], best[1].factors[knots], nlp.pattern)
                 nlp.w_start[3 * i : 3 * i + 2] = states.ravel(order="F"), best[1].inputs[begin:end].ravel()
-            other.append(solve(nlp, problem).iterations)
+            other.append(solve(nlp, limit_s).iterations)
         before.append((phases, path))
     return f"{name:22} {len(found):10} {len(own):8} {sum(own):16} {sum(other):18}"
 

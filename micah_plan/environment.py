@@ -18,10 +18,10 @@ from micah_plan import __version__
 
 State = Literal["works", "missing", "broken"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# Those of symbolic.solvers; to name them, CasADi need not be there.
+# The linear solvers of IPOPT; `planning.nlp` tries one. To name them, CasADi need not be there.
 LINEAR_SOLVERS = ("mumps", "ma27", "ma57", "ma86", "ma97", "spral", "pardisomkl")
 _TIMEOUT_S = 60.0
-_PROBE = "import sys; from micah_plan.symbolic.solvers import can_solve; sys.exit(not can_solve(sys.argv[1]))"
+_PROBE = "import sys; from micah_plan.planning.nlp import can_solve; sys.exit(not can_solve(sys.argv[1]))"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Belief-LQR: time-varying feedback on the estimate around a planned trajectory.
+"""Belief-LQR: time-varying feedback on the estimate around a planned trajectory, and the input that is executed.
 
 Certainty equivalence: with the covariance of the belief as planned, the best linear feedback acts on the mean alone,
 and its gains are those of the finite-horizon linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal
@@ -12,15 +12,32 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.turning import matrix_after
+from micah_plan.planning.cost import in_steps
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits
+from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # Cost of being one step's length off the trajectory, against 1 for a full extra step: an error shrinks by 0.4 per step.
 _TRACKING_WEIGHT = 0.3
-_SMALLEST_WEIGHT = 1e-3
+
+
+def time_knots(trajectory: Trajectory) -> Ints:
+    """(T,) the knots k whose step to knot k + 1 takes time; transitions are left out."""
+    return np.asarray(np.flatnonzero(~trajectory.is_transition))
+
+
+def feedback_input(trajectory: Trajectory, knot: int, estimate: Floats) -> Floats:
+    """(..., m) planned displacement corrected for the estimate (..., n) of the state; limits are the caller's.
+
+    Verification and execution both use this. A plan over fewer coordinates, without a memory of inputs, looks at the
+    first ones.
+    """
+    planned = estimate[..., : trajectory.means.shape[1]]
+    return np.asarray(trajectory.inputs[knot] + (planned - trajectory.means[knot]) @ trajectory.gains[knot].T)
 
 
 def belief_lqr(
@@ -39,13 +56,12 @@ def belief_lqr(
 
     A coordinate that a mode pins has no feedback: what it seems to deviate by is not motion.
     """
-    automaton, settings = problem.automaton, problem.settings
-    n, m = automaton.n, automaton.m
+    automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
     tracking = np.diag(_TRACKING_WEIGHT / limits.speed**2)
     effort = np.diag(1.0 / limits.max_step**2)
     goal = np.zeros((n, n))
     for index, _, tolerance in problem.goal.target:
-        goal[index, index] += settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT) / tolerance**2
+        goal[index, index] += in_steps(problem, problem.settings.weight_goal) / tolerance**2
     value = tracking + goal
     if automaton.registers:  # what still arrives after the last knot counts too, else the last inputs are huge
         last = np.array(problem.start.mean) if around is None else around[0][-1]

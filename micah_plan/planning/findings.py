@@ -1,14 +1,21 @@
-"""What stands in the way of a plan, with amounts and the nearest remedy; start and goal first."""
+"""How a failure becomes words: what stands in the way of a plan, with amounts and the nearest remedy.
+
+Level by level, as planning goes: start and goal, search, optimisation. `verification` adds what roll-outs ran into, and
+`explain` puts all of it in order.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.special import ndtr
 
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.turning import turn_of
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.polytope import mode_states
+from micah_plan.planning.search.samples import Samples, guard_states
 from micah_plan.planning.transcription.rows import Row, Shortfall
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.plan import Finding, Level
@@ -18,122 +25,16 @@ from micah_plan.task.start import LIMIT_ROOM, start_mode
 _LEAST_CONFIDENCE = 0.5
 
 
-def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
-    """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
-    start = _start_finding(problem)
-    return (start,) if start is not None else tuple(_goal_findings(problem))
-
-
 def finding_of_reason(level: Level, reason: str, modes: tuple[str, ...] = ()) -> Finding:
-    """An finding from a reason that ends with its remedy after a semicolon."""
+    """A finding from a reason, one line that ends with its remedy after a semicolon."""
     sentence, _, remedy = reason.rpartition("; ")
     return Finding(level, sentence or remedy, remedy if sentence else "", modes)
 
 
-def finding_of_status(modes: tuple[str, ...], status: str) -> Finding:
-    """An optimisation that failed although no constraint has to be broken."""
-    remedy = "raise time_limit_s, samples_per_mode or candidates, or try another seed"
-    return Finding("optimisation", f"the optimisation failed: {status}", remedy, modes)
-
-
-def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
-    """The findings of a mode sequence, in the order given; the two sides of one corridor are one."""
-    found: dict[tuple[object, ...], Finding] = {}
-    for number, shortfall in enumerate(shortfalls):
-        row = shortfall.row
-        side = number if shortfall.width is None else f"{shortfall.width:.9g}"
-        found.setdefault((row.mode, row.knot, side), finding_of(problem, modes, shortfall))
-    return list(found.values())
-
-
-def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
-    """A constraint of the optimisation that does not hold, in the words of the user."""
-    row = shortfall.row
-    room = need = None
-    if shortfall.std is not None:
-        need = problem.settings.sigmas * shortfall.std
-        if shortfall.width is not None and shortfall.width < 2.0 * need:
-            room, need = shortfall.width, 2.0 * need
-        else:  # there would be room for the belief between the boundaries, but not where the path leads
-            room, shortfall = need - shortfall.amount, replace(shortfall, width=None)
-    return Finding(
-        level="optimisation",
-        sentence=_sentence(problem, shortfall, room, need),
-        remedy=_remedy(problem, shortfall, room, need),
-        modes=modes,
-        mode=row.mode,
-        knot=row.knot,
-        constraint=row.name,
-        amount=float(shortfall.amount) if np.isfinite(shortfall.amount) else None,
-        room=room,
-        need=need,
-        unit=row.unit,
-    )
-
-
-def _sentence(problem: Problem, shortfall: Shortfall, room: float | None, need: float | None) -> str:
-    row, confidence = shortfall.row, percent(problem.settings.confidence)
-    if room is None or need is None or row.half_space is None:
-        if not np.isfinite(shortfall.amount):
-            return f"{row.name} is not a number"
-        return f"{row.name} is missed by {quantity(shortfall.amount, row.unit)}"
-    needs = f"the belief needs {quantity(need, row.unit)} at {confidence}"
-    name = row.half_space.name
-    if (turned := _turned_by(problem, row)) is not None:
-        before = f"{quantity(room, row.unit)} before it" if room >= 0 else f"{quantity(-room, row.unit)} behind it"
-        return (
-            f"behind '{name}' the same input moves the other way ('{row.mode}' against '{turned}'), so one step must "
-            f"surely lead across: it starts {before}, {needs}"
-        )
-    if shortfall.width is not None:
-        return f"the corridor at '{name}' is {quantity(room, row.unit)} wide, {needs}"
-    if row.kind == "guard":
-        reached = f"{quantity(room, row.unit)} past it" if room >= 0 else f"{quantity(-room, row.unit)} before it"
-        return f"the mean gets {reached} where the transition at '{name}' needs it {quantity(need, row.unit)} past it"
-    return f"the path has {quantity(room, row.unit)} to '{name}', {needs}"
-
-
-def _remedy(problem: Problem, shortfall: Shortfall, room: float | None, need: float | None) -> str:
-    row = shortfall.row
-    if room is None or need is None:
-        return _plain_remedy(problem, shortfall)
-    if _turned_by(problem, row) is not None:
-        return "raise max_step, or lower the start's std or the noise"
-    ways = ["lower the start's std or the noise"]
-    contact = [
-        edge.target
-        for edge in problem.automaton.edges_from(row.mode)
-        if row.sign < 0 and row.half_space in edge.guard.half_spaces
-    ]
-    ways += [f"allow contact with '{contact[0]}'"] if contact else []
-    # The confidence at which the room suffices, rounded down.
-    possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
-    lower = possible > _LEAST_CONFIDENCE
-    ways.append(
-        f"lower `confidence` to {possible:.2f}" if lower else "make more room (no confidence above 0.5 suffices)"
-    )
-    return ", ".join(ways[:-1]) + f", or {ways[-1]}"
-
-
-def _turned_by(problem: Problem, row: Row) -> str | None:
-    """The mode behind a boundary that one step is to cross, because that mode moves the other way; None elsewhere."""
-    for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
-        turn = turn_of(problem.automaton, edge)
-        if turn is not None and turn.half_space == row.half_space:
-            return edge.target
-    return None
-
-
-def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
-    row, settings = shortfall.row, problem.settings
-    steps = f"raise max_knots (now {settings.max_knots}) or max_step"
-    if row.kind == "goal":
-        return f"widen the goal's tolerance to {quantity(row.upper + shortfall.amount, row.unit)}, or {steps}"
-    if row.kind == "input":
-        return "raise max_step, or correct the inputs that the model admits"
-    if row.kind == "boundary":
-        return f"move the goal or the start away from it, or {steps}"
-    return steps
+def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
+    """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
+    start = _start_finding(problem)
+    return (start,) if start is not None else tuple(_goal_findings(problem))
 
 
 def _start_finding(problem: Problem) -> Finding | None:
@@ -195,3 +96,219 @@ def _goal_findings(problem: Problem) -> list[Finding]:
                 )
             )
     return found
+
+
+def why_unreachable(problem: Problem, limits: Limits, samples: Samples, start_mode: str) -> str:
+    """Why no chain of transitions leads to the goal, whatever the path inside the modes; empty if one does."""
+    if not samples.goals:
+        return _no_mode_holds_goal(problem, limits)
+    edges = [(i, edge) for i, edge in enumerate(problem.automaton.edges) if not edge.is_self_transition]
+    if not set(samples.goals) & _reachable(start_mode, (edge for _, edge in edges)):
+        goals = ", ".join(f"'{name}'" for name in samples.goals)
+        return (
+            f"no transitions lead from the start's mode '{start_mode}' to a mode that holds the goal ({goals}); "
+            f"change the goal or add the missing transition to the model"
+        )
+    reached = _reachable(start_mode, (edge for i, edge in edges if i in samples.exits))
+    if set(samples.goals) & reached:
+        return ""
+    return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
+
+
+def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the_way: tuple[str, ...] = ()) -> str:
+    """Why the roadmaps do not connect start and goal although the transitions do.
+
+    Args:
+        in_the_way: guards without any one of which they would be connected.
+    """
+    automaton = problem.automaton
+    edges = (automaton.edges[i] for i in samples.exits)
+    moved = np.any([automaton.mode(name).driven for name in _reachable(start_mode, edges)], axis=0)
+    for index, value, tolerance in problem.goal.target:
+        start, coordinate = problem.start.mean[index], automaton.coordinates[index]
+        if not moved[index] and abs(start - value) > tolerance:
+            return (
+                f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
+                f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
+            )
+    if in_the_way:
+        return (
+            f"no motion of the modes that can be reached leads to the goal without '{in_the_way[0]}', which alone is "
+            f"in the way{_others(in_the_way[1:])}; make room there, or let the object change its mode first"
+        )
+    return (
+        f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
+        f"guards of other transitions are in the way, or there are too few states; raise samples_per_mode"
+    )
+
+
+def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
+    automaton = problem.automaton
+    wanted = _listed(
+        f"{automaton.coordinates[i].name} = {value:g} ± {tolerance:g} {automaton.coordinates[i].unit}"
+        for i, value, tolerance in problem.goal.target
+    )
+    names = problem.goal.modes or automaton.mode_names
+    indices = list(problem.goal.indices)
+    ranges = "; ".join(f"'{name}' {_range_text(automaton, limits, name, indices)}" for name in names)
+    among = "the goal's modes" if problem.goal.modes else "the modes"
+    return f"the goal {wanted} lies in the range of none of {among} ({ranges}); move the goal into a range"
+
+
+def _range_text(automaton: HybridAutomaton, limits: Limits, name: str, indices: list[int]) -> str:
+    states = mode_states(automaton.mode(name), limits.lower, limits.upper, limits.max_step)
+    return "holds " + _listed(
+        f"{automaton.coordinates[i].name} in [{states.lower[i]:g}, {states.upper[i]:g}] {automaton.coordinates[i].unit}"
+        for i in indices
+    )
+
+
+def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> str:
+    if guard_states(problem, limits, edge).is_empty:
+        rows = _listed(f"'{h.name}'" for h in edge.guard.half_spaces)
+        return (
+            f"the guard of '{edge.name}' ({rows}) holds nowhere in mode '{edge.source}' with inputs up to max_step; "
+            f"check it against the mode's invariant, or raise max_step"
+        )
+    return (
+        f"the reset of '{edge.name}' leads out of the invariant of mode '{edge.target}'; "
+        f"correct the reset or the invariant in the model"
+    )
+
+
+def _reachable(start: str, edges: Iterable[Edge]) -> set[str]:
+    following: dict[str, list[str]] = {}
+    for edge in edges:
+        following.setdefault(edge.source, []).append(edge.target)
+    reached, frontier = {start}, [start]
+    while frontier:
+        new = [target for target in following.get(frontier.pop(), []) if target not in reached]
+        reached.update(new)
+        frontier.extend(new)
+    return reached
+
+
+def _others(names: tuple[str, ...]) -> str:
+    return f" (as is {_listed(repr(name) for name in names)})" if names else ""
+
+
+def _listed(items: Iterable[str]) -> str:
+    return ", ".join(items)
+
+
+def sentence_of(shortfall: Shortfall) -> str:
+    """Which row is missed, by how much and where."""
+    return f"{_missed(shortfall)} at knot {shortfall.row.knot} in mode '{shortfall.row.mode}'"
+
+
+def partly_held(shortfall: Shortfall) -> str:
+    """Which boundary a plan holds less surely than it was asked to, and where most."""
+    row = shortfall.row
+    return (
+        f"{row.name} holds with less than {percent(row.confidence or 0.0)} around knot {row.knot} in mode '{row.mode}'"
+    )
+
+
+def finding_of_status(modes: tuple[str, ...], status: str) -> Finding:
+    """An optimisation that failed although no constraint has to be broken."""
+    remedy = "raise time_limit_s, samples_per_mode or candidates, or try another seed"
+    return Finding("optimisation", f"the optimisation failed: {status}", remedy, modes)
+
+
+def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
+    """The findings of a mode sequence, in the order given; the two sides of one corridor are one."""
+    found: dict[tuple[object, ...], Finding] = {}
+    for number, shortfall in enumerate(shortfalls):
+        row = shortfall.row
+        side = number if shortfall.width is None else f"{shortfall.width:.9g}"
+        found.setdefault((row.mode, row.knot, side), finding_of(problem, modes, shortfall))
+    return list(found.values())
+
+
+def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
+    """A constraint of the optimisation that does not hold, in the words of the user."""
+    row, room, need = shortfall.row, None, None
+    sentence, remedy = _missed(shortfall), _plain_remedy(problem, shortfall)
+    if shortfall.std is not None:
+        need = problem.settings.sigmas * shortfall.std
+        is_narrow = shortfall.width is not None and shortfall.width < 2.0 * need
+        if is_narrow:
+            room, need = shortfall.width or 0.0, 2.0 * need
+        else:  # there would be room for the belief between the boundaries, but not where the path leads
+            room = need - shortfall.amount
+        sentence = _sentence(problem, row, room, need, is_narrow)
+        remedy = _remedy(problem, row, room, need)
+    return Finding(
+        level="optimisation",
+        sentence=sentence,
+        remedy=remedy,
+        modes=modes,
+        mode=row.mode,
+        knot=row.knot,
+        constraint=row.label,
+        amount=float(shortfall.amount) if np.isfinite(shortfall.amount) else None,
+        room=room,
+        need=need,
+        unit=row.unit,
+    )
+
+
+def _missed(shortfall: Shortfall) -> str:
+    if not np.isfinite(shortfall.amount):
+        return f"{shortfall.row.label} is not a number"
+    return f"{shortfall.row.label} is missed by {quantity(shortfall.amount, shortfall.row.unit)}"
+
+
+def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
+    """What there is of room and what the belief needs."""
+    name = row.name if row.half_space is None else f"'{row.half_space.name}'"
+    has, behind = quantity(room, row.unit), quantity(-room, row.unit)
+    needs = f"the belief needs {quantity(need, row.unit)} at {percent(problem.settings.confidence)}"
+    if (turned := _turned_by(problem, row)) is not None:
+        return (
+            f"behind {name} the same input moves the other way ('{row.mode}' against '{turned}'), so one step must "
+            f"surely lead across: it starts {f'{has} before it' if room >= 0 else f'{behind} behind it'}, {needs}"
+        )
+    if is_narrow:
+        return f"the corridor at {name} is {has} wide, {needs}"
+    if row.kind == "guard":
+        reached = f"{has} past it" if room >= 0 else f"{behind} before it"
+        return f"the mean gets {reached} where the transition at {name} needs it {quantity(need, row.unit)} past it"
+    return f"the path has {has} to {name}, {needs}"
+
+
+def _remedy(problem: Problem, row: Row, room: float, need: float) -> str:
+    if _turned_by(problem, row) is not None:
+        return "raise max_step, or lower the start's std or the noise"
+    ways = ["lower the start's std or the noise"]
+    edges = problem.automaton.edges_from(row.mode)
+    contact = [edge.target for edge in edges if row.sign < 0 and row.half_space in edge.guard.half_spaces]
+    ways += [f"allow contact with '{contact[0]}'"] if contact else []
+    # The confidence at which the room suffices, rounded down.
+    possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
+    lower = possible > _LEAST_CONFIDENCE
+    ways.append(
+        f"lower `confidence` to {possible:.2f}" if lower else "make more room (no confidence above 0.5 suffices)"
+    )
+    return ", ".join(ways[:-1]) + f", or {ways[-1]}"
+
+
+def _turned_by(problem: Problem, row: Row) -> str | None:
+    """The mode behind a boundary that one step is to cross, because that mode moves the other way; None elsewhere."""
+    for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
+        turn = turn_of(problem.automaton, edge)
+        if turn is not None and turn.half_space == row.half_space:
+            return edge.target
+    return None
+
+
+def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
+    row, settings = shortfall.row, problem.settings
+    steps = f"raise max_knots (now {settings.max_knots}) or max_step"
+    if row.kind == "goal":
+        return f"widen the goal's tolerance to {quantity(row.upper + shortfall.amount, row.unit)}, or {steps}"
+    if row.kind == "input":
+        return "raise max_step, or correct the inputs that the model admits"
+    if row.kind == "boundary":
+        return f"move the goal or the start away from it, or {steps}"
+    return steps

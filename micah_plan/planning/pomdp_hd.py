@@ -1,20 +1,25 @@
 """POMDP-HD: mode sequences from a search, a belief trajectory through each, the cheapest with feedback around it.
 
+    1. high level   search the roadmaps of all modes for the cheapest mode sequences        `search`
+    2. low level    optimise the belief trajectory through each of them                     `transcription`
+    3. choose       the cheapest optimum of all                                             here
+    4. feedback     belief-LQR around it                                                    `feedback`
+
 Source: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
 2018.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.findings import endpoint_findings, finding_of_reason, finding_of_status, findings_of
+from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.replanning import believed_problem, with_memory
@@ -24,14 +29,9 @@ from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.planning.verification import verify
-from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
-from micah_plan.task.clock import Clock
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import start_mode
-
-Progress = Callable[[str, float], None]
 
 # How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
@@ -51,10 +51,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    mode, reason = start_mode(problem.automaton, problem.start)
-    if mode is None:
-        return Plan("no_plan", reason, seed=seed, timings=Clock().timings(), findings=endpoint_findings(problem))
-    return _plan_from(with_input_memory(problem), mode, seed, progress or _silent, deadline or _deadline_of(problem))
+    return attempted(_hierarchical, problem, seed, progress, deadline)
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
@@ -63,132 +60,110 @@ def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory 
     None if there is none, or none that roll-outs confirm: as many of them as it takes to tell (`verify`, sequential).
     """
     here = believed_problem(with_input_memory(problem), belief)
-    mode = problem.automaton.modes[belief.most_likely].name
 
     def planner(task: Problem, *, deadline: Deadline) -> Plan:
-        return _plan_from(task, mode, seed, _silent, deadline)
+        return _hierarchical(Attempt(task, seed, deadline))
 
     found = verified_plan(here, planner, seed, verifier=partial(verify, sequential=True))
     return found.trajectory if found.outcome == "solved" else None
 
 
-def _silent(_text: str, _fraction: float) -> None:
-    """Nobody is told."""
-
-
-def _deadline_of(problem: Problem) -> Deadline:
-    return Deadline(problem.settings.solve_time_limit_s)
-
-
-def _plan_from(problem: Problem, mode: str, seed: int, say: Progress, deadline: Deadline) -> Plan:
-    """Plan from the start's mean in a mode that is known."""
-    clock = Clock()
-    problem = replace(problem, start=replace(problem.start, mode=mode))
-    limits = limits_of(problem)
-    say("searching mode sequences", 0.0)
-    plain = without_input_memory(problem)
-    try:
-        with clock.stage("search"):
-            found = search_modes(plain, limits_of(plain), mode, seed, deadline=deadline)
-            sequences = [with_memory(problem, sequence) for sequence in found.sequences]
-    except TimeLimitError as over:
-        found = SearchResult((), over.reason)
+def _hierarchical(attempt: Attempt) -> Plan:
+    """The algorithm."""
+    attempt = replace(attempt, problem=with_input_memory(attempt.problem))
+    found = _high_level(attempt)
     if not found.sequences:
-        findings = endpoint_findings(problem) or (finding_of_reason("search", found.reason),)
-        return Plan("no_plan", found.reason, seed=seed, timings=clock.timings(), findings=findings)
-    with clock.stage("build"):
-        compiled = compile_automaton(problem.automaton)
-    candidates: list[Candidate] = []
-    missed: list[Finding] = []
-    best: tuple[BeliefPath, ModeSequence] | None = None
-    for number, sequence in enumerate(sequences, start=1):
-        say(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
-        try:
-            path, message, in_the_way = _optimise(problem, limits, compiled, sequence, clock, deadline)
-        except TimeLimitError as over:
-            in_the_way = [finding_of_reason("optimisation", over.reason, sequence.modes)]
-            path, message = None, over.reason
-        usable = path is not None and path.feasible
-        cost = path.cost if path is not None and usable else None
-        candidates.append(Candidate(sequence.modes, sequence.total, cost, message))
-        missed += in_the_way
-        if path is not None and usable and (best is None or path.cost < best[0].cost):
-            best = path, sequence
-    if best is None:
-        first = candidates[0]
+        return attempt.refused(found.reason, (finding_of_reason("search", found.reason),))
+    tried = []
+    for number, sequence in enumerate(found.sequences, start=1):
+        attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
+        tried.append(_low_level(attempt, sequence))
+    candidates = tuple(one.candidate for one in tried)
+    paths = [(one.path, one.sequence) for one in tried if one.path is not None and one.path.feasible]
+    if not paths:
+        first, findings = candidates[0], tuple(finding for one in tried for finding in one.findings)
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
-        answer = Plan("no_plan", reason, candidates=tuple(candidates), seed=seed, findings=tuple(missed))
-        return replace(answer, timings=clock.timings())
-    path, sequence = best
-    kept = findings_of(problem, sequence.modes, path.in_part)
-    return replace(_solved(problem, limits, path, tuple(candidates), seed, clock), findings=tuple(kept))
+        return attempt.refused(reason, findings, candidates)
+    best, sequence = min(paths, key=lambda pair: pair[0].cost)
+    trajectory = trajectory_of(attempt.problem, attempt.limits, best)
+    which = f"cheapest of {len(tried)} mode sequences" if len(tried) > 1 else "the only mode sequence"
+    in_part = tuple(findings_of(attempt.problem, sequence.modes, best.in_part))
+    return attempt.solved(trajectory, best.cost, f", {which}: {best.message}", candidates, in_part)
 
 
-def _optimise(
-    problem: Problem,
-    limits: Limits,
-    compiled: CompiledAutomaton,
-    sequence: ModeSequence,
-    clock: Clock,
-    deadline: Deadline,
-) -> tuple[BeliefPath | None, str, list[Finding]]:
-    """The belief path through a mode sequence, what the optimisation said, and what stands in the way of it."""
-    name, knots = " -> ".join(sequence.modes), -1
+def _high_level(attempt: Attempt) -> SearchResult:
+    """The mode sequences, cheapest first, or why there are none. A memory of inputs does not change which they are."""
+    attempt.progress("searching mode sequences", 0.0)
+    plain = without_input_memory(attempt.problem)
+    try:
+        with attempt.clock.stage("search"):
+            found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
+            sequences = tuple(with_memory(attempt.problem, sequence) for sequence in found.sequences)
+            return replace(found, sequences=sequences)
+    except TimeLimitError as over:
+        return SearchResult((), over.reason)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A mode sequence that was optimised: the belief path, if there is any, and what stands in the way of it."""
+
+    sequence: ModeSequence
+    path: BeliefPath | None
+    message: str
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def candidate(self) -> Candidate:
+        cost = self.path.cost if self.path is not None and self.path.feasible else None
+        return Candidate(self.sequence.modes, self.sequence.total, cost, self.message)
+
+
+def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
+    """The belief path through a mode sequence, in as few steps as lead through it."""
+    try:
+        return _optimised(attempt, sequence)
+    except TimeLimitError as over:
+        return _Tried(sequence, None, over.reason, (finding_of_reason("optimisation", over.reason, sequence.modes),))
+
+
+def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
+    problem, deadline, clock, steps = attempt.problem, attempt.deadline, attempt.clock, -1
+    name, state = " -> ".join(sequence.modes), "was not tried"
     for stretch in _STRETCHES:
-        deadline.check("optimisation", f"{name} was not tried {'' if knots < 0 else 'with more knots '}", "candidates")
+        deadline.check("optimisation", f"{name} {state}", "candidates")
         with clock.stage("build"):
-            start = guess(problem, limits, compiled, sequence, stretch)
+            start = guess(problem, attempt.limits, sequence, stretch)
             if start.reason:
-                return None, start.reason, [finding_of_reason("optimisation", start.reason, sequence.modes)]
+                too_long = finding_of_reason("optimisation", start.reason, sequence.modes)
+                return _Tried(sequence, None, start.reason, (too_long,))
             longer = sum(phase.steps for phase in start.phases)
-            if longer == knots:
+            if longer == steps:
                 break
-            knots = longer
-            nlp = transcribe(problem, limits, compiled, start.phases)
+            steps, state = longer, "was not tried with more knots"
+            nlp = transcribe(problem, attempt.limits, start.phases)
         with clock.stage("optimise"):
-            path = solve(nlp, _with_time_left(problem, deadline))
+            path = solve(nlp, _time_limit(attempt))
         if path.feasible:
-            return path, path.message, []
-        deadline.check(
-            "optimisation", f"{name} was at {sum(phase.steps for phase in start.phases)} steps", "candidates"
-        )
-    if "time limit" in path.message:  # what it had reached by then says nothing of what is possible
-        return path, path.message, [finding_of_status(sequence.modes, path.message)]
+            return _Tried(sequence, path, path.message)
+        deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
+    if path.is_out_of_time:  # what it had reached by then says nothing of what is possible
+        return _Tried(sequence, path, path.message, (finding_of_status(sequence.modes, path.message),))
     with clock.stage("optimise"):
-        missed = unmet(nlp, _with_time_left(problem, deadline))
-    message = "; ".join([path.message, *(shortfall.sentence for shortfall in missed)])
-    findings = findings_of(problem, sequence.modes, missed)
-    return path, message, findings or [finding_of_status(sequence.modes, path.message)]
+        missed = unmet(nlp, _time_limit(attempt))
+    message = "; ".join([path.message, *map(sentence_of, missed)])
+    findings = findings_of(problem, sequence.modes, missed) or [finding_of_status(sequence.modes, path.message)]
+    return _Tried(sequence, path, message, tuple(findings))
 
 
-def _with_time_left(problem: Problem, deadline: Deadline) -> Problem:
-    """The problem with the time that an optimisation may take now."""
-    settings = problem.settings
-    return replace(problem, settings=replace(settings, time_limit_s=min(settings.time_limit_s, deadline.left_s)))
+def _time_limit(attempt: Attempt) -> float:
+    """What an optimisation may take now [s]."""
+    return min(attempt.problem.settings.time_limit_s, attempt.deadline.left_s)
 
 
 def trajectory_of(problem: Problem, limits: Limits, path: BeliefPath) -> Trajectory:
     """A belief path with the feedback around it."""
     inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
-    inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver keeps bounds only to its tolerance
+    inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver meets bounds only to its tolerance
     gains = belief_lqr(problem, limits, path.modes, path.is_transition, (path.means, inputs))
     return Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)
-
-
-def _solved(
-    problem: Problem, limits: Limits, path: BeliefPath, candidates: tuple[Candidate, ...], seed: int, clock: Clock
-) -> Plan:
-    trajectory = trajectory_of(problem, limits, path)
-    answer = Plan(
-        "solved",
-        "",
-        trajectory=trajectory,
-        candidates=candidates,
-        cost=path.cost,
-        goal_error=problem.goal.error(path.means[-1]),
-        goal_std=problem.goal.std(path.factors[-1]),
-        seed=seed,
-        timings=clock.timings(),
-    )
-    tried = f"cheapest of {len(candidates)} mode sequences" if len(candidates) > 1 else "the only mode sequence"
-    return replace(answer, reason=f"{' -> '.join(answer.mode_sequence)}, {tried}: {path.message}")

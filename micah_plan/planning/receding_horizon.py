@@ -17,25 +17,24 @@ from micah_plan.planning.transcription.guess import guess_again
 from micah_plan.planning.transcription.programme import Transcription, transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve
 from micah_plan.planning.transcription.warm_start import WarmStartedProgramme
-from micah_plan.symbolic.compiled import compile_automaton
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
-# A threshold counts as known as before while it is believed to lie less than this many of its stds elsewhere, and its
-# std has become smaller by less than this share.
+# Nothing was learned of a threshold while it is believed to lie less than this many of its stds elsewhere, and its std
+# has become smaller by less than this share.
 _LEARNED = 0.1
 
 
 class RecedingHorizon:
     """Continues one plan: modes and numbers of steps stay, there is no search, and the end comes no later.
 
-    The plan's programme is built once and kept (`transcription_kept`). A new one is built where it would be another: if
-    the filter has learned where a threshold lies that is still ahead, or if the trajectory is no rest of the plan; and
-    where the kept one gives no answer that keeps all its rows. Answers do not depend on those given before.
+    The plan's programme is built once and reused (`transcription.warm_start`). A new one is built where it would be
+    another: if the filter has learned where a threshold lies that is still ahead, or if the trajectory is no rest of
+    the plan; and where the reused one gives no answer that meets all its rows. Answers do not depend on earlier ones.
 
     Attributes:
-        kept, built: how many answers came from the kept programme, and from new ones.
+        reused, built: how many answers came from the plan's programme, and from new ones.
     """
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
@@ -44,28 +43,28 @@ class RecedingHorizon:
         settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
         self._problem, self._plan = with_input_memory(replace(problem, settings=settings)), trajectory
         self._limits, self._whole = limits_of(self._problem), rest_of(problem.automaton, trajectory, 0)
-        self.kept = self.built = 0
+        self.reused = self.built = 0
 
     def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
         """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
 
         None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
-        knows nothing of a memory of inputs.
+        leaves a memory of inputs out.
         """
         here = believed_problem(self._problem, belief)
         if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
             return None
         if self._is_rest(trajectory, knot) and not self._has_learned(belief, trajectory, knot):
-            path = self.from_kept(here.start, trajectory, knot)
+            path = self.from_plan(here.start, trajectory, knot)
             if path.feasible:
-                self.kept += 1
+                self.reused += 1
                 return trajectory_of(here, self._limits, path)
         path = from_new(here, trajectory, knot)
         self.built += path.feasible
         return trajectory_of(here, limits_of(here), path) if path.feasible else None
 
-    def from_kept(self, start: Start, trajectory: Trajectory, knot: int) -> BeliefPath:
-        """What is left of the plan from a belief on, by the programme kept; it may be infeasible."""
+    def from_plan(self, start: Start, trajectory: Trajectory, knot: int) -> BeliefPath:
+        """What is left of the plan from a belief on, by the plan's programme; it may be infeasible."""
         return self._programme.rest(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
 
     @cached_property
@@ -74,7 +73,7 @@ class RecedingHorizon:
         plan, stds = self._plan, np.linalg.norm(self._plan.factors[0], axis=1)
         start = Start(tuple(map(float, plan.means[0])), tuple(map(float, stds)), plan.modes[0])
         whole = replace(self._problem, start=start)
-        return WarmStartedProgramme(_programme(whole, self._limits, plan, 0), whole)
+        return WarmStartedProgramme(_programme(whole, self._limits, plan, 0), whole.settings.time_limit_s)
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
@@ -84,7 +83,7 @@ class RecedingHorizon:
         return same and steps[first + 1 :] == left[1:] and steps[first] >= left[0]
 
     def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
-        """Whether a threshold that is still ahead is now known to lie elsewhere, or better than before."""
+        """Whether a threshold that is still ahead was learned to lie elsewhere, or where it lies more precisely."""
         automaton, number = self._problem.automaton, belief.most_likely
         if belief.shifts is None or belief.shift_stds is None:
             return False
@@ -105,11 +104,10 @@ class RecedingHorizon:
 
 def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
     """What is left of a trajectory from a knot on, from a problem's start, by a programme of its own."""
-    return solve(_programme(here, limits_of(here), trajectory, knot), here)
+    return solve(_programme(here, limits_of(here), trajectory, knot), here.settings.time_limit_s)
 
 
 def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:
     """The programme of what is left of a trajectory from a knot on, from the problem's start."""
-    compiled = compile_automaton(problem.automaton)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
-    return transcribe(problem, limits, compiled, guess_again(problem, limits, compiled, sequence, steps))
+    return transcribe(problem, limits, guess_again(problem, limits, sequence, steps))

@@ -15,7 +15,8 @@ from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.cli import main
 from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.baselines.mixture import mixture_step
-from micah_plan.planning.baselines.open_loop import cost_of, nominal_trajectory
+from micah_plan.planning.baselines.open_loop import nominal_trajectory
+from micah_plan.planning.cost import cost_of
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
 from micah_plan.task.goal import Goal

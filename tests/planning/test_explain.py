@@ -152,7 +152,7 @@ def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
     """The belief does not keep its distance from one boundary; the one that faces it is far away."""
     boundary = above(0, 0.0, 1, 1, name="c")
     shortfall = Shortfall(
-        Row("first", 3, "'c >= 0'", "m", 0.0, np.inf, "boundary", boundary, 1.0, 0.0), 0.002, 0.004, 0.5
+        Row("first", 3, "'c >= 0'", "m", 0.0, np.inf, "boundary", boundary, 1.0, 0.95), 0.002, 0.004, 0.5
     )
     finding = finding_of(turned(0.02), ("first",), shortfall)
     assert finding.need == pytest.approx(1.645 * 0.004, rel=1e-3)

@@ -10,9 +10,8 @@ from planning_examples import door_automaton, door_problem, drawer_problem, plan
 from scipy.linalg import solve_discrete_are
 
 from micah_plan.automaton.region import HalfSpace, Region, input_above
-from micah_plan.planning.feedback import belief_lqr
+from micah_plan.planning.feedback import belief_lqr, feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.task.plan import Trajectory
 
 

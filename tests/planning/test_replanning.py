@@ -12,9 +12,9 @@ from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.planning.baselines.open_loop import cost_of
+from micah_plan.planning.cost import cost_of
+from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.policy import time_knots
 from micah_plan.planning.pomdp_hd import plan, replan, trajectory_of
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
 from micah_plan.planning.replanning import believed_problem, rest_of
@@ -77,7 +77,7 @@ def test_too_few_steps_left_continue_nothing() -> None:
 
 
 @pytest.mark.parametrize(("problem", "knots"), [(latching(), (1, 5, 9)), (planar_problem(), (2, 12, 20))])
-def test_the_programme_kept_answers_as_a_new_one(problem: Problem, knots: tuple[int, ...]) -> None:
+def test_the_programme_reused_answers_as_a_new_one(problem: Problem, knots: tuple[int, ...]) -> None:
     trajectory = plan(problem).trajectory
     assert trajectory is not None
     horizon, limits = RecedingHorizon(problem, trajectory), limits_of(problem)
@@ -99,7 +99,7 @@ def test_the_programme_kept_answers_as_a_new_one(problem: Problem, knots: tuple[
             inputs = followed.inputs[~followed.is_transition]
             driven = simulate(problem.automaton, mode, followed.means[0].tolist(), inputs)
             np.testing.assert_allclose(followed.means[[0, *(time_knots(followed) + 1)]], driven.states, atol=1e-6)
-    assert (horizon.kept, horizon.built) == (len(knots), 0)
+    assert (horizon.reused, horizon.built) == (len(knots), 0)
 
 
 def test_a_threshold_learned_ahead_needs_a_new_programme_and_one_behind_does_not() -> None:
@@ -108,12 +108,12 @@ def test_a_threshold_learned_ahead_needs_a_new_programme_and_one_behind_does_not
     assert trajectory is not None
     horizon, latched = RecedingHorizon(problem, trajectory), trajectory.modes.index("shut")
     onward = horizon(still_open(problem), trajectory, latched - 2)
-    assert (horizon.kept, horizon.built) == (0, int(onward is not None))
+    assert (horizon.reused, horizon.built) == (0, int(onward is not None))
     shut = replace(still_open(problem), weights=np.array([0.0, 1.0]))
     assert shut.shifts is not None
     shut = replace(shut, means=np.full((2, 1), 1.24), shifts=np.full_like(shut.shifts, 0.04))
     assert horizon(shut, trajectory, latched) is not None
-    assert horizon.kept == 1
+    assert horizon.reused == 1
 
 
 def test_a_new_plan_goes_past_where_the_threshold_is_now_believed_to_be() -> None:

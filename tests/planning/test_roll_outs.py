@@ -22,8 +22,8 @@ from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresho
 from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as scalar
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of
-from micah_plan.planning.policy import feedback_input, time_knots
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import Chances, are_in_goal, draw_chances, roll_out
 from micah_plan.task.goal import Goal

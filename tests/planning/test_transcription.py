@@ -15,17 +15,19 @@ from scipy.stats import norm
 from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
 from micah_plan.planning.feedback import belief_lqr
+from micah_plan.planning.findings import sentence_of
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.layout import factor_pattern, pack, unpack
 from micah_plan.planning.transcription.programme import Transcription, transcribe
-from micah_plan.planning.transcription.rows import Row, RowNames
+from micah_plan.planning.transcription.rows import Row, Rows, Shortfall
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.symbolic.compiled import compile_automaton
 from micah_plan.task.problem import Problem
 
+LIMIT_S = 20.0
 GUARD_MESSAGE = (
     r"the guard 'y [<>]= 0.81?' of 'left -> right' at 95 % is missed by ([0-9.]+) mm at knot \d+ in mode 'left'"
 )
@@ -35,14 +37,13 @@ def transcription(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> 
     limits = limits_of(problem)
     found = search_modes(problem, limits, start_mode).sequences
     sequence = next(s for s in found if s.modes == modes)
-    compiled = compile_automaton(problem.automaton)
-    start = guess(problem, limits, compiled, sequence)
+    start = guess(problem, limits, sequence)
     assert start.reason == ""
-    return transcribe(problem, limits, compiled, start.phases)
+    return transcribe(problem, limits, start.phases)
 
 
 def optimised(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> BeliefPath:
-    return solve(transcription(problem, start_mode, modes), problem)
+    return solve(transcription(problem, start_mode, modes), LIMIT_S)
 
 
 def rows_at_start(nlp: Transcription) -> np.ndarray:
@@ -93,8 +94,8 @@ def test_every_row_is_named_and_the_warm_start_satisfies_the_dynamics(
     g = rows_at_start(nlp)
     assert len(g) == len(nlp.rows)
     last_knot = nlp.guess[-1].first_knot + nlp.guess[-1].steps
-    assert all(row.name and row.mode in modes and 0 <= row.knot <= last_knot for row in nlp.rows.rows)
-    exact = [row.violation(v) for row, v in zip(nlp.rows.rows, g, strict=True) if row.lower == row.upper]
+    assert all(row.name and row.mode in modes and 0 <= row.knot <= last_knot for row in nlp.rows)
+    exact = [row.violation(v) for row, v in zip(nlp.rows, g, strict=True) if row.lower == row.upper]
     assert max(exact) < 1e-8
 
 
@@ -183,11 +184,11 @@ def test_a_gate_too_narrow_for_the_belief_is_named_with_the_amount() -> None:
     )
     problem = replace(problem, automaton=automaton)
     nlp = transcription(problem, "left", ("left", "right"))
-    assert not solve(nlp, problem).feasible
+    assert not solve(nlp, LIMIT_S).feasible
     # Both boundaries ask for k-sigma, together they leave 0.01 m: the sum of what is missed is known.
     k, phase = norm.ppf(0.95), nlp.guess[0]
     std = np.sqrt((phase.factors[-1] @ phase.factors[-1].T + phase.spreads[-1])[1, 1])
-    missed = [re.fullmatch(GUARD_MESSAGE, sentence) for sentence in (missed.sentence for missed in unmet(nlp, problem))]
+    missed = [re.fullmatch(GUARD_MESSAGE, sentence) for sentence in map(sentence_of, unmet(nlp, LIMIT_S))]
     assert all(missed)
     assert sum(float(m.group(1)) for m in missed if m) == pytest.approx(1e3 * (2 * k * std - 0.01), rel=2e-2)
 
@@ -196,7 +197,7 @@ def test_a_start_point_that_is_not_a_number_is_found_before_the_solver_runs() ->
     problem = drawer_problem(0.05, 0.3)
     nlp = transcription(problem, "slides", ("slides",))
     nlp.w_start[0] = nlp.w_start[0] * np.nan
-    path = solve(nlp, problem)
+    path = solve(nlp, LIMIT_S)
     assert not path.feasible
     assert path.message.startswith(
         "the start of the optimisation is unusable: the dynamics of 'drawer' is not a number"
@@ -207,7 +208,7 @@ def test_too_few_knots_say_how_many_are_needed() -> None:
     problem = with_settings(door_problem(0.2, 0.9), max_knots=10)
     limits = limits_of(problem)
     (sequence, *_) = search_modes(problem, limits, "swings").sequences
-    found = guess(problem, limits, compile_automaton(problem.automaton), sequence)
+    found = guess(problem, limits, sequence)
     assert found.phases == ()
     # 0.7 rad at 0.06 rad per step: 12 steps, 13 knots.
     assert "needs at least 13 knots at the largest step, more than max_knots = 10" in found.reason
@@ -268,10 +269,12 @@ def test_a_reset_that_depends_on_the_input_gets_the_input_that_opens_the_guard()
 
 
 def test_rows_say_what_is_wrong_worst_first() -> None:
-    rows = RowNames([Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)])
-    assert rows.worst(np.array([-0.25, 0.4])) == [
+    rows = Rows([Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)])
+    g = np.array([-0.25, 0.4])
+    assert [sentence_of(Shortfall(rows[i], rows[i].violation(g[i]))) for i in rows.worst(g)] == [
         "the goal is missed by 0.3 rad (17.2°) at knot 1 in mode 'q'",
         "the guard 'x >= 1' is missed by 250 mm at knot 3 in mode 'q'",
     ]
     assert rows.worst(np.array([0.0, 0.1])) == []
-    assert rows.largest_violation(np.array([0.0, np.nan])) == np.inf
+    assert rows.worst(np.array([0.0, np.nan])) == [1]
+    assert rows[1].violation(np.nan) == np.inf

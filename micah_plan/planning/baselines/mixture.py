@@ -13,7 +13,7 @@ Source: the direct baseline of Jain and Niekum, CoRL 2018; Blom and Bar-Shalom, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -21,14 +21,16 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.transcription.solve import ipopt_options
+from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.symbolic.compiled import CompiledMode, compile_automaton, sensing_std
 from micah_plan.symbolic.normal import log_ndtr
 from micah_plan.symbolic.square_root import SMALLEST_STD, hold, lower_factor, observe
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
+Expression = TypeVar("Expression", ca.MX, ca.SX)
 
 # Softness of a guard, in steps across it.
 _SOFTNESS = 0.25
@@ -36,26 +38,6 @@ _SOFTNESS = 0.25
 _SMALLEST_WEIGHT = 1e-6
 # Cost of a step's length outside of an invariant, squared, in a mode that is certain.
 _INVARIANT_WEIGHT = 10.0
-_FEASIBLE = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class MixturePath:
-    """What one start of the optimisation came to.
-
-    Attributes:
-        feasible: whether dynamics, limits and goal hold.
-        cost: of the result.
-        inputs: (T, m) [rad or m].
-        weights: (q,) probabilities of the modes at the end, as the mixture sees them.
-        status: of the solver.
-    """
-
-    feasible: bool
-    cost: float
-    inputs: Floats
-    weights: Floats
-    status: str
 
 
 class MixtureProgramme:
@@ -63,76 +45,54 @@ class MixtureProgramme:
 
     def __init__(self, problem: Problem, limits: Limits, mode: str, start: Floats, steps: int) -> None:
         """Args: the problem, its limits, the start's mode and mean (n,), and T."""
-        self._problem, self._limits, self._steps = problem, limits, steps
-        automaton = problem.automaton
-        n, m = automaton.n, automaton.m
-        self._size = n + n * (n + 1) // 2 + len(automaton.modes)
-        self.step = mixture_step(automaton, limits)
-        lower = np.tril_indices(n)[::-1]
+        automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
+        self._step = mixture_step(automaton, limits)
+        size, lower = self._step.size1_in(0), np.tril_indices(n)[::-1]
         factor = np.diag(problem.start.std)[lower[1], lower[0]]
-        weights = [float(q.name == mode) for q in automaton.modes]
-        self._start = np.concatenate([start, factor, weights])
-        self.states, self.inputs = ca.MX.sym("z", self._size, steps + 1), ca.MX.sym("u", m, steps)
-        stepped = self.step.map(steps)(self.states[:, :-1], self.inputs)
-        scaled = self.inputs / ca.DM(np.repeat(limits.max_step[:, None], steps, axis=1))
-        outside = _outside_function(automaton, limits).map(steps + 1)(self.states)
-        self.cost = problem.settings.weight_effort * ca.sumsqr(scaled) + _INVARIANT_WEIGHT * ca.sum2(outside)
-        self.cost += self._end_cost()
-        admissible = _admissible_function(automaton).map(steps)(self.states[:, :-1], self.inputs)
-        goal = [self.states[i, -1] for i, _, _ in problem.goal.target]
-        self.g = ca.vertcat(ca.vec(self.states[:, 1:] - stepped), ca.vec(admissible), *goal)
-        free = admissible.numel()
-        self._lower = np.concatenate(
-            [np.zeros(self._size * steps + free), [value - tol for _, value, tol in problem.goal.target]]
-        )
-        self._upper = np.concatenate(
-            [
-                np.zeros(self._size * steps),
-                np.full(free, np.inf),
-                [value + tol for _, value, tol in problem.goal.target],
-            ]
+        self._start = np.concatenate([start, factor, [float(q.name == mode) for q in automaton.modes]])
+        states, inputs = ca.MX.sym("z", size, steps + 1), ca.MX.sym("u", m, steps)
+        largest = np.repeat(limits.max_step[:, None], steps, axis=1)
+        outside = _outside_function(automaton, limits).map(steps + 1)(states)
+        cost = effort_cost(problem, ca.sumsqr(inputs / ca.DM(largest))) + _INVARIANT_WEIGHT * ca.sum2(outside)
+        stepped = self._step.map(steps)(states[:, :-1], inputs)
+        admissible = _admissible_function(automaton).map(steps)(states[:, :-1], inputs)
+        goal = [states[i, -1] for i, _, _ in problem.goal.target]
+        middle, tolerance = (np.array([target[i] for target in problem.goal.target]) for i in (1, 2))
+        most, later = largest.ravel(order="F"), np.full(size * steps, np.inf)
+        exact, open_ = np.zeros(size * steps), np.full(admissible.numel(), np.inf)
+        self._programme = Programme(
+            w=ca.vertcat(ca.vec(states), ca.vec(inputs)),
+            cost=cost + _end_cost(problem, states[:, -1]),
+            rows=ca.vertcat(ca.vec(states[:, 1:] - stepped), ca.vec(admissible), *goal),
+            start=np.zeros(states.numel() + inputs.numel()),
+            bounds=(np.concatenate([self._start, -later, -most]), np.concatenate([self._start, later, most])),
+            row_bounds=(
+                np.concatenate([exact, np.zeros_like(open_), middle - tolerance]),
+                np.concatenate([exact, open_, middle + tolerance]),
+            ),
         )
 
-    def solve(self, inputs: Floats, time_limit_s: float) -> MixturePath:
-        """The local optimum next to inputs (T, m), whose belief is rolled out first."""
+    def solve(self, inputs: Floats, time_limit_s: float) -> tuple[Solution, Floats]:
+        """The local optimum next to inputs (T, m), whose belief is rolled out first, and its own inputs (T, m)."""
         rolled = [self._start]
         for u in inputs:
-            rolled.append(np.array(self.step(rolled[-1], u), dtype=float).ravel())
-        w = ca.vertcat(ca.vec(self.states), ca.vec(self.inputs))
-        most = np.repeat(self._limits.max_step[None], self._steps, axis=0).ravel()
-        later = np.full(self._size * self._steps, np.inf)
+            rolled.append(np.array(self._step(rolled[-1], u), dtype=float).ravel())
+        start = np.concatenate([np.array(rolled).ravel(), inputs.ravel()])
         # All modes in every step are too many scalar operations: they take longer to build than they save.
-        options = ipopt_options(time_limit_s, expand=False)
-        solver = ca.nlpsol("mixture", "ipopt", {"x": w, "f": self.cost, "g": self.g}, options)
-        found = solver(
-            x0=np.concatenate([np.array(rolled).ravel(), inputs.ravel()]),
-            lbx=np.concatenate([self._start, -later, -most]),
-            ubx=np.concatenate([self._start, later, most]),
-            lbg=self._lower,
-            ubg=self._upper,
-        )
-        values, rows = (np.array(found[key], dtype=float).ravel() for key in ("x", "g"))
-        missed = np.maximum(np.maximum(self._lower - rows, rows - self._upper), 0.0).max()
-        cost, at = float(found["f"]), self._size * (self._steps + 1)
-        last = values[at - len(self._problem.automaton.modes) : at]
-        path = values[at:].reshape(self._steps, -1)
-        feasible = bool(np.isfinite(cost)) and float(missed) <= _FEASIBLE
-        return MixturePath(feasible, cost, path, last, str(solver.stats()["return_status"]))
+        found = Solver(self._programme, time_limit_s, expand=False).solve(start)
+        return found, found.w[-inputs.size :].reshape(inputs.shape)
 
-    def _end_cost(self) -> ca.MX:
-        """Goal error and variance as in the hierarchical programme, and the goal's modes by their log-weight."""
-        problem, settings, n = self._problem, self._problem.settings, self._problem.automaton.n
-        last, cost = self.states[:, -1], ca.MX(0)
-        factor = ca.MX(ca.Sparsity.lower(n), last[n : n + n * (n + 1) // 2])
-        for index, value, tolerance in problem.goal.target:
-            cost += settings.weight_goal * ((last[index] - value) / tolerance) ** 2
-            cost += settings.weight_covariance * ca.sumsqr(factor[index, :]) / tolerance**2
-        if problem.goal.modes:
-            automaton = problem.automaton
-            first = n + n * (n + 1) // 2
-            weight = sum((last[first + automaton.mode_index(name)] for name in problem.goal.modes), start=ca.MX(0))
-            cost -= ca.log(ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT)
-        return cost
+
+def _end_cost(problem: Problem, last: ca.MX) -> ca.MX:
+    """Goal error and variance of the last belief, and the goal's modes by their log-weight."""
+    automaton = problem.automaton
+    mean, factor, weights = _unpacked(last, automaton.n)
+    squares = {index: ca.sumsqr(factor[index, :]) for index in problem.goal.indices}
+    cost: ca.MX = goal_cost(problem, mean) + variance_cost(problem, squares)
+    if problem.goal.modes:
+        weight = sum((weights[automaton.mode_index(name)] for name in problem.goal.modes), start=ca.MX(0))
+        cost -= ca.log(ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT)
+    return cost
 
 
 def mixture_size(automaton: HybridAutomaton) -> int:
@@ -176,9 +136,10 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     return ca.Function("mixture", [z, u], [ca.densify(ca.vertcat(middle, packed, *arrived))])
 
 
-def _unpacked(z: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _unpacked(z: Expression, n: int) -> tuple[Expression, Expression, Expression]:
+    """Mean (n, 1), lower factor (n, n) and weights (q, 1) of a belief."""
     entries = n * (n + 1) // 2
-    return z[:n], ca.SX(ca.Sparsity.lower(n), z[n : n + entries]), z[n + entries :]
+    return z[:n], type(z)(ca.Sparsity.lower(n), z[n : n + entries]), z[n + entries :]
 
 
 def _information(automaton: HybridAutomaton, mean: ca.SX, weights: list[ca.SX]) -> list[ca.SX]:

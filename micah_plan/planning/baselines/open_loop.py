@@ -7,7 +7,6 @@ the covariances those of the hybrid filter with the most likely measurements, an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,37 +14,17 @@ from numpy.typing import NDArray
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.attempt import Attempt
+from micah_plan.planning.cost import cost_of
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.findings import endpoint_findings, finding_of_reason
-from micah_plan.planning.limits import Limits, limited_input, limits_of
+from micah_plan.planning.findings import finding_of_reason
+from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.task.clock import Clock
-from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.deadline import TimeLimitError
 from micah_plan.task.plan import Level, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import start_mode
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What a baseline is to do.
-
-    Attributes:
-        limits: of the problem.
-        mode: that the start is in.
-        seed: of all that is random.
-        deadline: when to end.
-        clock: of its stages.
-    """
-
-    problem: Problem
-    limits: Limits
-    mode: str
-    seed: int
-    deadline: Deadline
-    clock: Clock
 
 
 class NoWayError(Exception):
@@ -56,27 +35,20 @@ class NoWayError(Exception):
         super().__init__(reason)
 
 
-def plan_by(
-    find: Callable[[Task], tuple[Floats, str]], level: Level, problem: Problem, seed: int, deadline: Deadline | None
-) -> Plan:
-    """The plan, still to be verified, along inputs that a baseline finds, or the reason why there are none.
+def plan_along(find: Callable[[Attempt], tuple[Floats, str]], level: Level, attempt: Attempt) -> Plan:
+    """The plan along inputs that a baseline finds, or the reason why there are none.
 
     Args:
         find: gives inputs (T, m) and how they were found; raises NoWayError or TimeLimitError.
         level: where it fails if it does.
-        deadline: None: as the settings say, from now on.
+        attempt: what is to be planned.
     """
-    clock, deadline = Clock(), deadline or Deadline(problem.settings.solve_time_limit_s)
-    mode, reason = start_mode(problem.automaton, problem.start)
-    if mode is not None:
-        limits = limits_of(problem)
-        try:
-            inputs, said = find(Task(problem, limits, mode, seed, deadline, clock))
-            return _plan_along(problem, limits, mode, inputs, said, seed, clock.timings())
-        except (NoWayError, TimeLimitError) as failed:
-            reason = failed.reason
-    findings = endpoint_findings(problem) or (finding_of_reason(level, reason),)
-    return Plan("no_plan", reason, seed=seed, timings=clock.timings(), findings=findings)
+    try:
+        inputs, said = find(attempt)
+    except (NoWayError, TimeLimitError) as failed:
+        return attempt.refused(failed.reason, (finding_of_reason(level, failed.reason),))
+    trajectory = nominal_trajectory(attempt.problem, attempt.limits, attempt.mode, inputs)
+    return attempt.solved(trajectory, cost_of(attempt.problem, attempt.limits, trajectory), f": {said}")
 
 
 def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
@@ -109,35 +81,6 @@ def nominal_trajectory(problem: Problem, limits: Limits, mode: str, inputs: Floa
     gains = belief_lqr(problem, limits, tuple(modes), flags)
     shaped = np.array(applied).reshape(-1, automaton.m)
     return Trajectory(tuple(modes), np.array(means), np.array(factors), shaped, gains, flags)
-
-
-def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
-    """What the optimisation minimises, without slack: goal error, variance and effort of a trajectory."""
-    settings = problem.settings
-    cost = settings.weight_effort * float(np.square(trajectory.inputs / limits.max_step).sum())
-    for index, value, tolerance in problem.goal.target:
-        error = float(trajectory.means[-1, index]) - value
-        cost += settings.weight_goal * (error / tolerance) ** 2
-        cost += settings.weight_covariance * float(np.square(trajectory.factors[-1, index]).sum()) / tolerance**2
-    return cost
-
-
-def _plan_along(
-    problem: Problem, limits: Limits, mode: str, inputs: Floats, said: str, seed: int, timings: dict[str, float]
-) -> Plan:
-    """The plan of inputs (T, m), still to be verified; `said` is how they were found."""
-    trajectory = nominal_trajectory(problem, limits, mode, inputs)
-    sequence = [q for i, q in enumerate(trajectory.modes) if i == 0 or q != trajectory.modes[i - 1]]
-    return Plan(
-        "solved",
-        f"{' -> '.join(sequence)}: {said}",
-        trajectory=trajectory,
-        cost=cost_of(problem, limits, trajectory),
-        goal_error=problem.goal.error(trajectory.means[-1]),
-        goal_std=problem.goal.std(trajectory.factors[-1]),
-        seed=seed,
-        timings=timings,
-    )
 
 
 def _factor(problem: Problem, belief: HybridBelief, mode: str) -> Floats:

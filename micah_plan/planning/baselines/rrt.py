@@ -6,7 +6,7 @@ fire and nowhere else. Source: LaValle and Kuffner, "Randomized kinodynamic plan
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from ompl import control as oc
 from ompl import util as ou
 
 from micah_plan.automaton.transition import step
-from micah_plan.planning.baselines.open_loop import NoWayError, Task, nominal_start, plan_by
+from micah_plan.planning.attempt import Attempt, Progress, attempted
+from micah_plan.planning.baselines.open_loop import NoWayError, nominal_start, plan_along
 from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.search.samples import goal_states
 from micah_plan.task.deadline import Deadline
@@ -35,22 +36,16 @@ _LONGEST_CONTROL = 5
 _TOLERANCE = 1e-9
 
 
-def plan(
-    problem: Problem,
-    seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
-    deadline: Deadline | None = None,
-) -> Plan:
+def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
     """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
-    if progress is not None:
-        progress("growing a tree", 0.0)
-    return plan_by(_grow, "search", problem, seed, deadline)
+    return attempted(partial(plan_along, _grow, "search"), problem, seed, progress, deadline)
 
 
-def _grow(task: Task) -> tuple[Floats, str]:
+def _grow(attempt: Attempt) -> tuple[Floats, str]:
     """(T, m) inputs of a path to the goal, and how they were found."""
-    with task.clock.stage("search"):
-        inputs = _grown(task.problem, task.limits, task.mode, task.seed, task.deadline)
+    attempt.progress("growing a tree", 0.0)
+    with attempt.clock.stage("search"):
+        inputs = _grown(attempt.problem, attempt.limits, attempt.mode, attempt.seed, attempt.deadline)
     return inputs, f"found by RRT in {len(inputs)} steps"
 
 

@@ -21,12 +21,13 @@ from ompl import geometric as og
 from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 
+from micah_plan.planning.cost import goal_cost, in_steps
+from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.search.mode_paths import JoinedRoadmap, cheapest_sequences
 from micah_plan.planning.search.motion import ModeMotion, motions_of
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.reasons import why_disconnected, why_unreachable
 from micah_plan.planning.search.samples import sample_modes
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem
@@ -36,7 +37,6 @@ Ints = NDArray[np.int64]
 
 # Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
 _SHORTEST = 1e-9
-_SMALLEST_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,11 @@ def search_modes(
         graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
     edges = problem.automaton.edges
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
-    costs = {name: _goal_costs(problem, points[name][vertices]) for name, vertices in samples.goals.items()}
+    # The goal error that is left, as the optimisation will weigh it against effort.
+    costs = {
+        name: np.broadcast_to(in_steps(problem, goal_cost(problem, points[name][vertices].T)), len(vertices))
+        for name, vertices in samples.goals.items()
+    }
     roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
@@ -138,15 +142,6 @@ def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, Mo
         modes.append(name)
         waypoints.append(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
     return ModeSequence(tuple(modes), _edges(path, beliefs), tuple(waypoints), path.length, path.uncertainty)
-
-
-def _goal_costs(problem: Problem, points: Floats) -> Floats:
-    """(g,) the goal error of states (g, n) as the optimisation will weigh it against effort, in steps."""
-    settings = problem.settings
-    errors = np.zeros(len(points))
-    for index, value, tolerance in problem.goal.target:
-        errors += ((points[:, index] - value) / tolerance) ** 2
-    return np.asarray(errors * settings.weight_goal / max(settings.weight_effort, _SMALLEST_WEIGHT))
 
 
 def _guards_in_the_way(

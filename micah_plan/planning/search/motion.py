@@ -14,6 +14,8 @@ from micah_plan.planning.search.polytope import TOLERANCE
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 
+# Share of the largest step that a path is divided by: what is left is for the feedback and the optimisation.
+PACE = 0.6
 # Share of a step by which the reachable end of a motion may miss its target: rounding of the pseudo-inverse.
 _MISS = 1e-7
 

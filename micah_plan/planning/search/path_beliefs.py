@@ -17,16 +17,19 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
+from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.mode_paths import JoinedRoadmap
-from micah_plan.planning.search.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
+from micah_plan.planning.search.motion import PACE
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
-_SMALLEST_WEIGHT = 1e-3
+# Steps added at the end for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
+MOST_LOCALISING_STEPS = 20
+WORTH_A_STEP = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,6 @@ class PathBeliefs:
         Args:
             spare: (p,) steps left for it.
         """
-        settings = self.problem.settings
         index = list(self.problem.goal.indices)
         tolerance = np.array([tol for _, _, tol in self.problem.goal.target])
         before = np.full(len(variance), np.inf)
@@ -131,8 +133,7 @@ class PathBeliefs:
             at = vertex[open_]
             variance = variance.copy()
             variance[open_] = self._measured(variance[open_], self.points[at], self.mode_of[at])
-        left = (variance[:, index] / tolerance**2).sum(axis=1)
-        return np.asarray(left * settings.weight_covariance / max(settings.weight_effort, _SMALLEST_WEIGHT))
+        return np.broadcast_to(in_steps(self.problem, variance_cost(self.problem, variance.T)), len(variance))
 
     def _measured(self, variance: Floats, x: Floats, mode: Ints) -> Floats:
         """One step's process noise, then one measurement at x (p, n)."""

@@ -14,9 +14,10 @@ from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, motion_per_input
 from micah_plan.planning.search.mode_search import ModeSequence
-from micah_plan.planning.search.pacing import MOST_LOCALISING_STEPS, PACE, WORTH_A_STEP
+from micah_plan.planning.search.motion import PACE
+from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.symbolic.compiled import CompiledAutomaton, CompiledMode
+from micah_plan.symbolic.compiled import CompiledMode, compile_automaton
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -62,9 +63,7 @@ class Guess:
     reason: str = ""
 
 
-def guess(
-    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, stretch: float = 1.0
-) -> Guess:
+def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: float = 1.0) -> Guess:
     """Divide the path into knots and roll the belief out along it, through guards at the planned confidence.
 
     Args:
@@ -76,22 +75,20 @@ def guess(
     if reason:
         return Guess((), reason)
     # The overshoot into a guard lengthens a phase and is known only once the belief has been rolled out.
-    rolled, needed = _roll(problem, limits, compiled, sequence, steps)
+    rolled, needed = _roll(problem, limits, sequence, steps)
     again, reason = _divide(problem, limits, sequence, needed, stretch)
     if reason:
         return Guess((), reason)
     spare = problem.settings.max_knots - len(again) - sum(again)
-    again[-1] += _localising_steps(problem, compiled.modes[sequence.modes[-1]], rolled[-1], spare)
+    again[-1] += _localising_steps(problem, rolled[-1], spare)
     if again != steps:
-        rolled, _ = _roll(problem, limits, compiled, sequence, again)
+        rolled, _ = _roll(problem, limits, sequence, again)
     return Guess(rolled)
 
 
-def guess_again(
-    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
-) -> tuple[PhaseGuess, ...]:
+def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> tuple[PhaseGuess, ...]:
     """The warm start of a path that is followed already, with its number of steps in each mode."""
-    return _roll(problem, limits, compiled, sequence, steps)[0]
+    return _roll(problem, limits, sequence, steps)[0]
 
 
 def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
@@ -146,9 +143,10 @@ def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> floa
 
 
 def _roll(
-    problem: Problem, limits: Limits, compiled: CompiledAutomaton, sequence: ModeSequence, steps: list[int]
+    problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]
 ) -> tuple[tuple[PhaseGuess, ...], list[float]]:
     """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
+    compiled = compile_automaton(problem.automaton)
     # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
     first = problem.automaton.mode(sequence.modes[0])
     mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
@@ -233,12 +231,13 @@ def _belief(pair: Any) -> tuple[Floats, Floats]:
     return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
 
 
-def _localising_steps(problem: Problem, mode: CompiledMode, phase: PhaseGuess, spare: int) -> int:
+def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
     """Steps to add to the last phase until the last step starts from a belief narrow enough to meet the goal.
 
     What counts is the belief before the last measurement: that one comes too late for any input.
     """
     k, rest = problem.settings.sigmas, np.zeros(problem.automaton.m)
+    mode = compile_automaton(problem.automaton).modes[phase.mode]
     mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
     for extra in range(min(spare, MOST_LOCALISING_STEPS) + 1):
         prior = _belief(mode.predict(mean, factor, rest))[1]

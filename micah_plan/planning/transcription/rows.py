@@ -1,15 +1,15 @@
-"""Names of the constraint rows of a transcription, and what a violated row means in words."""
+"""Named constraints: what each row of a transcription bounds and where, and which rows are missed most."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.quantities import quantity
+from micah_plan.quantities import percent
 
 Floats = NDArray[np.float64]
 Kind = Literal["dynamics", "input", "boundary", "guard", "goal"]
@@ -27,12 +27,12 @@ class Row:
     Attributes:
         mode: the mode of the phase that it belongs to.
         knot: knot of the whole plan, from 0.
-        name: what must hold, e.g. ``"guard 'door >= 1.2' at 95 %"``.
+        name: what must hold, e.g. ``"'door <= 1.2'"``.
         unit: of g; empty if none applies.
         lower, upper: bounds; infinite if open.
         kind: what kind of thing it bounds.
-        half_space, sign: what is kept (+1) or kept out of (-1), for boundaries and guards.
-        spread: variance across it that adds to the belief's, where it is to hold at k-sigma; None elsewhere.
+        half_space, sign: the boundary, to stay inside of (+1) or outside of (-1), for boundaries and guards.
+        confidence: with which it is to hold; None: for the mean only.
     """
 
     mode: str
@@ -44,7 +44,12 @@ class Row:
     kind: Kind = "dynamics"
     half_space: HalfSpace | None = None
     sign: float = 1.0
-    spread: float | None = None
+    confidence: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The name with the confidence, e.g. ``"'door <= 1.2' at 95%"``."""
+        return self.name if self.confidence is None else f"{self.name} at {percent(self.confidence)}"
 
     def violation(self, value: float) -> float:
         """How far a value lies outside the bounds [unit of the row]; NaN counts as infinitely far."""
@@ -52,49 +57,30 @@ class Row:
             return float("inf")
         return max(0.0, self.lower - value, value - self.upper)
 
-    def sentence(self, value: float) -> str:
-        """What is wrong at this value of g."""
-        place = f"at knot {self.knot} in mode '{self.mode}'"
-        if np.isnan(value):
-            return f"{self.name} is not a number {place}"
-        return f"{self.name} is missed by {quantity(self.violation(value), self.unit)} {place}"
 
-
-@dataclass
-class RowNames:
-    """The rows of a transcription in the order of its constraint vector g."""
-
-    rows: list[Row] = field(default_factory=list)
-
-    def __len__(self) -> int:
-        return len(self.rows)
+class Rows(list[Row]):
+    """The rows of a transcription, in the order of its constraint vector g."""
 
     @property
     def lower(self) -> Floats:
-        return np.array([row.lower for row in self.rows])
+        """(r,) lower bounds."""
+        return np.array([row.lower for row in self])
 
     @property
     def upper(self) -> Floats:
-        return np.array([row.upper for row in self.rows])
+        """(r,) upper bounds."""
+        return np.array([row.upper for row in self])
 
-    def largest_violation(self, g: Floats) -> float:
-        """The largest violation over all rows at g (rows,)."""
-        return max((row.violation(float(value)) for row, value in zip(self.rows, g, strict=True)), default=0.0)
-
-    def worst(self, g: Floats, count: int = 3) -> list[str]:
-        """Sentences for the worst violated rows, one per name and mode, worst first."""
-        return [self.rows[i].sentence(float(g[i])) for i in self.worst_indices(g, count)]
-
-    def worst_indices(self, g: Floats, count: int = 3) -> list[int]:
-        """The numbers of those rows."""
-        violations = [row.violation(float(value)) for row, value in zip(self.rows, g, strict=True)]
+    def worst(self, g: Floats, count: int = 3) -> list[int]:
+        """Numbers of the rows that are missed most at g (r,), one per constraint and mode, worst first."""
+        violations = [row.violation(float(value)) for row, value in zip(self, g, strict=True)]
         largest = max((v for v in violations if np.isfinite(v)), default=0.0)
         visible = max(NEGLIGIBLE, _VISIBLE_SHARE * largest)
         found: dict[tuple[str, str], int] = {}
         for i in sorted(range(len(violations)), key=lambda i: -violations[i]):
             if violations[i] <= visible or len(found) >= count:
                 break
-            found.setdefault((self.rows[i].mode, self.rows[i].name), i)
+            found.setdefault((self[i].mode, self[i].label), i)
         return list(found.values())
 
 
@@ -104,8 +90,8 @@ class Shortfall:
 
     Attributes:
         row: which.
-        amount: by how much [unit of the row].
-        std: of the true margin, where the row is to hold at k-sigma; None elsewhere [unit of the row].
+        amount: by how much [unit of the row]; infinite if it is not a number.
+        std: of the true margin, where the row is to hold with a confidence; None elsewhere [unit of the row].
         width: between this boundary and one that faces it at the same knot, if there is one [unit of the row].
     """
 
@@ -113,9 +99,3 @@ class Shortfall:
     amount: float
     std: float | None = None
     width: float | None = None
-
-    @property
-    def sentence(self) -> str:
-        """What is wrong, as `Row.sentence` says it."""
-        value = self.row.lower - self.amount if np.isfinite(self.row.lower) else self.row.upper + self.amount
-        return self.row.sentence(value)

@@ -1,0 +1,104 @@
+"""One attempt at a plan: what every planner begins with, and the plan or the refusal that it ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from micah_plan.planning.findings import endpoint_findings
+from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.task.deadline import Clock, Deadline
+from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
+
+Progress = Callable[[str, float], None]
+
+
+def silent(_text: str, _fraction: float) -> None:
+    """Progress that nobody listens to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What a planner is given.
+
+    Attributes:
+        problem: what to solve; its start names the mode that it is in.
+        seed: of all that is random.
+        deadline: when to end.
+        progress: called with one line of text and the fraction done whenever a stage begins.
+        clock: of its stages.
+    """
+
+    problem: Problem
+    seed: int
+    deadline: Deadline
+    progress: Progress = silent
+    clock: Clock = field(default_factory=Clock)
+
+    @property
+    def mode(self) -> str:
+        """The mode that the start is in."""
+        return self.problem.start.mode or ""
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Of the problem."""
+        return limits_of(self.problem)
+
+    def solved(
+        self,
+        trajectory: Trajectory,
+        cost: float,
+        how: str,
+        candidates: tuple[Candidate, ...] = (),
+        findings: tuple[Finding, ...] = (),
+    ) -> Plan:
+        """The plan with a trajectory, still to be verified; `how` says in a few words how it was found."""
+        answer = Plan(
+            "solved",
+            "",
+            trajectory=trajectory,
+            candidates=candidates,
+            cost=cost,
+            goal_error=self.problem.goal.error(trajectory.means[-1]),
+            goal_std=self.problem.goal.std(trajectory.factors[-1]),
+            seed=self.seed,
+            timings=self.clock.timings(),
+            findings=findings,
+        )
+        return replace(answer, reason=f"{' -> '.join(answer.mode_sequence)}{how}")
+
+    def refused(self, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...] = ()) -> Plan:
+        """No plan, for a reason that ends with its remedy; a wrong start or goal is found before anything else."""
+        return Plan(
+            "no_plan",
+            reason,
+            candidates=candidates,
+            seed=self.seed,
+            timings=self.clock.timings(),
+            findings=endpoint_findings(self.problem) or findings,
+        )
+
+
+def attempted(
+    planner: Callable[[Attempt], Plan],
+    problem: Problem,
+    seed: int,
+    progress: Progress | None,
+    deadline: Deadline | None,
+) -> Plan:
+    """What a planner makes of a problem from the mode that its start is in; no plan if it is in none.
+
+    Args:
+        planner: gives a plan, still to be verified, or says why there is none.
+        problem, seed, progress: see `Attempt`.
+        deadline: None: as the settings say, from now on.
+    """
+    attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s), progress or silent)
+    mode, reason = start_mode(problem.automaton, problem.start)
+    if mode is None:
+        return attempt.refused(reason, ())
+    return planner(replace(attempt, problem=replace(problem, start=replace(problem.start, mode=mode))))

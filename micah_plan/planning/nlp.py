@@ -1,0 +1,208 @@
+"""Nonlinear programmes, and the solver for them: IPOPT through CasADi. No other file knows which solver it is.
+
+    minimise cost(w)  with  lower <= w <= upper  and  row_lower <= rows(w) <= row_upper
+
+Source: Wächter and Biegler, "On the implementation of an interior-point filter line-search algorithm for large-scale
+nonlinear programming", Mathematical Programming 2006.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bounds = tuple[Floats, Floats]
+
+# Violation of a row or bound that a result may have [unit of the row]: ours, whatever the solver says of itself.
+FEASIBLE = 1e-5
+
+_SOLVER = "ipopt"
+_MAX_ITERATIONS = 500
+_UNUSABLE = "the start of the optimisation is unusable"
+_OUT_OF_TIME = ("Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded")
+_STATUS = {
+    "Solve_Succeeded": "optimal",
+    "Solved_To_Acceptable_Level": "nearly optimal",
+    "Feasible_Point_Found": "feasible",
+    "Infeasible_Problem_Detected": "the constraints contradict each other",
+    "Restoration_Failed": "no point that satisfies the constraints was found",
+    "Maximum_Iterations_Exceeded": f"stopped after {_MAX_ITERATIONS} iterations",
+    **dict.fromkeys(_OUT_OF_TIME, "stopped at the time limit (time_limit_s)"),
+    "Search_Direction_Becomes_Too_Small": "no further progress was possible",
+    "Diverging_Iterates": "the iterates diverged: the cost has no lower limit",
+    "Invalid_Number_Detected": "a constraint or the cost became not a number",
+    "Not_Enough_Degrees_Of_Freedom": "there are more conditions than inputs to meet them with",
+}
+# For a start that is nearly right: how far from the bounds the barrier begins, and starts are pushed away from them.
+_BARRIER, _PUSH = 1e-4, 1e-8
+_WARM_START = {
+    "mu_strategy": "monotone",
+    "mu_init": _BARRIER,
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": _PUSH,
+    "warm_start_bound_frac": _PUSH,
+    "warm_start_slack_bound_push": _PUSH,
+    "warm_start_slack_bound_frac": _PUSH,
+    "warm_start_mult_bound_push": _PUSH,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """A nonlinear programme of d variables and r rows.
+
+    Attributes:
+        w: (d, 1) symbols; cost: (1, 1) and rows: (r, 1) expressions in them.
+        start: (d,) where to begin.
+        bounds: (d,) lower and upper bounds of w; row_bounds: (r,) of the rows; infinite where open.
+    """
+
+    w: ca.MX
+    cost: ca.MX
+    rows: ca.MX
+    start: Floats
+    bounds: Bounds
+    row_bounds: Bounds
+
+    @cached_property
+    def _values(self) -> ca.Function:
+        return ca.Function("values", [self.w], [self.cost, self.rows])
+
+    def values(self, w: Floats) -> tuple[float, Floats]:
+        """Cost and rows (r,) at w (d,)."""
+        cost, rows = self._values(w)
+        return float(cost), np.array(rows, dtype=float).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a solver ended.
+
+    Attributes:
+        w: (d,) variables; cost: there; rows: (r,) there.
+        is_feasible: whether all rows hold to within `FEASIBLE` and nothing is NaN.
+        has_converged: whether the solver says that it is a local optimum.
+        is_out_of_time: whether it was stopped by its time limit, so that the result tells nothing of what is possible.
+        said: how it ended, in words.
+        iterations: of the solver.
+        multipliers: of bounds and rows, for a warm start.
+    """
+
+    w: Floats
+    cost: float
+    rows: Floats
+    is_feasible: bool
+    has_converged: bool
+    is_out_of_time: bool
+    said: str
+    iterations: int
+    multipliers: Bounds
+
+    @property
+    def is_number(self) -> bool:
+        """Whether cost and rows are numbers; a start where they are not is not tried."""
+        return bool(np.isfinite(self.cost)) and bool(np.isfinite(self.rows).all())
+
+
+class Solver:
+    """A programme made ready to be solved once or, from other starts and with other bounds, again and again."""
+
+    def __init__(
+        self, programme: Programme, time_limit_s: float, *, expand: bool = True, warm_start: bool = False
+    ) -> None:
+        """Make a programme ready.
+
+        Args:
+            programme: what to solve.
+            time_limit_s: wall-clock limit of each solution [s].
+            expand: into scalar operations. Steps of beliefs are small and sparse, so that this makes an iteration
+                several times faster and costs little.
+            warm_start: whether starts will be nearly optimal.
+        """
+        self._programme = programme
+        stated: dict[str, Any] = {"x": programme.w, "f": programme.cost, "g": programme.rows}
+        self._solver = ca.nlpsol("programme", _SOLVER, stated, _options(time_limit_s, expand, warm_start))
+
+    def solve(
+        self,
+        start: Floats | None = None,
+        bounds: Bounds | None = None,
+        row_bounds: Bounds | None = None,
+        before: Solution | None = None,
+    ) -> Solution:
+        """The local optimum next to a start.
+
+        Args:
+            start: (d,); None: the programme's, as with the two bounds.
+            bounds, row_bounds: (d,) and (r,) pairs.
+            before: a solution whose multipliers to start from.
+
+        Returns:
+            Where the solver ended; the start itself if cost or rows are not numbers there: a solver may never end then.
+        """
+        stated, multipliers = self._programme, {}
+        start = stated.start if start is None else start
+        lower, upper = stated.bounds if bounds is None else bounds
+        row_lower, row_upper = stated.row_bounds if row_bounds is None else row_bounds
+        if before is None:
+            cost, rows = stated.values(start)
+            unusable = Solution(start, cost, rows, False, False, False, _UNUSABLE, 0, (0.0 * start, 0.0 * rows))
+            if not unusable.is_number:
+                return unusable
+        else:
+            multipliers = {"lam_x0": before.multipliers[0], "lam_g0": before.multipliers[1]}
+        found = self._solver(x0=start, lbx=lower, ubx=upper, lbg=row_lower, ubg=row_upper, **multipliers)
+        w, rows, of_bounds, of_rows = (
+            np.array(found[key], dtype=float).ravel() for key in ("x", "g", "lam_x", "lam_g")
+        )
+        cost, statistics = float(found["f"]), self._solver.stats()
+        missed = np.max(np.maximum(row_lower - rows, rows - row_upper), initial=0.0)  # NaN if a row is
+        status = str(statistics["return_status"])
+        return Solution(
+            w,
+            cost,
+            rows,
+            bool(np.isfinite(cost)) and bool(missed <= FEASIBLE),
+            bool(statistics["success"]),
+            status in _OUT_OF_TIME,
+            _STATUS.get(status, status.replace("_", " ").lower()),
+            int(statistics["iter_count"]),
+            (of_bounds, of_rows),
+        )
+
+
+def _options(time_limit_s: float, expand: bool, warm_start: bool) -> dict[str, Any]:
+    """IPOPT without a word on the terminal, and never longer than the time limit."""
+    own = {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": _MAX_ITERATIONS,
+        "max_wall_time": time_limit_s,
+        "mu_strategy": "adaptive",
+    }
+    return {
+        "expand": expand,
+        "print_time": False,
+        "show_eval_warnings": False,
+        "error_on_fail": False,
+        _SOLVER: own | (_WARM_START if warm_start else {}),
+    }
+
+
+def can_solve(linear_solver: str) -> bool:
+    """Whether IPOPT solves a small programme with a linear solver.
+
+    To be asked in a process of its own: one that is not there ends in an error, a crash or a long wait, as it likes.
+    """
+    x = ca.MX.sym("x", 2)
+    programme: Any = {"x": x, "f": ca.sumsqr(x - 1), "g": x[0] * x[1]}
+    options: Any = {"linear_solver": linear_solver, "print_level": 0, "sb": "yes", "max_wall_time": 5.0}
+    solver = ca.nlpsol("small", _SOLVER, programme, {_SOLVER: options, "print_time": False})
+    solver(x0=[0.5, 0.3], lbg=0.2, ubg=2.0)
+    return bool(solver.stats()["success"])
