@@ -1,7 +1,7 @@
 """The errors that micah_plan raises on purpose.
 
 Every message is one line that says which file, which key or row, what was expected, what was found and what to do.
-The command line turns them into exit codes: 2 for bad input, 1 for an honest negative.
+The command line turns them into exit codes: 2 for bad input, 1 where no plan, joint or explanation was found.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What `learn` reports of how sure it is: JSON, table, warnings, and the honest negative where no joint fits."""
+"""What `learn` reports of how sure it is: JSON, table, warnings, and the exit code where no joint fits."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def test_the_learned_drawer_is_the_true_drawer(repository):
 
 
 def test_the_learned_cabinet_is_the_true_cabinet(repository):
-    """Door, drawer and the door's handle: what hangs on what, hinge, rail, and where the door shuts."""
+    """Door, drawer and the door's handle: which part is attached to which, hinge, rail, and where the door shuts."""
     cabinet = load_model(repository / "models" / "cabinet.yaml")
     assert [(link.parent, link.child) for link in cabinet.links] == [
         ("base", "door"), ("base", "drawer"), ("door", "handle"),

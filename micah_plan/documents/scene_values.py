@@ -15,9 +15,8 @@ from micah_plan.documents.part_values import check_sizes, check_unit
 from micah_plan.documents.scene_document import BodyDocument, BodyShapeDocument, GraspDocument, RobotDocument
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
 from micah_plan.errors import InputError
-from micah_plan.files import read_bytes
+from micah_plan.files import contained, read_bytes
 from micah_plan.scene.body import Body, Hull, Shape
-from micah_plan.scene.contained_path import contained
 from micah_plan.scene.mesh_file import convex_corners, load_hull
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 

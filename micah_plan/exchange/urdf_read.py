@@ -19,10 +19,8 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint, prismatic, revolute
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError, shown
-from micah_plan.files import read_bytes
-from micah_plan.robot.checked_robot import NO_LIMIT, CheckedRobot
-from micah_plan.robot.urdf_text import check_urdf
-from micah_plan.robot.xml_text import LARGEST_XML_BYTES, Element, parse_xml
+from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
+from micah_plan.robot.xml_text import Element, parse_xml, read_xml
 
 # A URDF says nothing of noise: a good tracker's, per step and per measurement, by unit.
 PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
@@ -38,11 +36,7 @@ def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
     Raises:
         InputError: if it is no URDF, nothing moves, or a joint follows another one.
     """
-    try:
-        text = read_bytes(path, LARGEST_XML_BYTES).decode("utf-8")
-    except UnicodeDecodeError:
-        raise InputError("expected UTF-8 text", source=path, remedy="give a URDF file") from None
-    root = parse_xml(text, str(path))
+    root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":
         raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
     checked = check_urdf(root, str(path), str(Path(path).parent), {})

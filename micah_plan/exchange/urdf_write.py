@@ -19,7 +19,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY, Joint
 from micah_plan.automaton.region import Interval
 from micah_plan.errors import InputError
-from micah_plan.robot.checked_robot import NO_LIMIT
+from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.xml_text import Element, write_xml
 
 AXIS_LINK = "_axis"

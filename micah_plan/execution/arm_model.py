@@ -11,8 +11,8 @@ from micah_plan.errors import InputError
 from micah_plan.execution.held_mjcf import ARM_MEETS, ARM_TYPE
 from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.robot.arm import Arm
-from micah_plan.robot.checked_robot import NO_LIMIT
 from micah_plan.robot.load_arm import check_robot
+from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import mesh_hulls
 from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.scene.robot_description import RobotDescription

@@ -113,7 +113,7 @@ def _path(
 
 
 def carried_parts(automaton: HybridAutomaton, part: str) -> tuple[str, ...]:
-    """A part and those that hang on it, directly or through others."""
+    """A part and those attached to it, directly or through others."""
     found = [part]
     for link in automaton.links:  # parents come first
         if link.parent in found:

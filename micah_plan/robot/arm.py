@@ -121,3 +121,19 @@ class Arm:
             joint.calc(data, np.zeros(self.model.nq))
             rows.append(np.asarray(data.S, dtype=float).reshape(6))
         return np.stack(rows)
+
+
+def symbolic_forward(arm: Arm) -> Any:
+    """A CasADi function from q (n, 1) [rad or m] to the tool's pose T (4, 4) in the base frame [m].
+
+    Pinocchio's own CasADi bindings are not in its wheels. The chain has one joint after the other, because all joints
+    that do not move the tool are held still.
+    """
+    from micah_plan.symbolic.chain_kinematics import ChainJoint, chain_forward
+
+    model = arm.model
+    joints = [
+        ChainJoint(np.array(model.jointPlacements[number].homogeneous), twist)
+        for number, twist in enumerate(arm.twists(), start=1)
+    ]
+    return chain_forward(joints, np.array(model.frames[arm.tool].placement.homogeneous))

@@ -11,12 +11,9 @@ import pinocchio as pin
 
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.errors import InputError, shown
-from micah_plan.files import read_bytes
 from micah_plan.robot.arm import Arm
-from micah_plan.robot.checked_robot import NO_LIMIT, CheckedRobot
-from micah_plan.robot.mjcf_text import check_mjcf
-from micah_plan.robot.urdf_text import check_urdf
-from micah_plan.robot.xml_text import LARGEST_XML_BYTES, parse_xml
+from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
+from micah_plan.robot.xml_text import parse_xml, read_xml
 from micah_plan.scene.robot_description import RobotDescription
 
 _MOST_JOINTS = 100
@@ -31,10 +28,7 @@ def describe_robot(
     Raises:
         InputError: if the file cannot be read or is no text.
     """
-    try:
-        text = read_bytes(path, LARGEST_XML_BYTES).decode("utf-8")
-    except UnicodeDecodeError:
-        raise InputError("expected UTF-8 text", source=path, remedy="give a URDF or MJCF file") from None
+    text = read_xml(path, "URDF or MJCF")
     return RobotDescription(str(path), text, tool, position, quaternion, folder=str(Path(path).parent))
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from micah_plan.errors import InputError
+from micah_plan.files import read_bytes
 
 LARGEST_XML_BYTES = 8 * 1024 * 1024
 MOST_ELEMENTS = 50_000
@@ -31,6 +33,10 @@ class Element:
         """The first child of a tag, if there is one."""
         return next((child for child in self.children if child.tag == tag), None)
 
+    def alone(self) -> Element:
+        """A copy without the children."""
+        return Element(self.tag, dict(self.attributes), self.line)
+
     def walk(self) -> Iterator[Element]:
         """This element and all below it, in the order of the file."""
         waiting = [self]
@@ -38,6 +44,21 @@ class Element:
             element = waiting.pop()
             yield element
             waiting.extend(reversed(element.children))
+
+
+def read_xml(path: str | Path, formats: str) -> str:
+    """The text of an XML file.
+
+    Args:
+        formats: that it may have, for the message.
+
+    Raises:
+        InputError: if the file cannot be read, is too large or is no UTF-8 text.
+    """
+    try:
+        return read_bytes(path, LARGEST_XML_BYTES).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError("expected UTF-8 text", source=path, remedy=f"give a {formats} file") from None
 
 
 def parse_xml(text: str, source: str) -> Element:

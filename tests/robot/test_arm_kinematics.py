@@ -8,10 +8,9 @@ import pytest
 from robot_examples import SLIDER, TWO_LINKS, arm7, described
 
 from micah_plan.errors import InputError
-from micah_plan.robot.arm import Arm
+from micah_plan.robot.arm import Arm, symbolic_forward
 from micah_plan.robot.inverse_kinematics import null_step, pose_error, reach_pose
 from micah_plan.robot.load_arm import load_arm
-from micah_plan.robot.symbolic_arm import symbolic_forward
 
 ARMS = {
     "arm7": lambda: arm7((0.1, -0.2, 0.3)),

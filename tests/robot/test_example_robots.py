@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.robot.arm import symbolic_forward
 from micah_plan.robot.inverse_kinematics import next_pose
 from micah_plan.robot.load_arm import describe_robot, load_arm
-from micah_plan.robot.symbolic_arm import symbolic_forward
 
 ARMS = {
     "panda_description/urdf/panda.urdf": ("panda_hand", 7),

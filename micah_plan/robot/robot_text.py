@@ -1,28 +1,58 @@
-"""URDF checked before Pinocchio sees it: structure, numbers and mesh paths, each mistake with its line.
+"""Robot files checked before Pinocchio sees them: structure, numbers and mesh paths, each mistake with its line.
 
-Pinocchio's parser reads over some mistakes (a mass that is no number, a joint from a link to itself), joins mesh paths
-without looking where they lead, and complains on stderr. What is handed to it has only links and joints, continuous
-joints turned into revolute ones without limits, and mesh paths resolved within their folder or package.
+Pinocchio's parsers read over some mistakes (a mass that is no number, a joint from a link to itself), join mesh paths
+without looking where they lead, and complain on stderr. Of a URDF they get only links and joints, continuous joints
+turned into revolute ones without limits; of an MJCF no inclusion of other files; mesh paths are resolved within their
+folder or package.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from micah_plan.errors import InputError, shown
-from micah_plan.robot.checked_robot import NO_LIMIT, CheckedRobot
+from micah_plan.files import contained
 from micah_plan.robot.xml_text import Element, write_xml
-from micah_plan.scene.contained_path import contained
 
-_KINDS = ("revolute", "continuous", "prismatic", "fixed")
+NO_LIMIT = 1e9
+"""Limit of joints without limits [rad or m], in files whose parsers know no infinity."""
 # Pinocchio descends from link to link by recursion: a chain of thousands ends in a crash.
 MOST_LINKS = 1000
+_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 _PACKAGE = "package://"
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-# Attributes that hold numbers. Python reads "0.05 " and "1_0" as numbers; the parser of URDF leaves such a shape out.
+# Attributes of URDF that hold numbers. Python reads "0.05 " and "1_0" as numbers; URDF's parser omits such a shape.
 _NUMBERS = {"xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "effort", *_INERTIA}
+
+# Of MJCF, what kinematics and clearances need; the rest (actuators, sensors, textures) names further files or is not
+# read.
+_KEPT = ("compiler", "default", "asset", "worldbody", "contact", "equality")
+_FOLDERS = ("meshdir", "assetdir", "texturedir")
+_DROPPED_ASSETS = ("texture", "hfield", "skin", "material")
+_MJCF_NUMBERS = ("pos", "quat", "axis", "size", "range", "euler", "axisangle", "xyaxes", "zaxis", "fromto", "ref")
+_MJCF_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class CheckedRobot:
+    """What was found in a file.
+
+    Attributes:
+        kind: format of the text.
+        text: clean, with absolute mesh paths.
+        colors: of the shapes of each link, as ``"#rrggbb"``; the last serves further shapes.
+        mimics: joints that follow another one.
+    """
+
+    kind: Literal["urdf", "mjcf"]
+    text: str
+    colors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mimics: frozenset[str] = frozenset()
 
 
 def check_urdf(root: Element, source: str, folder: str, packages: Mapping[str, str]) -> CheckedRobot:
@@ -68,8 +98,7 @@ class _Checker:
         return CheckedRobot("urdf", write_xml(clean), colors, mimics)
 
     def _error(self, element: Element, problem: str, remedy: str = "correct the URDF") -> InputError:
-        where = f"line {element.line}, <{element.tag}>"
-        return InputError(problem, source=self._source, where=where, remedy=remedy)
+        return _fault(element, self._source, problem, remedy)
 
     def _name(self, element: Element) -> str:
         name = element.attributes.get("name", "")
@@ -98,7 +127,7 @@ class _Checker:
             return []
         for key in ("xyz", "rpy"):
             self._numbers(origin, key, 3, "0 0 0")
-        return [Element("origin", dict(origin.attributes), origin.line)]
+        return [origin.alone()]
 
     def _joint(self, joint: Element, links: Mapping[str, Element]) -> Element:
         kind = joint.attributes.get("type", "")
@@ -117,7 +146,7 @@ class _Checker:
         if axis is not None:
             if not any(self._numbers(axis, "xyz", 3)):
                 raise self._error(axis, "expected an axis that is not zero")
-            clean.children.append(Element("axis", dict(axis.attributes), axis.line))
+            clean.children.append(axis.alone())
         limit = joint.first("limit")
         if kind == "continuous":
             clean.attributes["type"] = "revolute"
@@ -138,7 +167,7 @@ class _Checker:
         return effort if effort > 0 else NO_LIMIT
 
     def _check_tree(self, root: Element, links: Mapping[str, Element], joints: list[Element]) -> None:
-        """Every link hangs on one root through one joint."""
+        """Every link is connected to one root by one joint each."""
         below: dict[str, list[str]] = {}
         carried: set[str] = set()
         for joint in joints:
@@ -156,7 +185,7 @@ class _Checker:
         if len(roots) != 1 or len(reached) != len(links):
             lost = next((name for name in links if name not in reached), "")
             problem = f"expected one tree of links, found {len(roots)} roots"
-            raise self._error(root, problem + (f"; link {shown(lost)} does not hang on the first" if lost else ""))
+            raise self._error(root, problem + (f"; link {shown(lost)} is not connected to the first" if lost else ""))
 
     def _link(self, link: Element) -> Element:
         """The link with its inertia and its collision shapes, or those to draw if there are none."""
@@ -180,25 +209,23 @@ class _Checker:
             raise self._error(mass, "expected a mass >= 0")
         for key in _INERTIA:
             self._numbers(inertia, key, 1, "0")
-        copies = [Element(item.tag, dict(item.attributes), item.line) for item in (mass, inertia)]
-        return Element("inertial", {}, inertial.line, [*self._origin(inertial), *copies])
+        return Element("inertial", {}, inertial.line, [*self._origin(inertial), mass.alone(), inertia.alone()])
 
     def _solid(self, solid: Element) -> Element:
-        attributes = dict(solid.attributes)
+        clean = solid.alone()
         if solid.tag == "box":
             self._positive(solid, "size", 3)
-        elif solid.tag in ("cylinder", "capsule"):
+        elif solid.tag in ("cylinder", "capsule", "sphere"):
             self._positive(solid, "radius")
-            self._positive(solid, "length")
-        elif solid.tag == "sphere":
-            self._positive(solid, "radius")
+            if solid.tag != "sphere":
+                self._positive(solid, "length")
         elif solid.tag == "mesh":
             if 0.0 in self._numbers(solid, "scale", 3, "1 1 1"):
                 raise self._error(solid, "expected a scale without zeros")
-            attributes["filename"] = self._mesh(solid)
+            clean.attributes["filename"] = self._mesh(solid)
         else:
             raise self._error(solid, "expected a box, cylinder, capsule, sphere or mesh")
-        return Element(solid.tag, attributes, solid.line)
+        return clean
 
     def _mesh(self, mesh: Element) -> str:
         name = mesh.attributes.get("filename", "")
@@ -206,10 +233,7 @@ class _Checker:
         if name.startswith(_PACKAGE):
             package, _, name = name.removeprefix(_PACKAGE).partition("/")
             folder = self._package(mesh, package)
-        try:
-            return str(contained(name, folder))
-        except InputError as error:
-            raise self._error(mesh, error.problem, error.remedy or "") from None
+        return _mesh_path(mesh, self._source, name, folder)
 
     def _package(self, mesh: Element, name: str) -> str | Path:
         above = Path(self._folder).resolve()
@@ -242,3 +266,53 @@ class _Checker:
 def _plain(text: str) -> str:
     """Numbers as every parser reads them."""
     return " ".join(repr(float(word)) for word in text.split())
+
+
+def check_mjcf(root: Element, source: str, folder: str) -> CheckedRobot:
+    """What an MJCF file says, fit to be handed to Pinocchio.
+
+    Raises:
+        InputError: for the first mistake.
+    """
+    for element in root.walk():
+        _check_mjcf_element(element, source)
+    stated = {key: value for compiler in root.all("compiler") for key, value in compiler.attributes.items()}
+    meshes = stated.get("meshdir", stated.get("assetdir", ""))
+    clean = root.alone()
+    clean.children = [child for child in root.children if child.tag in _KEPT]
+    return CheckedRobot("mjcf", write_xml(_mjcf_copy(clean, source, folder, meshes)))
+
+
+def _check_mjcf_element(element: Element, source: str) -> None:
+    if element.tag in ("include", "attach", "replicate", "model", "composite", "flexcomp", "plugin"):
+        raise _fault(element, source, f"<{element.tag}> is not read", "write the file out in one piece")
+    for key in _MJCF_NUMBERS:
+        text = element.attributes.get(key, "")
+        if not all(_MJCF_NUMBER.fullmatch(word) and math.isfinite(float(word)) for word in text.split()):
+            raise _fault(element, source, f"expected numbers for '{key}', found {shown(text)}", "correct the MJCF")
+
+
+def _mjcf_copy(element: Element, source: str, folder: str, meshes: str) -> Element:
+    clean = element.alone()
+    for key in (*_FOLDERS, *(["material"] if element.tag == "geom" else [])):
+        clean.attributes.pop(key, None)
+    name = clean.attributes.get("file")
+    if name is not None:
+        clean.attributes.setdefault("name", re.split(r"[/\\]", name)[-1].rpartition(".")[0])
+        path = f"{meshes.rstrip('/')}/{name}" if meshes and name else name
+        clean.attributes["file"] = _mesh_path(element, source, path, folder)
+    kept = [child for child in element.children if child.tag not in _DROPPED_ASSETS]
+    clean.children = [_mjcf_copy(child, source, folder, meshes) for child in kept]
+    return clean
+
+
+def _fault(element: Element, source: str, problem: str, remedy: str) -> InputError:
+    return InputError(problem, source=source, where=f"line {element.line}, <{element.tag}>", remedy=remedy)
+
+
+def _mesh_path(element: Element, source: str, name: str, folder: str | Path) -> str:
+    """The absolute path of a mesh that an element names."""
+    try:
+        return str(contained(name, folder))
+    except InputError as error:
+        raise _fault(element, source, error.problem, error.remedy or "") from None
