@@ -6,7 +6,8 @@ The command line turns them into exit codes: 2 for bad input, 1 where no plan, j
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 _LONGEST_VALUE = 60
@@ -53,36 +54,38 @@ class InputError(MicahError):
         line = line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 3]}..."
         super().__init__("".join(c if c.isprintable() else "?" for c in line))  # a path may hold a line break
 
-    def located(self, source: str | Path, where: str | None = None) -> InputError:
-        """The same error with the file (and place) filled in where they were still unknown."""
+    def _with(self, further: Sequence[InputError], source: str | Path | None = None) -> InputError:
+        """The same error with other further ones, and a file where it was still unknown."""
         return InputError(
             self.problem,
             source=self.source or source,
-            where=self.where or where,
+            where=self.where,
             remedy=self.remedy,
             position=self.position,
-            further=[error.located(source) for error in self.further],
+            further=further,
         )
+
+    def located(self, source: str | Path) -> InputError:
+        """The same error, and the further ones, with the file filled in where it was still unknown."""
+        return self._with([error.located(source) for error in self.further], source)
 
     def each(self) -> tuple[InputError, ...]:
         """This error by itself and the further ones."""
-        alone = InputError(
-            self.problem, source=self.source, where=self.where, remedy=self.remedy, position=self.position
-        )
-        return (alone, *self.further)
+        return (self._with(()), *self.further)
+
+
+@contextmanager
+def located_in(source: str | Path) -> Iterator[None]:
+    """A block whose `InputError` names a file as its source where it was still unknown."""
+    try:
+        yield
+    except InputError as error:
+        raise error.located(source) from None
 
 
 def together(errors: Sequence[InputError]) -> InputError:
     """One or more errors about the same input as one: the first, which carries the others and says how many."""
-    first = errors[0]
-    return InputError(
-        first.problem,
-        source=first.source,
-        where=first.where,
-        remedy=first.remedy,
-        position=first.position,
-        further=errors[1:],
-    )
+    return errors[0]._with(errors[1:])
 
 
 class MissingDependencyError(MicahError):

@@ -8,7 +8,7 @@ from typing import Literal
 
 from micah_plan.documents.model_file import dump_model, load_model
 from micah_plan.documents.plan_file import load_plan
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.joint_trajectory import trajectory_json, trajectory_mcap
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
@@ -68,9 +68,7 @@ def convert(source: str | Path, target: str | Path, *, topics: Collection[str] =
         automaton, notes = load_urdf(source)
         dump_model(automaton, target)
         return "model", notes
-    try:
+    with located_in(source):
         text = urdf_text(load_model(source), Path(source).stem)
-    except InputError as error:
-        raise error.located(source) from None
     replace_file(target, text.encode())
     return "model", ()

@@ -18,7 +18,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Primitive, Reset
 from micah_plan.automaton.joint import Joint, prismatic, revolute
 from micah_plan.automaton.region import HalfSpace, Region, above, below
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.robot.xml_text import Element, parse_xml, read_xml
 
@@ -43,10 +43,8 @@ def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
     if checked.mimics:
         problem = f"joint {shown(min(checked.mimics))} follows another one"
         raise InputError(problem, source=path, remedy="remove <mimic>")
-    try:
+    with located_in(path):
         return _Tree(checked, str(path)).automaton()
-    except InputError as error:
-        raise error.located(path) from None
 
 
 @dataclass

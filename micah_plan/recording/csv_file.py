@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import replace_file
-from micah_plan.recording.checks import Place, checked, numeric_columns
-from micah_plan.recording.columns import (
+from micah_plan.recording.checks import (
     ACTION,
     FORCE,
     KNOWN,
@@ -26,7 +25,10 @@ from micah_plan.recording.columns import (
     NUMERIC,
     POSITION,
     QUATERNION,
+    Place,
     check_header,
+    checked,
+    numeric_columns,
 )
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
 from micah_plan.recording.value import DEFAULT_PART, Recording
@@ -44,7 +46,7 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.
     """
-    try:
+    with located_in(path):
         names, rows, line_numbers = _table(read_lines(path))
         columns = dict(zip(names, zip(*rows, strict=True), strict=True))
 
@@ -52,8 +54,6 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
             return f"line {line_numbers[row]}, column {shown(column)}"
 
         return checked(_recording(columns, place), minimum_rows=minimum_rows, place=place)
-    except InputError as error:
-        raise error.located(path) from None
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:
@@ -62,10 +62,8 @@ def write_csv(recording: Recording, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written or the recording is not one that could be read back.
     """
-    try:
+    with located_in(path):
         columns = _texts(checked(recording))
-    except InputError as error:
-        raise error.located(path) from None
     header = ",".join(_quoted(name) for name in columns)
     rows = (",".join(row) for row in zip(*columns.values(), strict=True))
     replace_file(path, ("\n".join((header, *rows)) + "\n").encode())

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked, row_and_column
 from micah_plan.recording.value import DEFAULT_PART, Floats, Recording
@@ -42,11 +42,9 @@ def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str
         InputError: if it is no MCAP file, has no poses, or poses in several frames.
         MissingDependencyError: without the extra ``ros``.
     """
-    try:
+    with located_in(path):
         collected = _Collected(read_log(read_bytes(path)), topics)
-        return checked(_recording(collected), minimum_rows=minimum_rows, place=row_and_column)
-    except InputError as error:
-        raise error.located(path) from None
+        return checked(_recording(collected), minimum_rows=minimum_rows)
 
 
 def write_mcap(recording: Recording, path: str | Path) -> None:
@@ -57,11 +55,9 @@ def write_mcap(recording: Recording, path: str | Path) -> None:
             further columns, no orientation, or times before 0. Nothing is left out silently.
         MissingDependencyError: without the extra ``ros``.
     """
-    try:
+    with located_in(path):
         recording = checked(recording)
         _check_fits(recording)
-    except InputError as error:
-        raise error.located(path) from None
     replace_file(path, write_log([message for row in range(len(recording)) for message in _messages(recording, row)]))
 
 

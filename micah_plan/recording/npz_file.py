@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import lzma
+import math
 import tokenize
 import warnings
 import zipfile
@@ -19,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes, replace_file
-from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.checks import checked
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 _NUMBERS = {"time": 1, "position": 2, "quaternion": 2, "action": 2, "force": 2}
@@ -63,15 +64,15 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     data = read_bytes(path)
     if not data:
         raise InputError("the file is empty", source=path, remedy="write a recording into it")
-    try:
-        arrays = _arrays(data)
-        _check_arrays(arrays)
-        return checked(_recording(arrays), minimum_rows=minimum_rows, place=row_and_column)
-    except InputError as error:
-        raise error.located(path) from None
-    except _BROKEN as error:
-        problem = f"expected an NPZ archive of arrays, found one that cannot be read ({_first_words(error)})"
-        raise InputError(problem, source=path, remedy=_REMEDY) from None
+    with located_in(path):
+        try:
+            arrays = _arrays(data)
+            _check_arrays(arrays)
+            return checked(_recording(arrays), minimum_rows=minimum_rows)
+        except _BROKEN as error:
+            said = shown(str(error) or type(error).__name__)
+            problem = f"expected an NPZ archive of arrays, found one that cannot be read ({said})"
+            raise InputError(problem, remedy=_REMEDY) from None
 
 
 def write_npz(recording: Recording, path: str | Path) -> None:
@@ -80,15 +81,10 @@ def write_npz(recording: Recording, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written or the recording is not one that could be read back.
     """
-    try:
+    with located_in(path):
         recording = checked(recording)
-    except InputError as error:
-        raise error.located(path) from None
-    arrays: dict[str, NDArray[Any]] = {}
-    for name in _NUMBERS:
-        array = getattr(recording, name)
-        if array is not None:
-            arrays[name] = array
+    given = {name: getattr(recording, name) for name in _NUMBERS}
+    arrays: dict[str, NDArray[Any]] = {name: array for name, array in given.items() if array is not None}
     if recording.has_run or recording.run.any():
         arrays["run"] = recording.run
     if recording.has_part or recording.parts != (DEFAULT_PART,):
@@ -98,9 +94,8 @@ def write_npz(recording: Recording, path: str | Path) -> None:
         arrays["extra"] = np.array(list(recording.extra.values()))
     size = sum(array.nbytes for array in arrays.values())
     if size > LARGEST_FILE_BYTES:
-        raise InputError(
-            f"the arrays take {size} bytes, more than a reader accepts", source=path, remedy="write a .csv"
-        )
+        problem = f"the arrays take {size} bytes, more than a reader accepts"
+        raise InputError(problem, source=path, remedy="write a .csv")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     replace_file(path, buffer.getvalue())
@@ -114,9 +109,8 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
         size = sum(member.file_size for member in members)
         if size > LARGEST_FILE_BYTES:
             limit = LARGEST_FILE_BYTES // 1024 // 1024
-            raise InputError(
-                f"expected at most {limit} MiB of arrays, found {size} bytes", remedy="split the recording"
-            )
+            problem = f"expected at most {limit} MiB of arrays, found {size} bytes"
+            raise InputError(problem, remedy="split the recording")
         arrays: dict[str, NDArray[Any]] = {}
         for member in members:
             name = member.filename.removesuffix(".npy")
@@ -136,10 +130,7 @@ def _array(content: bytes, name: str) -> NDArray[Any]:
     shape, _, dtype = read_header(file)
     if dtype.hasobject:
         raise InputError(f"array '{name}' holds Python objects", remedy="store numbers and text only")
-    expected = dtype.itemsize
-    for length in shape:
-        expected *= length
-    if expected != len(content) - file.tell():
+    if math.prod(shape, start=dtype.itemsize) != len(content) - file.tell():
         raise InputError(f"array '{name}' is cut off or has a wrong header", remedy=_REMEDY)
     return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
 
@@ -156,11 +147,9 @@ def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
             problem = f"expected array '{name}' to hold {meant} in {_DIMENSIONS[name]} dimensions"
             raise InputError(f"{problem}, found {array.dtype} {array.shape}", remedy="convert it before saving")
     n = len(arrays["time"])
-    lengths = {
-        name: array.shape[-1 if name == "extra" else 0] for name, array in arrays.items() if name != "extra_names"
-    }
-    for name, length in lengths.items():
-        if length != n:
+    for name, array in arrays.items():
+        length = array.shape[-1 if name == "extra" else 0]
+        if length != n and name != "extra_names":
             raise InputError(f"expected {n} rows in array '{name}' as in 'time', found {length}", remedy=_REMEDY)
     names = arrays["extra_names"].tolist() if "extra" in arrays else []
     if "extra" in arrays and len(set(names)) != len(arrays["extra"]):
@@ -180,7 +169,3 @@ def _recording(arrays: Mapping[str, NDArray[Any]]) -> Recording:
         has_part="part" in arrays,
         extra=extra,
     )
-
-
-def _first_words(error: BaseException) -> str:
-    return shown(str(error) or type(error).__name__)

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import replace_file
-from micah_plan.recording.checks import checked
-from micah_plan.recording.columns import POSITION, QUATERNION
+from micah_plan.recording.checks import POSITION, QUATERNION, checked
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
 
@@ -30,7 +29,31 @@ def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.
     """
-    lines = read_lines(path)
+    with located_in(path):
+        return _parsed(read_lines(path), minimum_rows)
+
+
+def write_tum(recording: Recording, path: str | Path) -> None:
+    """Write poses as a TUM trajectory, at once or not at all.
+
+    Raises:
+        InputError: if the file cannot be written, or if the recording has what the format cannot hold: several runs or
+            parts, actions, forces, further columns, or no orientation. Nothing is left out silently.
+    """
+    with located_in(path):
+        recording = checked(recording)
+        surplus = [name for name, there in _surplus(recording).items() if there]
+        if surplus:
+            problem = f"a TUM file holds the poses of one run and part only, found {', '.join(surplus)}"
+            raise InputError(problem, remedy="write a .csv or .npz file")
+        if recording.quaternion is None:
+            raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")
+    table = np.column_stack([recording.time, recording.position, recording.quaternion])
+    lines = [f"# {' '.join(_COLUMNS)}", *(" ".join(map(repr, row)) for row in table.tolist())]
+    replace_file(path, ("\n".join(lines) + "\n").encode())
+
+
+def _parsed(lines: list[str], minimum_rows: int) -> Recording:
     numbers = [i for i, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
     rows = [lines[number - 1].split() for number in numbers]
 
@@ -41,43 +64,17 @@ def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
         if len(row) != len(_COLUMNS):
             problem = f"expected the {len(_COLUMNS)} numbers {' '.join(_COLUMNS)}, found {len(row)} fields"
             remedy = "separate them by blanks; give files with commas and a header the extension .csv"
-            raise InputError(problem, source=path, where=f"line {number}", remedy=remedy)
+            raise InputError(problem, where=f"line {number}", remedy=remedy)
     if not rows:
-        remedy = "record at least one pose"
-        raise InputError("the file has no poses, only comments", source=path, where=f"line {len(lines)}", remedy=remedy)
+        problem = "the file has no poses, only comments"
+        raise InputError(problem, where=f"line {len(lines)}", remedy="record at least one pose")
     try:
         values = floats([text for row in rows for text in row]).reshape(-1, len(_COLUMNS))
     except UnreadableValue as error:
         row_index, column = divmod(error.row, len(_COLUMNS))
-        where = place(row_index, _COLUMNS[column])
-        raise InputError(error.problem, source=path, where=where, remedy=error.remedy) from None
+        raise InputError(error.problem, where=place(row_index, _COLUMNS[column]), remedy=error.remedy) from None
     recording = Recording(time=values[:, 0], position=values[:, 1:4], quaternion=values[:, 4:])
-    try:
-        return checked(recording, minimum_rows=minimum_rows, place=place)
-    except InputError as error:
-        raise error.located(path) from None
-
-
-def write_tum(recording: Recording, path: str | Path) -> None:
-    """Write poses as a TUM trajectory, at once or not at all.
-
-    Raises:
-        InputError: if the file cannot be written, or if the recording has what the format cannot hold: several runs or
-            parts, actions, forces, further columns, or no orientation. Nothing is left out silently.
-    """
-    try:
-        recording = checked(recording)
-        surplus = [name for name, there in _surplus(recording).items() if there]
-        if surplus:
-            problem = f"a TUM file holds the poses of one run and part only, found {', '.join(surplus)}"
-            raise InputError(problem, remedy="write a .csv or .npz file")
-        if recording.quaternion is None:
-            raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")
-    except InputError as error:
-        raise error.located(path) from None
-    table = np.column_stack([recording.time, recording.position, recording.quaternion])
-    lines = [f"# {' '.join(_COLUMNS)}", *(" ".join(map(repr, row)) for row in table.tolist())]
-    replace_file(path, ("\n".join(lines) + "\n").encode())
+    return checked(recording, minimum_rows=minimum_rows, place=place)
 
 
 def _surplus(recording: Recording) -> dict[str, bool]:

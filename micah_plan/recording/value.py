@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +22,8 @@ Ints = NDArray[np.int64]
 
 DEFAULT_PART = "part"
 _ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known
+
+_WIDTHS = {"time": 0, "position": 3, "quaternion": 4, "action": 3, "force": 3, "run": 0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ class Recording:
             object.__setattr__(self, "run", np.zeros(n, dtype=np.int64))
         if not self.part:
             object.__setattr__(self, "part", (DEFAULT_PART,) * n)
-        for name, width in (("time", 0), ("position", 3), ("quaternion", 4), ("action", 3), ("force", 3), ("run", 0)):
+        for name, width in _WIDTHS.items():
             value = getattr(self, name)
             if value is None:
                 continue
@@ -102,20 +104,12 @@ class Recording:
     def rows(self, index: Any) -> Recording:
         """The rows that a NumPy index (integers, slice or booleans) selects, in that order."""
         chosen = np.arange(len(self))[index]
-
-        def take(array: Any) -> Any:
-            return None if array is None else array[chosen]
-
-        return Recording(
-            time=take(self.time),
-            position=take(self.position),
-            quaternion=take(self.quaternion),
-            action=take(self.action),
-            force=take(self.force),
-            run=take(self.run),
+        given: dict[str, Any] = {name: getattr(self, name) for name in _WIDTHS}
+        arrays: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in given.items()}
+        return replace(
+            self,
+            **arrays,
             part=tuple(self.part[i] for i in chosen),
-            has_run=self.has_run,
-            has_part=self.has_part,
             extra={name: tuple(column[i] for i in chosen) for name, column in self.extra.items()},
         )
 

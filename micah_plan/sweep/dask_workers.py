@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError
-from micah_plan.sweep.result import CaseRun
-from micah_plan.sweep.solve_case import solve_case
-from micah_plan.task.sweep import Case
+from micah_plan.sweep.workers import ExecutorWorkers
 
 _CONNECT_S = 10.0
 
 
-class DaskWorkers:
+class DaskWorkers(ExecutorWorkers):
     """The workers that a scheduler has at each time. Dask itself gives the cases of a dead worker to others."""
 
     def __init__(self, client: Any, executor: Executor) -> None:
         """Args: a connected `distributed.Client`, and its executor."""
-        self._client, self._executor = client, executor
-        self._threads = 1
+        super().__init__(executor, in_flight=2)
+        self._client = client
 
     @property
     def in_flight(self) -> int:
         # A scheduler that does not answer is noticed by the cases that it had.
         with suppress(OSError, RuntimeError, ValueError):
-            self._threads = max(1, sum(self._client.ncores().values()))
-        return 2 * self._threads
-
-    def submit(self, case: Case) -> Future[CaseRun]:
-        return self._executor.submit(solve_case, case)
-
-    def renew(self) -> bool:
-        return False
+            self._in_flight = 2 * max(1, sum(self._client.ncores().values()))
+        return self._in_flight
 
 
 @contextmanager

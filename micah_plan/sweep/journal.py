@@ -11,13 +11,15 @@ import json
 import os
 import stat
 from collections.abc import Mapping
+from dataclasses import asdict, fields
+from math import isfinite
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 from micah_plan.errors import InputError
 from micah_plan.files import LARGEST_FILE_BYTES
-from micah_plan.sweep.result import CaseRun, run_data, run_of
+from micah_plan.sweep.result import NUMBERS, CaseResult, CaseRun, Outcome
 
 _HEADER = b'{"format": "micah-plan/sweep-journal/1"}'
 
@@ -78,7 +80,7 @@ class Journal:
 
     def append(self, key: str, run: CaseRun) -> None:
         """Write down a finished case; when this returns it is on the disk."""
-        line = json.dumps({"key": key, **run_data(run)}, allow_nan=False)
+        line = json.dumps({"key": key, **asdict(run)}, allow_nan=False)
         self._write(line.encode() + b"\n")
         self._finished[key] = run
 
@@ -135,3 +137,29 @@ class Journal:
 
     def _error(self, problem: str, remedy: str) -> InputError:
         return InputError(problem, source=self._path, remedy=remedy)
+
+
+def run_of(data: Any) -> CaseRun:
+    """The run whose `asdict` the data is, to the last bit.
+
+    Raises:
+        ValueError: if it describes none.
+    """
+    if not isinstance(data, dict) or set(data) != {item.name for item in fields(CaseRun)}:
+        raise ValueError("expected a result, seconds and attempts")
+    result, seconds, attempts = data["result"], data["seconds"], data["attempts"]
+    if not isinstance(result, dict) or set(result) != {item.name for item in fields(CaseResult)}:
+        raise ValueError("expected a result with all its columns")
+    if result["outcome"] not in get_args(Outcome) or not isinstance(result["reason"], str):
+        raise ValueError("expected an outcome and a reason")
+    if not isinstance(result["modes"], list) or not all(isinstance(mode, str) for mode in result["modes"]):
+        raise ValueError("expected a list of modes")
+    if not all(result[name] is None or _is_number(result[name]) for name in NUMBERS):
+        raise ValueError("expected finite numbers")
+    if not isinstance(seconds, dict) or not all(map(_is_number, seconds.values())) or type(attempts) is not int:
+        raise ValueError("expected seconds and a count")
+    return CaseRun(CaseResult(**{**result, "modes": tuple(result["modes"])}), seconds, attempts)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

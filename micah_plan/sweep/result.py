@@ -1,13 +1,27 @@
-"""What became of a case: a row of the table, and how long it took, which is kept apart from it."""
+"""What became of the cases: rows of a table in CSV or Parquet, and the times that they took, in a table of their own.
+
+The only importer of pyarrow.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from math import isfinite
-from typing import Any, Literal, get_args
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from micah_plan.errors import MissingDependencyError
+from micah_plan.task.sweep import Case, Sweep
 
 Outcome = Literal["solved", "no_plan", "not_verified", "bad_input", "error", "worker_died"]
+
+Columns = dict[str, tuple[str, list[Any]]]
+"""Type ("int64", "double" or "string") and cells, by name."""
+
+_STAGES = ("load", "solve", "execute", "total")
 
 
 @dataclass(frozen=True)
@@ -19,7 +33,7 @@ class CaseResult:
             (an exception) or ``"worker_died"`` (again and again).
         reason: one sentence.
         modes: the plan's mode sequence.
-        cost, goal_error, goal_std, success_probability: as in `planning.plan.Plan` [-, rad or m, rad or m, -].
+        cost, goal_error, goal_std, success_probability: as in `task.plan.Plan` [-, rad or m, rad or m, -].
         successes: trials that reached the goal; None if none were executed.
         final_error_mean, final_error_std, final_error_max: over the trials [rad or m].
     """
@@ -54,32 +68,89 @@ class CaseRun:
 NUMBERS = tuple(item.name for item in fields(CaseResult) if item.name not in ("outcome", "reason", "modes"))
 
 
-def run_data(run: CaseRun) -> dict[str, Any]:
-    """Plain data of a run; `run_of` gives the same run again, to the last bit."""
-    return asdict(run)
+def timings_path(output: Path) -> Path:
+    """Where the times of a table lie: beside it, so that tables of the same sweep are the same bytes."""
+    return output.with_name(f"{output.stem}.timings{output.suffix}")
 
 
-def run_of(data: Any) -> CaseRun:
-    """The run that plain data describes.
+def results_table(sweep: Sweep, cases: Sequence[Case], results: Sequence[CaseResult], suffix: str) -> bytes:
+    """The content of the file of results.
+
+    Args:
+        cases, results: one each per row.
+        suffix: ``".csv"`` or ``".parquet"``.
 
     Raises:
-        ValueError: if it describes none.
+        MissingDependencyError: for Parquet without pyarrow.
     """
-    if not isinstance(data, dict) or set(data) != {item.name for item in fields(CaseRun)}:
-        raise ValueError("expected a result, seconds and attempts")
-    result, seconds, attempts = data["result"], data["seconds"], data["attempts"]
-    if not isinstance(result, dict) or set(result) != {item.name for item in fields(CaseResult)}:
-        raise ValueError("expected a result with all its columns")
-    if result["outcome"] not in get_args(Outcome) or not isinstance(result["reason"], str):
-        raise ValueError("expected an outcome and a reason")
-    if not isinstance(result["modes"], list) or not all(isinstance(mode, str) for mode in result["modes"]):
-        raise ValueError("expected a list of modes")
-    if not all(result[name] is None or _is_number(result[name]) for name in NUMBERS):
-        raise ValueError("expected finite numbers")
-    if not isinstance(seconds, dict) or not all(map(_is_number, seconds.values())) or type(attempts) is not int:
-        raise ValueError("expected seconds and a count")
-    return CaseRun(CaseResult(**{**result, "modes": tuple(result["modes"])}), seconds, attempts)
+    columns: Columns = {
+        "case": ("int64", list(range(len(cases)))),
+        "problem": ("string", [case.problem for case in cases]),
+    }
+    for i, (key, values) in enumerate(sweep.grid):
+        kind = _kind(values)
+        columns[key] = kind, [_cell(case.overrides[i][1], kind) for case in cases]
+    columns["seed"] = "int64", [case.seed for case in cases]
+    columns["outcome"] = "string", [result.outcome for result in results]
+    columns["reason"] = "string", [result.reason for result in results]
+    columns["modes"] = "string", [" > ".join(result.modes) for result in results]
+    for name in NUMBERS:
+        kind = "int64" if name == "successes" else "double"
+        columns[name] = kind, [_cell(getattr(result, name), kind) for result in results]
+    return _written(columns, suffix)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+def timings_table(runs: Sequence[CaseRun], suffix: str) -> bytes:
+    """The content of the file of times [s], by stage, and of how often each case was begun.
+
+    Raises:
+        MissingDependencyError: for Parquet without pyarrow.
+    """
+    columns: Columns = {"case": ("int64", list(range(len(runs))))}
+    for stage in _STAGES:
+        columns[f"{stage}_s"] = "double", [run.seconds.get(stage) for run in runs]
+    columns["attempts"] = "int64", [run.attempts for run in runs]
+    return _written(columns, suffix)
+
+
+def _kind(values: Sequence[Any]) -> str:
+    """The type of a column that holds values of the grid: numbers as such, all else as text."""
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return "double" if numbers else "string"
+
+
+def _cell(value: Any, kind: str) -> Any:
+    if value is None and kind != "string":
+        return None
+    if kind == "double":
+        return float(value)
+    return value if kind == "int64" or isinstance(value, str) else json.dumps(value, sort_keys=True)
+
+
+def _written(columns: Columns, suffix: str) -> bytes:
+    return _parquet(columns) if suffix.lower() == ".parquet" else _csv(columns)
+
+
+def _csv(columns: Columns) -> bytes:
+    """Numbers as short as they can be without losing a bit; nothing where there is none."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(cells for _, cells in columns.values()), strict=True))
+    return text.getvalue().encode()
+
+
+def _parquet(columns: Columns) -> bytes:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError:
+        raise MissingDependencyError(
+            "Parquet files need pyarrow: pip install 'micah-plan[parquet]', or write a .csv file"
+        ) from None
+    schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, (kind, _) in columns.items()])
+    table = pyarrow.table({name: cells for name, (_, cells) in columns.items()}, schema=schema)
+    sink = pyarrow.BufferOutputStream()
+    parquet.write_table(table, sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content

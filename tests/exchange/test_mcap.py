@@ -19,8 +19,7 @@ from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording
 from micah_plan.ros import log
-from micah_plan.ros.definitions import MESSAGE_TYPES, definition
-from micah_plan.ros.log import Logged, header_at, read_log, write_log
+from micah_plan.ros.log import MESSAGE_TYPES, Logged, definition, header_at, read_log, write_log
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="MCAP files need the extra 'ros'")
 from mcap_ros2.decoder import DecoderFactory  # noqa: E402

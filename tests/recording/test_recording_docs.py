@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from micah_plan.errors import InputError
-from micah_plan.recording.columns import KNOWN
+from micah_plan.recording.checks import KNOWN
 from micah_plan.recording.csv_file import read_csv
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.errors import InputError
-from micah_plan.recording.columns import KNOWN
+from micah_plan.recording.checks import KNOWN
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.errors import InputError
-from micah_plan.sweep.journal import Journal, read_journal
-from micah_plan.sweep.result import NUMBERS, CaseResult, CaseRun, run_data, run_of
+from micah_plan.sweep.journal import Journal, read_journal, run_of
+from micah_plan.sweep.result import NUMBERS, CaseResult, CaseRun
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 RUNS = st.builds(
@@ -31,7 +32,7 @@ RUNS = st.builds(
 
 @given(RUNS)
 def test_a_run_comes_back_to_the_last_bit(run: CaseRun) -> None:
-    assert run_of(json.loads(json.dumps(run_data(run)))) == run
+    assert run_of(json.loads(json.dumps(asdict(run)))) == run
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +113,7 @@ def test_a_damaged_journal_is_read_or_refused_in_one_line(
 
 
 def test_numbers_must_be_finite() -> None:
-    data = json.loads(json.dumps(run_data(CaseRun(CaseResult("solved", "", cost=1.0)))))
+    data = json.loads(json.dumps(asdict(CaseRun(CaseResult("solved", "", cost=1.0)))))
     data["result"]["cost"] = float("inf")
     with pytest.raises(ValueError, match="finite"):
         run_of(data)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from micah_plan.errors import MissingDependencyError
 from micah_plan.sweep.result import CaseResult, CaseRun
-from micah_plan.sweep.schedule import MOST_ATTEMPTS, SweepStoppedError, finished_cases
+from micah_plan.sweep.run import MOST_ATTEMPTS, SweepStoppedError, finished_cases
 from micah_plan.task.sweep import Case
 
 

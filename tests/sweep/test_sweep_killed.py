@@ -19,9 +19,9 @@ from sweep_examples import ROOT, Inline
 
 from micah_plan.documents.sweep_document import SWEEP_FORMAT
 from micah_plan.documents.sweep_file import load_sweep, sweep_of
+from micah_plan.sweep.result import results_table
 from micah_plan.sweep.run import run_sweep
 from micah_plan.sweep.solve_case import solve_case
-from micah_plan.sweep.table import results_table
 
 pytestmark = pytest.mark.slow
 CASES, MOST_SECONDS = 30, 120.0

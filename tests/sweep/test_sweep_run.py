@@ -17,8 +17,7 @@ from micah_plan.documents.problem_file import load_problem
 from micah_plan.documents.sweep_file import sweep_of
 from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.sweep import solve_case as worker
-from micah_plan.sweep.run import run_sweep
-from micah_plan.sweep.schedule import SweepStoppedError
+from micah_plan.sweep.run import SweepStoppedError, run_sweep
 from micah_plan.sweep.solve_case import WorkerFilesError, solve_case
 from micah_plan.sweep.workers import ProcessWorkers
 from micah_plan.task.sweep import Case, Sweep
