@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -57,6 +58,15 @@ class _Body:
     frame: RigidTransform = field(default_factory=RigidTransform.identity)
 
 
+class _Moving(NamedTuple):
+    """A joint that moves, with its coordinate's name and limits [rad or m]."""
+
+    name: str
+    link: Link
+    joint: Joint
+    limits: tuple[float, float]
+
+
 class _Tree:
     """The links and joints of a checked file as bodies."""
 
@@ -74,40 +84,29 @@ class _Tree:
     def automaton(self) -> tuple[HybridAutomaton, tuple[str, ...]]:
         base = self._body(self._root)
         base.name, base.frame = BASE, _HERE
-        bodies, waiting = [base], [base]
-        links: list[Link] = []
-        names: list[str] = []
-        joints: list[Joint] = []
-        limits: list[tuple[float, float]] = []
-        while waiting:
-            body = waiting.pop(0)
+        bodies, moving = [base], list[_Moving]()
+        for body in bodies:  # grows: children come after their parents
             for joint in self._moving(body):
                 child = self._body(_end(joint, "child"))
                 if child.name == BASE:
                     raise InputError("a moving link is called 'base'", remedy="give it another name")
-                links.append(Link(body.name, child.name, len(links)))
-                names.append(joint.attributes["name"])
-                joints.append(_joint(joint, body, child))
-                limits.append(_limits(joint))
+                link = Link(body.name, child.name, len(moving))
+                moving.append(_Moving(joint.attributes["name"], link, _joint(joint, body, child), _limits(joint)))
                 bodies.append(child)
-                waiting.append(child)
-        if len(links) > MOST_JOINTS:
-            problem = f"expected at most {MOST_JOINTS} joints that move, found {len(links)}"
+        if len(moving) > MOST_JOINTS:
+            problem = f"expected at most {MOST_JOINTS} joints that move, found {len(moving)}"
             raise InputError(problem, remedy="leave out the robot around the object")
-        if not links:
+        if not moving:
             raise InputError("expected a joint that moves, found none", remedy="a rigid object needs no model")
-        return _automaton(names, links, joints, limits, [self._part(body) for body in bodies]), tuple(self._notes)
+        return _automaton(moving, [self._part(body) for body in bodies]), tuple(self._notes)
 
     def _body(self, root: str) -> _Body:
-        body = _Body(root, {root: _HERE}, root)
-        waiting = [root]
-        while waiting:
-            link = waiting.pop(0)
+        body, members = _Body(root, {root: _HERE}, root), [root]
+        for link in members:  # grows
             for joint in self._joints.get(link, []):
                 if joint.attributes["type"] == "fixed":
-                    child = _end(joint, "child")
-                    body.poses[child] = body.poses[link] * _pose(joint)
-                    waiting.append(child)
+                    members.append(_end(joint, "child"))
+                    body.poses[members[-1]] = body.poses[link] * _pose(joint)
         fixed = [joint for joint in self._joints.get(root, []) if joint.attributes["type"] == "fixed"]
         if len(fixed) == 1 and not self._links[root].all("collision"):
             body.name = _end(fixed[0], "child")
@@ -127,39 +126,32 @@ class _Tree:
                 color = colors[min(i, len(colors) - 1)] if colors else "#9aa5b1"
                 primitives = _primitives(solid, body.frame.inv() * pose * _pose(shape), color)
                 if not primitives:
-                    self._notes.append(
-                        f"link {link}: a mesh is left out; parts are made of boxes, cylinders and spheres"
-                    )
+                    left_out = "a mesh is left out; parts are made of boxes, cylinders and spheres"
+                    self._notes.append(f"link {link}: {left_out}")
                 shapes += primitives
         return Part(body.name, tuple(shapes))
 
 
-def _automaton(
-    names: Sequence[str],
-    links: Sequence[Link],
-    joints: Sequence[Joint],
-    limits: Sequence[tuple[float, float]],
-    parts: Sequence[Part],
-) -> HybridAutomaton:
-    n = len(links)
-    units = ["m" if joint.kind == "prismatic" else "rad" for joint in joints]
-    coordinates = tuple(Coordinate(name, unit) for name, unit in zip(names, units, strict=True))
+def _automaton(moving: Sequence[_Moving], parts: Sequence[Part]) -> HybridAutomaton:
+    n = len(moving)
+    units = ["m" if each.joint.kind == "prismatic" else "rad" for each in moving]
+    coordinates = tuple(Coordinate(each.name, unit) for each, unit in zip(moving, units, strict=True))
     rows: list[HalfSpace] = []
     edges: list[Edge] = []
-    for i, (low, high) in enumerate(limits):
+    for i, (name, _, _, (low, high)) in enumerate(moving):
         stop = tuple(tuple(float(row == column != i) for column in range(n)) for row in range(n))
         for end, inside, outside in ((low, above, below), (high, below, above)):
             if abs(end) < NO_LIMIT:
-                rows.append(inside(i, end, n, n, name=names[i]))
+                rows.append(inside(i, end, n, n, name=name))
                 reset = Reset(stop, None, tuple(end if row == i else 0.0 for row in range(n)))
-                edges.append(Edge(MODE, MODE, Region((outside(i, end, n, n, strict=True, name=names[i]),)), reset))
+                edges.append(Edge(MODE, MODE, Region((outside(i, end, n, n, strict=True, name=name),)), reset))
     gain = tuple(tuple(float(row == column) for column in range(n)) for row in range(n))
     automaton = HybridAutomaton(
         coordinates=coordinates,
         inputs=coordinates,
-        links=tuple(links),
+        links=tuple(each.link for each in moving),
         parts=tuple(parts),
-        modes=(Mode(MODE, tuple(joints), gain, Region(tuple(rows))),),
+        modes=(Mode(MODE, tuple(each.joint for each in moving), gain, Region(tuple(rows))),),
         edges=tuple(edges),
         noise=Noise(tuple(PROCESS_STD[unit] for unit in units), tuple(OBSERVATION_STD[unit] for unit in units)),
         provenance={"method": "urdf"},

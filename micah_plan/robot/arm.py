@@ -19,6 +19,13 @@ from micah_plan.errors import InputError
 Floats = NDArray[np.float64]
 
 
+def middle(lower: Floats, upper: Floats) -> Floats:
+    """(n,) middle of each range [lower, upper], or where one has no end, its point nearest to 0."""
+    found, bounded = np.clip(np.zeros(len(lower)), lower, upper), np.isfinite(lower) & np.isfinite(upper)
+    found[bounded] = (lower[bounded] + upper[bounded]) / 2
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Arm:
     """A chain of n joints of one degree of freedom each; a configuration q is (n,) [rad or m].
@@ -108,7 +115,7 @@ class Arm:
 
     def sample(self, generator: np.random.Generator, count: int) -> Floats:
         """(count, n) configurations, uniform between the limits; joints without limits within ± π or ± 1 m of 0."""
-        kind = np.array([np.pi if any(twist[3:]) else 1.0 for twist in self.twists()])
+        kind = np.where(self.twists()[:, 3:].any(axis=1), np.pi, 1.0)
         lower = np.where(np.isfinite(self.lower), self.lower, -kind)
         upper = np.where(np.isfinite(self.upper), self.upper, kind)
         return generator.uniform(lower, upper, (count, self.n))

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.errors import InputError, shown
-from micah_plan.robot.arm import Arm
+from micah_plan.robot.arm import Arm, Floats, middle
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
 from micah_plan.robot.xml_text import parse_xml, read_xml
 from micah_plan.scene.robot_description import RobotDescription
@@ -103,9 +103,9 @@ def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any]:
         raise InputError(f"cannot be read as a robot: {said}", source=source, remedy="correct the file") from None
     if model.njoints - 1 > _MOST_JOINTS:
         raise InputError(f"expected at most {_MOST_JOINTS} joints, found {model.njoints - 1}", source=source)
-    unlimited_low, unlimited_high = model.lowerPositionLimit <= -NO_LIMIT, model.upperPositionLimit >= NO_LIMIT
-    model.lowerPositionLimit = np.where(unlimited_low, -np.inf, model.lowerPositionLimit)
-    model.upperPositionLimit = np.where(unlimited_high, np.inf, model.upperPositionLimit)
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    model.lowerPositionLimit = np.where(low <= -NO_LIMIT, -np.inf, low)
+    model.upperPositionLimit = np.where(high >= NO_LIMIT, np.inf, high)
     return model, geometry
 
 
@@ -130,14 +130,12 @@ def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, descriptio
         name = model.names[joint]
         if model.joints[joint].nq != 1:
             kind = model.joints[joint].shortname().removeprefix("JointModel")
-            raise InputError(
-                f"joint {shown(name)} is of kind {kind}", source=source, remedy="use revolute or prismatic"
-            )
+            problem = f"joint {shown(name)} is of kind {kind}"
+            raise InputError(problem, source=source, remedy="use revolute or prismatic")
         if name in checked.mimics:
             raise InputError(f"joint {shown(name)} follows another one and moves the tool", source=source)
-        low, high = (
-            float(limits[model.idx_qs[joint]]) for limits in (model.lowerPositionLimit, model.upperPositionLimit)
-        )
+        index = model.idx_qs[joint]
+        low, high = float(model.lowerPositionLimit[index]), float(model.upperPositionLimit[index])
         if not low < high:
             raise InputError(f"joint {shown(name)} has limits {low:g} and {high:g}", source=source, remedy="widen them")
 
@@ -145,15 +143,12 @@ def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, descriptio
 def _held_positions(model: Any, description: RobotDescription) -> Any:
     """(nq,) positions of all joints at which those outside the chain stand."""
     q = pin.neutral(model)
-    for joint in range(1, model.njoints):
-        index = model.idx_qs[joint]
-        if model.joints[joint].nq == 1:
-            low, high = model.lowerPositionLimit[index], model.upperPositionLimit[index]
-            q[index] = (low + high) / 2 if np.isfinite(low) and np.isfinite(high) else np.clip(0.0, low, high)
+    single = [model.idx_qs[joint] for joint in range(1, model.njoints) if model.joints[joint].nq == 1]
+    q[single] = middle(model.lowerPositionLimit, model.upperPositionLimit)[single]
     for name, value in description.held:
-        joint = _joint(model, name, description)
-        if model.joints[joint].nq == 1:
-            q[model.idx_qs[joint]] = value
+        index = model.idx_qs[_joint(model, name, description)]
+        if index in single:
+            q[index] = value
     return q
 
 
@@ -165,17 +160,16 @@ def _joint(model: Any, name: str, description: RobotDescription) -> int:
     return int(model.getJointId(name))
 
 
-def _rest(model: Any, description: RobotDescription) -> np.ndarray[Any, np.dtype[np.float64]]:
-    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    bounded = np.isfinite(low) & np.isfinite(high)
-    rest = np.where(bounded, (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)) / 2, np.clip(0.0, low, high))
+def _rest(model: Any, description: RobotDescription) -> Floats:
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    rest = middle(low, high)
     for name, value in description.rest:
         index = model.idx_qs[_joint(model, name, description)]
         if not low[index] <= value <= high[index]:
             problem = f"the rest posture has {shown(name)} at {value:g}, outside {low[index]:g} to {high[index]:g}"
             raise InputError(problem, source=description.path, remedy="choose a value within the limits")
         rest[index] = value
-    return np.asarray(rest, dtype=float)
+    return rest
 
 
 def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
@@ -184,24 +178,26 @@ def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
     for joint in range(1, model.njoints):
         if model.parents[joint] == 0:
             model.jointPlacements[joint] = base * model.jointPlacements[joint]
-    for frame in model.frames:
-        if frame.parentJoint == 0:
-            frame.placement = base * frame.placement
-    for item in geometry.geometryObjects:
+    for item in (*model.frames, *geometry.geometryObjects):
         if item.parentJoint == 0:
             item.placement = base * item.placement
 
 
 def _colors(geometry: Any, checked: CheckedRobot) -> dict[str, str]:
+    """By name of geometry; further shapes of a link have the colour of its last."""
     found: dict[str, str] = {}
-    count: dict[str, int] = {}
-    for item in geometry.geometryObjects:
-        link = link_name(item)
-        number = count[link] = count.get(link, -1) + 1
+    for link, names in _names_by_link(geometry).items():
         colors = checked.colors.get(link, ())
         if colors:
-            found[item.name] = colors[min(number, len(colors) - 1)]
+            found |= {name: colors[min(number, len(colors) - 1)] for number, name in enumerate(names)}
     return found
+
+
+def _names_by_link(geometry: Any) -> dict[str, list[str]]:
+    names: dict[str, list[str]] = {}
+    for item in geometry.geometryObjects:
+        names.setdefault(link_name(item), []).append(item.name)
+    return names
 
 
 def link_name(item: Any) -> str:
@@ -214,9 +210,7 @@ def _separate(geometry: Any, description: RobotDescription) -> frozenset[tuple[s
     if not description.srdf:
         return frozenset()
     root = parse_xml(description.srdf, f"{description.path} (SRDF)")
-    links: dict[str, list[str]] = {}
-    for item in geometry.geometryObjects:
-        links.setdefault(link_name(item), []).append(item.name)
+    links = _names_by_link(geometry)
     pairs = set()
     for entry in root.all("disable_collisions"):
         ends = [links.get(entry.attributes.get(key, ""), []) for key in ("link1", "link2")]

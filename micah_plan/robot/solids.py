@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.robot.arm import Arm
-from micah_plan.scene.body import Hull, Shape
+from micah_plan.scene.body import Hull, Shape, vector3
 
 Floats = NDArray[np.float64]
 
@@ -59,27 +59,27 @@ def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     found = []
     for item in arm.geometry.geometryObjects:
         placement, color = item.placement, arm.colors.get(item.name, _DEFAULT_COLOR)
-        quaternion = Rotation.from_matrix(placement.rotation).as_quat()
-        pose: tuple[Vector3, Quaternion] = (_vector(placement.translation), _quaternion(quaternion))
-        found.append(LinkShape(int(item.parentJoint), _drawn(item.geometry, *pose, color)))
+        x, y, z, w = Rotation.from_matrix(placement.rotation).as_quat().tolist()
+        shape = _drawn(item.geometry, vector3(placement.translation), (x, y, z, w), color)
+        found.append(LinkShape(int(item.parentJoint), shape))
     return tuple(found)
 
 
 def mesh_hulls(arm: Arm) -> dict[tuple[str, Vector3], Floats]:
     """(k, 3) corners [m] of the convex hulls that stand for the robot's meshes, scaled, by file and scale."""
     meshes = [item for item in arm.geometry.geometryObjects if isinstance(item.geometry, coal.ConvexBase)]
-    return {(item.meshPath, _vector(item.meshScale)): _corners(item.geometry) for item in meshes if item.meshPath}
+    return {(item.meshPath, vector3(item.meshScale)): _corners(item.geometry) for item in meshes if item.meshPath}
 
 
 def _drawn(geometry: Any, position: Vector3, quaternion: Quaternion, color: str) -> Shape:
     if isinstance(geometry, coal.Box):
-        return Primitive("box", _vector(2 * geometry.halfSide), position, quaternion, color)
+        return Primitive("box", vector3(2 * geometry.halfSide), position, quaternion, color)
     if isinstance(geometry, coal.Cylinder):
         return Primitive("cylinder", (geometry.radius, 2 * geometry.halfLength), position, quaternion, color)
     if isinstance(geometry, coal.Sphere):
         return Primitive("sphere", (geometry.radius,), position, quaternion, color)
     points = _corners(geometry)
-    return Hull(tuple(_vector(point) for point in points), position, quaternion, color)
+    return Hull(tuple(vector3(point) for point in points), position, quaternion, color)
 
 
 def _corners(geometry: Any) -> Floats:
@@ -114,11 +114,3 @@ def _convex(points: Floats) -> Any:
         order = simplex if np.cross(b - a, c - a) @ normal > 0 else simplex[::-1]
         triangles.append(coal.Triangle(*(int(number[i]) for i in order)))
     return coal.Convex(corners, triangles)
-
-
-def _vector(values: Any) -> Vector3:
-    return (float(values[0]), float(values[1]), float(values[2]))
-
-
-def _quaternion(values: Any) -> Quaternion:
-    return (float(values[0]), float(values[1]), float(values[2]), float(values[3]))

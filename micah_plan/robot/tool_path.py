@@ -9,7 +9,7 @@ will be driven, straight in the joints: limits, jumps, singularities, and cleara
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -179,7 +179,7 @@ def _renumbered(failure: ArmFailure, last: int, backwards: bool) -> ArmFailure:
         return failure
     knot = last - failure.knot
     sentence = failure.sentence.replace(f"at knot {failure.knot}", f"at knot {knot}, coming from the end", 1)
-    return ArmFailure(knot, failure.kind, failure.names, failure.amount, sentence, failure.remedy)
+    return replace(failure, knot=knot, sentence=sentence)
 
 
 def _furthest(failures: Sequence[ArmFailure], last: int) -> ArmFailure:
@@ -220,8 +220,7 @@ class _Follower:
             if failure is not None:
                 blocked.append(failure)
                 continue
-            cost = posture_cost(self.model, reached.q, path.at(0), path.allowed(0), self.settings.weights)
-            found.append((cost, reached.q))
+            found.append((self._posture_cost(path, 0, reached.q), reached.q))
         if found:
             return [q for _, q in sorted(found, key=lambda pair: pair[0])[: self.settings.followed]]
         if blocked:
@@ -250,10 +249,11 @@ class _Follower:
 
     def cost(self, path: ToolPath, rows: Floats) -> float:
         """Of a whole trajectory: the worst posture, and the motion of the joints."""
-        costs = [
-            posture_cost(self.model, q, path.at(k), path.allowed(k), self.settings.weights) for k, q in enumerate(rows)
-        ]
+        costs = [self._posture_cost(path, k, q) for k, q in enumerate(rows)]
         return float(np.max(costs) + np.mean(costs) + 0.1 * np.abs(np.diff(rows, axis=0)).sum())
+
+    def _posture_cost(self, path: ToolPath, knot: int, q: Floats) -> float:
+        return posture_cost(self.model, q, path.at(knot), path.allowed(knot), self.settings.weights)
 
     def summary(self, path: ToolPath, rows: Floats) -> ArmTrajectory:
         """The trajectory with what it keeps."""
@@ -328,10 +328,8 @@ class _Follower:
         first, second = clearance.pair
         apart = quantity(abs(clearance.distance), "m")
         says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
-        remedy = "move the robot's base, the grasp or the scene"
-        return ArmFailure(
-            knot, "collision", clearance.pair, clearance.distance, f"{first} {says}, at knot {knot}", remedy
-        )
+        sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's base, the grasp or the scene"
+        return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy)
 
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
         away = float(np.linalg.norm(reached.error[3:]))
@@ -340,14 +338,10 @@ class _Follower:
         stopped = np.flatnonzero(reached.stopped)
         if len(stopped):
             lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]
-            ends = [
-                f"'{self.arm.joints[i]}' ({'lower' if low else 'upper'})" for i, low in zip(stopped, lower, strict=True)
-            ]
-            sentence = f"{misses}: joint limit of {', '.join(ends)}"
             names = tuple(self.arm.joints[i] for i in stopped)
-            return ArmFailure(
-                knot, "joint limit", names, max(away, turned), sentence, "move the robot's base or the grasp"
-            )
+            ends = [f"'{name}' ({'lower' if low else 'upper'})" for name, low in zip(names, lower, strict=True)]
+            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the robot's base or the grasp"
+            return ArmFailure(knot, "joint limit", names, max(away, turned), sentence, remedy)
         sentence = f"{misses}: it is out of reach"
         return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, "move the robot's base nearer")
 

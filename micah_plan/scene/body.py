@@ -61,6 +61,12 @@ def transform(position: Vector3, quaternion: Quaternion) -> RigidTransform:
     return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
 
 
+def vector3(values: Floats) -> Vector3:
+    """Three numbers (3,) as a plain value."""
+    x, y, z = np.asarray(values).tolist()
+    return x, y, z
+
+
 def corners(shape: Shape) -> Floats:
     """(k, 3) corners of a hull, or of the box around a primitive, in the frame of the body [m]."""
     if isinstance(shape, Hull):

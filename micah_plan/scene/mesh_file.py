@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.joint import Vector3
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
+from micah_plan.scene.body import vector3
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def convex_corners(points: Floats, source: str | Path | None = None) -> tuple[Ve
     if len(found) > MOST_CORNERS:
         problem = f"expected a convex hull of at most {MOST_CORNERS} corners, found {len(found)}"
         raise InputError(problem, source=source, remedy="simplify the mesh")
-    return tuple((float(x), float(y), float(z)) for x, y, z in found)
+    return tuple(map(vector3, found))
 
 
 def _binary_stl(data: bytes) -> Floats | None:

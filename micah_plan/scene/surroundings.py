@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.task import Face, Solid, Surroundings
 from micah_plan.automaton.joint import Vector3
-from micah_plan.scene.body import Body, Shape, corners
+from micah_plan.scene.body import Body, Shape, corners, vector3
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def surroundings_of(
             if body.name not in touched:
                 low, high = _box(body, (shape,))
                 name = body.name if len(body.shapes) == 1 else f"{body.name} {number}"
-                solids.append(Solid(name, _vector(low), _vector(high)))
+                solids.append(Solid(name, vector3(low), vector3(high)))
     return Surroundings(_joined(solids), faces_of(scene, contacts), lower, upper)
 
 
@@ -53,7 +53,7 @@ def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
         while other := next((other for other in found if _is_box(whole, other)), None):
             found.remove(other)
             low, high = np.minimum(whole.lower, other.lower), np.maximum(whole.upper, other.upper)
-            whole = Solid(f"{other.name}, {whole.name}", _vector(low), _vector(high))
+            whole = Solid(f"{other.name}, {whole.name}", vector3(low), vector3(high))
         found.append(whole)
     return tuple(found)
 
@@ -72,7 +72,3 @@ def _box(body: Body, shapes: Sequence[Shape]) -> tuple[Floats, Floats]:
     """Lower and upper corner of shapes in the base frame [m]."""
     points = body.pose.apply(np.concatenate([corners(shape) for shape in shapes]))
     return points.min(axis=0), points.max(axis=0)
-
-
-def _vector(values: Floats) -> Vector3:
-    return (float(values[0]), float(values[1]), float(values[2]))
