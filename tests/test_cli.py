@@ -179,7 +179,7 @@ def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path
     assert solved.stderr == executed.stderr == f"warning: {told}\n"
 
 
-def test_no_plan_is_an_honest_negative(micah, tmp_path, repository):
+def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):
     model = (repository / "models" / "microwave.yaml").read_text()
     before, latch = model.split("  - source: rigid\n")
     (tmp_path / "stuck.yaml").write_text(before)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from micah_plan.documents.problem_file import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning import pomdp_hd
 from micah_plan.planning.explain import explain
+from micah_plan.planning.tightening import verified_plan
 from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Plan
@@ -89,7 +91,8 @@ def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Pr
 
 def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
-    monkeypatch.setattr("micah_plan.planning.tightening.verify", lambda _problem, plan, **_: plan)
+    unchecked = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
+    monkeypatch.setattr("micah_plan.planning.tightening.verified_plan", unchecked)
     monkeypatch.setattr("micah_plan.workflow._planner", lambda _method: whatever_time)
     found = solve(hasty)
     assert found.outcome == "not_verified"
