@@ -1,20 +1,26 @@
-"""From one file to another: what is in it, in the format that the other's ending names."""
+"""From one file to another: what is in it, in the format that the other's ending names.
+
+Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from micah_plan.documents.model_file import dump_model, load_model
-from micah_plan.documents.plan_file import load_plan
+from micah_plan.documents.plan_file import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.exchange.joint_trajectory import trajectory_json, trajectory_mcap
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
+from micah_plan.execution.held_parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.ros.log import NANOSECONDS, Logged, header_at, write_log
 
+TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]
 RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
 TARGETS = {
@@ -72,3 +78,42 @@ def convert(source: str | Path, target: str | Path, *, topics: Collection[str] =
         text = urdf_text(load_model(source), Path(source).stem)
     replace_file(target, text.encode())
     return "model", ()
+
+
+def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
+    """The message of a plan.
+
+    The joints are those of the arm [rad or m] if the plan has one, else the object's coordinates along the mean of the
+    belief. One control step of the problem's plant passes between two points; transitions take no time, so of their two
+    knots the second is kept. Between points the joints move in straight lines, so no velocities are given.
+
+    Raises:
+        InputError: if the plan is no solution.
+    """
+    trajectory, arm = require_executable(stored), stored.plan.arm
+    if arm is None:
+        names, positions = list(stored.automaton.coordinate_names), trajectory.means
+    else:
+        names, positions = list(arm.joints), arm.positions
+    period = parameters_of(stored.problem).control_period
+    kept = [k for k in range(len(positions)) if k == len(positions) - 1 or not trajectory.is_transition[k]]
+    points = []
+    for step, k in enumerate(kept):
+        time = round(step * period * NANOSECONDS)
+        point = {"positions": positions[k].tolist(), "velocities": [], "accelerations": [], "effort": []}
+        points.append({**point, "time_from_start": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}})
+    return {"header": header_at(0, "base"), "joint_names": names, "points": points}
+
+
+def trajectory_json(stored: StoredPlan) -> str:
+    """The message as JSON text, its keys as in ROS 2."""
+    return json.dumps(joint_trajectory(stored), indent=2, ensure_ascii=False) + "\n"
+
+
+def trajectory_mcap(stored: StoredPlan) -> bytes:
+    """The content of an MCAP file with the message.
+
+    Raises:
+        MissingDependencyError: without the extra ``ros``.
+    """
+    return write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, joint_trajectory(stored))])

@@ -21,9 +21,10 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked, row_and_column
 from micah_plan.recording.value import DEFAULT_PART, Floats, Recording
-from micah_plan.ros.log import NANOSECONDS, Logged, header_at, read_log, stamp_ns, write_log
+from micah_plan.ros.log import NANOSECONDS, Logged, MessageType, header_at, read_log, stamp_ns, write_log
 
-_POSE, _VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
+_POSE: MessageType = "geometry_msgs/msg/PoseStamped"
+_VECTOR: MessageType = "geometry_msgs/msg/Vector3Stamped"
 _LATEST_S = 2**31 - 1  # the seconds of a stamp are 32 bits
 _SELECT = "convert it with --topic to name what is wanted"
 _JOINT = "joint "
@@ -82,12 +83,12 @@ def _messages(recording: Recording, row: int) -> Iterable[Logged]:
             "position": dict(zip("xyz", recording.position[row].tolist(), strict=True)),
             "orientation": dict(zip("xyzw", recording.quaternion[row].tolist(), strict=True)),
         }
-        yield Logged(f"/{part}/pose", "geometry_msgs/msg/PoseStamped", time, {"header": header, "pose": pose})
+        yield Logged(f"/{part}/pose", _POSE, time, {"header": header, "pose": pose})
     for name, values in (("action", recording.action), ("force", recording.force)):
         if values is not None and not np.isnan(values[row]).any():
             vector = dict(zip("xyz", values[row].tolist(), strict=True))
             message = {"header": header, "vector": vector}
-            yield Logged(f"/{part}/{name}", "geometry_msgs/msg/Vector3Stamped", time, message)
+            yield Logged(f"/{part}/{name}", _VECTOR, time, message)
     joints = {name.removeprefix(_JOINT): column[row] for name, column in recording.extra.items() if column[row]}
     if joints:
         try:
