@@ -69,8 +69,8 @@ def verify(
         return answer
     reason = (
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
-        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the confidence "
-        f"or the noise"
+        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the "
+        f"confidence or the noise"
     )
     seen = _findings(problem, plan.mode_sequence, ends)
     return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *seen))
