@@ -22,7 +22,7 @@ from micah_plan import workflow
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.documents.model_file import load_model
 from micah_plan.documents.problem_file import load_problem
-from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
@@ -177,7 +177,7 @@ def executed(problem: Problem, plan: Plan, plant: Tampered, seeds: range) -> Rou
         raise SystemExit(f"no plan: {plan.reason}")
     still = Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
     for run, seed in enumerate(seeds):
-        result = execute(problem, plan.trajectory, plant, np.random.default_rng([seed, 2]), run=run)
+        result = execute(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng([seed, 2]))
         for _ in range(WAIT):
             plant.apply(still)
         mode, x = true_state(problem.automaton, plant.truth())

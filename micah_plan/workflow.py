@@ -26,17 +26,18 @@ from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.recording.value import Recording
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
+from micah_plan.task.plants import DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Method as PlanningMethod
 
 if TYPE_CHECKING:
-    from micah_plan.execution.trials import TrialStatistics
+    from micah_plan.execution.plant import Plant, PlantMaker
+    from micah_plan.execution.trials import Keep, TrialStatistics
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
     from micah_plan.robot.tool_path import ArmFailure
 
 Method = Literal["act-champ", "champ"]
-PlantKind = Literal["nominal", "mujoco"]
 Progress = Callable[[str, float], None]
 
 
@@ -198,21 +199,24 @@ def execute(
     problem: Problem,
     plan: Plan,
     *,
-    plant: PlantKind = "nominal",
+    plant: str | PlantMaker | Plant = DEFAULT_PLANT,
     trials: int = 1,
     seed: int = 0,
     replan_every: int | None = None,
     progress: Progress | None = None,
+    keep: Keep | None = None,
 ) -> TrialStatistics:
     """Execute a plan in closed loop, with the belief filter, feedback and replanning, over seeded trials.
 
     Args:
+        plant, keep: as of `execution.trials.run_trials`: a name, a class that is called with the problem, or a plant.
         replan_every: steps after which the rest of the plan is optimised again from the belief, 0: never; None: as the
             problem's settings say.
 
     Raises:
-        InputError: if the plan is not a solution.
+        InputError: if the plan is not a solution, or the plant's code cannot be used.
         MissingDependencyError: if the plant needs a library that is not installed.
+        PlantError: if the machine cannot be reset.
     """
     from micah_plan.execution.trials import run_trials
     from micah_plan.planning.pomdp_hd import replan
@@ -221,7 +225,7 @@ def execute(
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
     run = partial(run_trials, replan=replan, continuation=RecedingHorizon)
-    return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress)
+    return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
 
 
 def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:

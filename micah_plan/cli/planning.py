@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from micah_plan.cli.console import (
     NO_RESULT,
+    Interrupted,
     JsonFlag,
     OutputPath,
     Seed,
@@ -21,14 +23,12 @@ from micah_plan.cli.console import (
     progress_bar,
     title_of,
 )
+from micah_plan.errors import InputError, MicahError
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
+from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
 
-
-class PlantName(StrEnum):
-    """Where a plan is executed."""
-
-    NOMINAL = "nominal"
-    MUJOCO = "mujoco"
+if TYPE_CHECKING:
+    from micah_plan.recording.value import Recording
 
 
 PlannerName = StrEnum("PlannerName", {"POMDP_HD": "pomdp-hd", "DIRECT": "direct", "RRT": "rrt"})
@@ -97,15 +97,20 @@ def explain(
 def execute(
     plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote.")],
     output: OutputPath,
-    plant: Annotated[PlantName, typer.Option(help="The model with noise, or independent physics.")] = PlantName.NOMINAL,
+    plant: Annotated[str, typer.Option(metavar="NAME|FILE.py:CLASS", help=f"{SENTENCES}; or yours.")] = DEFAULT_PLANT,
     trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
     replan_every: Annotated[int | None, typer.Option(min=0, help="Plan anew every so many steps; 0: never.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Execute a plan in closed loop and write the runs as a recording."""
+    """Execute a plan in closed loop and write the runs as a recording, also what there is when it is broken off.
+
+    With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
+    close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.
+    """
     from micah_plan import workflow
+    from micah_plan.cli.own_plant import named_plant
     from micah_plan.cli.reports.executed import executed, print_executed
     from micah_plan.documents.plan_file import load_plan, require_executable
     from micah_plan.recording.read import write_recording
@@ -113,11 +118,19 @@ def execute(
     check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
     stored = load_plan(plan)
     require_executable(stored)
+    machine = named_plant(plant)
     print_warnings(stored.plan.warnings)
+    logs: list[Recording] = []
     begin = time.perf_counter()
-    with progress_bar(as_json) as progress:
-        run = partial(workflow.execute, stored.problem, stored.plan, plant=plant.value, trials=trials, seed=seed)
-        statistics = run(replan_every=replan_every, progress=progress)
+    try:
+        with progress_bar(as_json) as progress:
+            run = partial(workflow.execute, stored.problem, stored.plan, plant=machine, trials=trials, seed=seed)
+            statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
+    except BaseException as error:
+        told = _broken_off(error, logs, output)
+        if told is error:
+            raise
+        raise told from error
     write_recording(statistics.recording, output)
     if figure is not None:
         from micah_plan.view.figures import belief_figure, save_figure
@@ -125,3 +138,20 @@ def execute(
         save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
     summary = executed(statistics, time.perf_counter() - begin)
     print_summary(as_json, summary, lambda: print_executed(summary, (output, figure)))
+
+
+def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:
+    """The error that says what broke an execution off and where its logs are, which are written now; a bug stays."""
+    if not logs:
+        return error
+    from micah_plan.execution.log import concatenated
+    from micah_plan.recording.read import write_recording
+
+    write_recording(concatenated(logs), output)
+    kept = f"what was logged until then is in {output}"
+    if isinstance(error, KeyboardInterrupt):
+        return Interrupted(f"interrupted; {kept}")
+    if isinstance(error, InputError):
+        remedy = f"{error.remedy}; {kept}" if error.remedy else kept
+        return InputError(error.problem, source=error.source, where=error.where, remedy=remedy)
+    return type(error)(f"{error}; {kept}") if isinstance(error, MicahError) else error

@@ -7,14 +7,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from micah_plan.documents.fields import Document, Line, Name
+from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES, PlantName
 
 SWEEP_FORMAT = "micah-plan/sweep/1"
 
 
 class ExecuteDocument(Document):
-    plant: Literal["nominal", "mujoco"] = Field(
-        default="nominal", description="The model with noise, or independent physics."
-    )
+    plant: PlantName = Field(default=DEFAULT_PLANT, description=f"Where plans are executed; {SENTENCES}.")
     trials: Annotated[int, Field(ge=1, le=10_000)] = Field(default=10, description="Seeded trials of every plan.")
 
 

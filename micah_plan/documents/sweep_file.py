@@ -18,6 +18,7 @@ from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
+from micah_plan.task.plants import DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 from micah_plan.task.sweep import MOST_CASES, Digests, Sweep, SweptProblem
 
@@ -57,7 +58,7 @@ def _sweep(located: Located, folder: Path) -> Sweep:
         problems=problems,
         grid=tuple((key, tuple(values)) for key, values in document.grid.items()),
         seeds=range(document.first_seed, document.first_seed + document.seeds),
-        plant="nominal" if document.execute is None else document.execute.plant,
+        plant=DEFAULT_PLANT if document.execute is None else document.execute.plant,
         trials=0 if document.execute is None else document.execute.trials,
         source=located.source,
     )

@@ -1,4 +1,8 @@
-"""Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end."""
+"""Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end.
+
+`Episode` decides and logs; it calls neither a plant nor the filter. `execute` joins it with both. So many episodes can
+share one batched step of the filter: what they need of each other is nothing.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,13 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.door import Door
 from micah_plan.execution.log import RunLog
-from micah_plan.execution.pilot import MOST_REPLANS, AskArm, ContinuePlan, Pilot, Replan
-from micah_plan.execution.plant import Command, Measurement, Plant, Truth
+from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
+from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
 from micah_plan.execution.pose import command, configuration
-from micah_plan.execution.scoring import goal_probability, true_state
-from micah_plan.planning.input_memory import coasted, with_input_memory
+from micah_plan.execution.scoring import lasting_probability, true_state
+from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
@@ -32,12 +37,14 @@ class TrialResult:
 
     Attributes:
         recording: the log; `learn` and `predict` accept it.
-        success: whether the true state at the end lies in the goal set.
+        success: whether the state at the end lies in the goal set: the true one or, where nobody knows it, the believed
+            one with the problem's confidence. False where the machine failed.
+        believed: whether that and the final values are what the belief says, since the plant has no referee.
         reason: one sentence.
-        final_error: largest distance of a true constrained coordinate from its target [rad or m].
-        final_mode, final_x: the true state at the end, in the model's terms; (n,) [rad or m].
+        final_error: largest distance of a constrained coordinate from its target at the end [rad or m].
+        final_mode, final_x: the state at the end, in the model's terms; (n,) [rad or m].
         confidence: the belief's probability of the goal at the end.
-        steps: control steps taken.
+        steps: control steps that were carried out and measured.
         replans: new plans followed.
         continuations: how often the rest of the plan was optimised again.
         refusals: why new plans were not followed.
@@ -46,6 +53,7 @@ class TrialResult:
 
     recording: Recording
     success: bool
+    believed: bool
     reason: str
     final_error: float
     final_mode: str
@@ -58,128 +66,193 @@ class TrialResult:
     beliefs: tuple[HybridBelief, ...]
 
 
-def execute(
-    problem: Problem,
-    trajectory: Trajectory,
-    plant: Plant,
-    rng: np.random.Generator,
-    *,
-    run: int = 0,
-    max_steps: int | None = None,
-    arm: ArmTrajectory | None = None,
-    ask_arm: AskArm | None = None,
-    replan: Replan | None = None,
-    continue_plan: ContinuePlan | None = None,
-) -> TrialResult:
-    """Carry out a plan on a plant.
+class Episode:
+    """The decisions of one execution, apart from its plant and from the filter of its belief.
 
-    Every step measures the poses, updates the belief, and applies the plan's feedback. It stops when the plan is done
-    and the belief is in the goal set with the problem's confidence: stopping earlier ends at its edge. A new plan is
-    asked for where a belief leaves it, misses a transition or ends short of the goal; where none leads on, it stops.
+    A step of an execution is, for a belief b over the states of `automaton` that starts as `prior`:
+
+        measurement = plant.reset(rng), later plant.apply(command)
+        b = filter.update(automaton, b, episode.reading(b, measurement))
+        command = episode.decide(b, measurement, truth)           # None: the execution has ended
+        b = filter.predict(automaton, b, command.input)
+
+    Every step the updated belief is looked at. The execution stops when the plan is done and the belief is in the goal
+    set with the problem's confidence: stopping earlier ends at its edge. A new plan is asked for where a belief leaves
+    it, misses a transition or ends short of the goal; where none leads on, it stops.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        trajectory: Trajectory,
+        *,
+        arm: ArmTrajectory | None = None,
+        replanning: Replanning | None = None,
+        max_steps: int | None = None,
+        run: int = 0,
+    ) -> None:
+        """Nothing has happened yet.
+
+        Args:
+            problem: automaton, start belief, goal, confidence and input limits.
+            trajectory: the plan.
+            arm: joints of the arm along the trajectory; None: there is no arm.
+            replanning: where new plans come from; None: none are asked for.
+            max_steps: control steps at most; None: twice the plan's plus 20.
+            run: the run's number in the log.
+        """
+        known = with_input_memory(problem)
+        self.automaton: HybridAutomaton = known.automaton
+        """Over whose states, memories of inputs among them, the belief is."""
+        self._problem, self._run = problem, run
+        self._start, self._start_mode = known.start, trajectory.modes[0]
+        spare = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS
+        self._longest = spare if max_steps is None else max_steps
+        self._pilot = Pilot(known, trajectory, arm, replanning)
+        self._log = RunLog(problem.automaton)
+        self._beliefs: list[HybridBelief] = []
+        self._confidence = 0.0
+        self._truth: Truth | None = None
+
+    @property
+    def prior(self) -> HybridBelief:
+        """The belief before the first measurement."""
+        return initial_belief(self.automaton, self._start.mean, self._start.std, self._start_mode)
+
+    @property
+    def recording(self) -> Recording | None:
+        """The log so far; None if nothing was decided yet."""
+        return self._log.recording(self._run) if len(self._log) else None
+
+    def reading(self, belief: HybridBelief, measurement: Measurement) -> Floats:
+        """(n,) what the filter is told of a measurement [rad or m]; NaN for what it does not show.
+
+        Args:
+            belief: before it, to tell whole turns apart and for the joints of the most likely mode.
+        """
+        plain, mode = self._problem.automaton, belief.most_likely
+        near = belief.means[mode, : plain.n]
+        z = configuration(plain, plain.modes[mode].name, measurement.position, measurement.quaternion, near)
+        z = read_by_sensors(plain, z[None], np.array([measurement.time]))[0]
+        return np.concatenate([z, np.full(self.automaton.n - plain.n, np.nan)])
+
+    def decide(self, belief: HybridBelief, measurement: Measurement, truth: Truth | None = None) -> Command | None:
+        """The next command, or None if the execution has ended.
+
+        Args:
+            belief: after the measurement.
+            truth: only for the log and the score; None in every step: nobody knows it.
+        """
+        self._beliefs.append(belief)
+        self._truth = truth
+        self._confidence = lasting_probability(self.automaton, self._problem.goal, belief)
+        plain = self._problem.automaton
+        true_x = None if truth is None else true_state(plain, truth)[1]
+        if self._has_ended(belief):
+            self._log.add(measurement, belief, true_x, None)
+            return None
+        u = self._pilot.input(belief, measurement.joints)
+        mode = belief.most_likely
+        order = command(plain, plain.modes[mode].name, belief.means[mode, : plain.n], u)
+        self._log.add(measurement, belief, true_x, order.origin)
+        return replace(order, posture=self._pilot.posture)
+
+    def result(self, failure: str = "") -> TrialResult:
+        """How the execution ended.
+
+        Args:
+            failure: what the machine failed with after the last command; empty if it did not.
+        """
+        problem, pilot, belief = self._problem, self._pilot, self._beliefs[-1]
+        goal, mode, x = problem.goal, problem.automaton.modes[belief.most_likely].name, belief.means[belief.most_likely]
+        x = x[: problem.automaton.n]
+        reached, incident = self._is_confident, ""
+        if self._truth is not None:
+            mode, x = true_state(problem.automaton, self._truth)
+            reached, incident = goal.contains(mode, x), self._truth.incident
+        if failure:
+            reason = f"the machine failed in step {len(self._beliefs)}: {failure}"
+        elif reached:
+            reason = self._ending()
+        else:
+            misses = [incident, *self._misses(mode, x)] if incident else self._misses(mode, x)
+            reason = f"{self._ending()}, but {' and '.join(misses)}" if misses else self._ending()
+        return TrialResult(
+            recording=self._log.recording(self._run),
+            success=reached and not failure,
+            believed=self._truth is None,
+            reason=reason,
+            final_error=goal.error(x),
+            final_mode=mode,
+            final_x=x,
+            confidence=self._confidence,
+            steps=len(self._beliefs) - 1,
+            replans=pilot.replans,
+            continuations=pilot.continuations,
+            refusals=tuple(pilot.refusals),
+            beliefs=tuple(self._beliefs),
+        )
+
+    @property
+    def _is_confident(self) -> bool:
+        return self._confidence >= self._problem.settings.confidence
+
+    def _has_ended(self, belief: HybridBelief) -> bool:
+        """Whether the goal is believed reached with the plan done, the plan is lost, or the steps are used up."""
+        if len(self._beliefs) > self._longest or self._pilot.is_lost:
+            return True
+        return self._is_confident and (len(self._beliefs) == 1 or self._pilot.is_finished(belief))
+
+    def _ending(self) -> str:
+        """Why the execution ended."""
+        pilot, steps, refused = self._pilot, len(self._beliefs) - 1, ""
+        if self._is_confident:
+            return f"stopped with probability {self._confidence:.3f} of the goal"
+        if pilot.refusals:
+            refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
+        if pilot.is_lost:
+            mode = self._problem.automaton.modes[self._beliefs[-1].most_likely].name
+            asked = f"off the plan after asking {MOST_REPLANS} times for another"
+            return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
+        return f"the {steps} allowed steps ended with probability {self._confidence:.3f} of the goal{refused}"
+
+    def _misses(self, mode: str, x: Floats) -> list[str]:
+        """In which respects a state is not in the goal set, the true one or the believed one."""
+        automaton, goal = self._problem.automaton, self._problem.goal
+        is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
+        misses = [
+            f"{automaton.coordinates[i].name} {is_} {abs(x[i] - value):.4g} {automaton.coordinates[i].unit} "
+            f"from its target (tolerance {tolerance:g})"
+            for i, value, tolerance in goal.target
+            if abs(x[i] - value) > tolerance
+        ]
+        if not goal.admits(mode):
+            misses.append(f"the {true} mode is {mode}, not {' or '.join(goal.modes)}")
+        return misses
+
+
+def execute(episode: Episode, plant: Plant | Door, rng: np.random.Generator) -> TrialResult:
+    """Carry out an episode on a plant, which is reset first.
+
+    If the plant is also a `Referee`, the result is scored by the truth; else by the belief, and says so.
 
     Args:
-        problem: automaton, start belief, goal, confidence and input limits.
-        trajectory: the plan.
-        plant: where to execute; it is reset first.
         rng: feeds the plant's start and noise.
-        run: the run's number in the log.
-        max_steps: control steps at most; None: twice the plan's plus 20.
-        arm: joints of the arm along the trajectory; None: there is no arm.
-        ask_arm: gives those along a new trajectory, from the joints that the arm is at, or what stands in the way: such
-            a trajectory is refused. None: new trajectories are followed without asking.
-        replan: gives a trajectory from a belief, or None if there is none; None: never replan.
-        continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
+
+    Raises:
+        PlantError: if the machine cannot be reset. One that fails later ends the episode as a failure.
+        InputError: if the plant's code raised something else, or what it answered is no usable measurement. What was
+            logged until then is `episode.recording`.
     """
-    automaton, known = problem.automaton, with_input_memory(problem)
-    longest = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS if max_steps is None else max_steps
-    log, pilot = RunLog(automaton), Pilot(known, trajectory, arm, ask_arm, replan, continue_plan)
-    measurement = plant.reset(rng)
-    prior = initial_belief(known.automaton, known.start.mean, known.start.std, trajectory.modes[0])
-    beliefs = [_updated(problem, known, prior, measurement)]
-    confidence = _lasting_probability(known, beliefs[-1])
-    while len(beliefs) <= longest and not pilot.is_lost:
-        belief = beliefs[-1]
-        if confidence >= problem.settings.confidence and (len(beliefs) == 1 or pilot.is_finished(belief)):
-            break
-        u = pilot.input(belief, measurement.joints)
-        order = replace(_order(automaton, belief, u), posture=pilot.posture)
-        log.add(measurement, belief, true_state(automaton, plant.truth())[1], order.origin)
-        measurement = plant.apply(order)
-        beliefs.append(_updated(problem, known, predict(known.automaton, belief, u), measurement))
-        confidence = _lasting_probability(known, beliefs[-1])
-    log.add(measurement, beliefs[-1], true_state(automaton, plant.truth())[1], None)
-    return _result(problem, pilot, beliefs, plant.truth(), log.recording(run))
-
-
-def _result(
-    problem: Problem, pilot: Pilot, beliefs: list[HybridBelief], truth: Truth, recording: Recording
-) -> TrialResult:
-    """How an execution ended."""
-    mode, x = true_state(problem.automaton, truth)
-    confidence = _lasting_probability(with_input_memory(problem), beliefs[-1])
-    return TrialResult(
-        recording=recording,
-        success=problem.goal.contains(mode, x),
-        reason=_reason(problem, _ending(problem, pilot, beliefs, confidence), mode, x, truth.incident),
-        final_error=problem.goal.error(x),
-        final_mode=mode,
-        final_x=x,
-        confidence=confidence,
-        steps=len(beliefs) - 1,
-        replans=pilot.replans,
-        continuations=pilot.continuations,
-        refusals=tuple(pilot.refusals),
-        beliefs=tuple(beliefs),
-    )
-
-
-def _order(automaton: HybridAutomaton, belief: HybridBelief, u: Floats) -> Command:
-    mode = automaton.modes[belief.most_likely].name
-    return command(automaton, mode, belief.means[belief.most_likely, : automaton.n], u)
-
-
-def _updated(problem: Problem, known: Problem, belief: HybridBelief, measurement: Measurement) -> HybridBelief:
-    """The belief over the known problem's states after a measurement, which shows only those of the problem."""
-    automaton, number = problem.automaton, belief.most_likely
-    poses = measurement.position, measurement.quaternion
-    z = configuration(automaton, automaton.modes[number].name, *poses, belief.means[number, : automaton.n])
-    z = read_by_sensors(automaton, z[None], np.array([measurement.time]))[0]
-    unseen = np.full(known.automaton.n - automaton.n, np.nan)
-    return update(known.automaton, belief, np.concatenate([z, unseen]))
-
-
-def _lasting_probability(problem: Problem, belief: HybridBelief) -> float:
-    """Probability of the goal now, and when all that was commanded has arrived: the smaller of both."""
-    automaton, now = problem.automaton, goal_probability(problem.automaton, problem.goal, belief)
-    if not automaton.registers:
-        return now
-    ends = [coasted(automaton, q.name, mean) for q, mean in zip(automaton.modes, belief.means, strict=True)]
-    return min(now, goal_probability(automaton, problem.goal, replace(belief, means=np.array(ends))))
-
-
-def _ending(problem: Problem, pilot: Pilot, beliefs: list[HybridBelief], confidence: float) -> str:
-    """Why the execution ended."""
-    if confidence >= problem.settings.confidence:
-        return f"stopped with probability {confidence:.3f} of the goal"
-    steps, refused = len(beliefs) - 1, ""
-    if pilot.refusals:
-        refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
-    if pilot.is_lost:
-        mode = problem.automaton.modes[beliefs[-1].most_likely].name
-        asked = f"off the plan after asking {MOST_REPLANS} times for another"
-        return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
-    return f"the {steps} allowed steps ended with probability {confidence:.3f} of the goal{refused}"
-
-
-def _reason(problem: Problem, ending: str, mode: str, x: Floats, incident: str) -> str:
-    if problem.goal.contains(mode, x):
-        return ending
-    misses = [
-        f"{problem.automaton.coordinates[i].name} is {abs(x[i] - value):.4g} {problem.automaton.coordinates[i].unit} "
-        f"from its target (tolerance {tolerance:g})"
-        for i, value, tolerance in problem.goal.target
-        if abs(x[i] - value) > tolerance
-    ]
-    if not problem.goal.admits(mode):
-        misses.append(f"the true mode is {mode}, not {' or '.join(problem.goal.modes)}")
-    return f"{ending}, but {' and '.join([incident, *misses] if incident else misses)}"
+    door = plant if isinstance(plant, Door) else Door(plant, [link.child for link in episode.automaton.links])
+    automaton, belief, measurement = episode.automaton, episode.prior, door.reset(rng)
+    while True:
+        belief = update(automaton, belief, episode.reading(belief, measurement))
+        order = episode.decide(belief, measurement, door.truth())
+        if order is None:
+            return episode.result()
+        try:
+            measurement = door.apply(order)
+        except PlantError as failure:
+            return episode.result(str(failure))
+        belief = predict(automaton, belief, order.input)

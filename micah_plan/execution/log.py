@@ -1,4 +1,4 @@
-"""The log of a run: a Recording with the belief and the truth beside the measured poses."""
+"""The log of a run: a Recording with what was believed and, if somebody knows, what was true beside the poses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Measurement
+from micah_plan.execution.pose import chain, components, moving_joints
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 Floats = NDArray[np.float64]
+
+ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +25,7 @@ class _Sample:
 
     measurement: Measurement
     belief: HybridBelief
-    true_x: Floats
+    true_x: Floats | None
     action: Floats
 
 
@@ -33,16 +36,26 @@ class RunLog:
     automaton: HybridAutomaton
     _samples: list[_Sample] = field(default_factory=list)
 
-    def add(self, measurement: Measurement, belief: HybridBelief, true_x: Floats, action: Floats | None) -> None:
-        """A sample; the action (l, 3) [m] is None in the run's last one."""
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def add(self, measurement: Measurement, belief: HybridBelief, true_x: Floats | None, action: Floats | None) -> None:
+        """A sample.
+
+        Args:
+            belief: after the measurement: what the action was chosen with.
+            true_x: (n,) [rad or m]; None in every sample of a run: nobody knows.
+            action: (l, 3) [m]; None in the run's last sample.
+        """
         empty = np.full((len(self.automaton.links), 3), np.nan)
         self._samples.append(_Sample(measurement, belief, true_x, empty if action is None else action))
 
     def recording(self, run: int) -> Recording:
-        """The run as a Recording, times outermost, one row per part.
+        """The run so far as a Recording, times outermost, one row per part.
 
-        Extra columns: ``mode`` (the most probable), and per coordinate c ``belief_c`` and ``belief_std_c`` (mean and
-        std in that mode) and ``true_c`` [rad or m].
+        Extra columns: ``mode`` (the most probable), per coordinate c ``belief_c`` and ``belief_std_c`` (mean and std in
+        that mode) and, if it is known, ``true_c`` [rad or m], and ``estimate_x`` to ``estimate_qw``, the part's pose at
+        that mean in the base frame [m].
         """
         parts = tuple(link.child for link in self.automaton.links)
         rows = len(self._samples) * len(parts)
@@ -50,12 +63,9 @@ class RunLog:
         def per_part(values: Sequence[Floats]) -> Floats:
             return np.asarray(values).reshape(rows, -1)
 
-        def per_time(values: Sequence[str]) -> tuple[str, ...]:
-            return tuple(value for value in values for _ in parts)
-
         measurements = [sample.measurement for sample in self._samples]
         forces = [m.force for m in measurements if m.force is not None]
-        columns = {name: per_time(values) for name, values in self._belief_columns().items()}
+        times = {name: tuple(v for v in values for _ in parts) for name, values in self._belief_columns().items()}
         return Recording(
             time=np.repeat([m.time for m in measurements], len(parts)),
             position=per_part([m.position for m in measurements]),
@@ -66,10 +76,11 @@ class RunLog:
             part=parts * len(self._samples),
             has_run=True,
             has_part=parts != (DEFAULT_PART,),
-            extra=columns,
+            extra=times | self._estimate_columns(),
         )
 
     def _belief_columns(self) -> dict[str, list[str]]:
+        """One text per sample."""
         modes = self.automaton.mode_names
         columns: dict[str, list[str]] = {"mode": [modes[sample.belief.most_likely] for sample in self._samples]}
         for index, coordinate in enumerate(self.automaton.coordinates):
@@ -77,8 +88,20 @@ class RunLog:
             columns[f"belief_{coordinate.name}"] = [_text(b.means[q, index]) for b, q in beliefs]
             deviations = [float(np.linalg.norm(b.factors[q, index])) for b, q in beliefs]
             columns[f"belief_std_{coordinate.name}"] = [_text(value) for value in deviations]
-            columns[f"true_{coordinate.name}"] = [_text(sample.true_x[index]) for sample in self._samples]
+            true = [_text(sample.true_x[index]) for sample in self._samples if sample.true_x is not None]
+            if len(true) == len(self._samples):
+                columns[f"true_{coordinate.name}"] = true
         return columns
+
+    def _estimate_columns(self) -> dict[str, tuple[str, ...]]:
+        """One text per sample and part."""
+        rows = []
+        for sample in self._samples:
+            mode = sample.belief.most_likely
+            joints = moving_joints(self.automaton, self.automaton.modes[mode].name)
+            poses = chain(self.automaton, joints, sample.belief.means[mode])
+            rows += np.hstack(components(poses)).tolist()
+        return {name: tuple(_text(row[i]) for row in rows) for i, name in enumerate(ESTIMATE)}
 
 
 def concatenated(recordings: Sequence[Recording]) -> Recording:

@@ -13,9 +13,11 @@ from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian, placement
 from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
+from micah_plan.execution.held_parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
+from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start, sample_start
 
 Floats = NDArray[np.float64]
@@ -47,6 +49,11 @@ class NominalPlant:
         self._mode = automaton.modes[0].name
         self._x: Floats = np.zeros(automaton.n)
         self._time = 0.0
+
+    @classmethod
+    def of(cls, problem: Problem) -> NominalPlant:
+        """The plant that is just what the problem says."""
+        return cls(problem.automaton, problem.start, parameters_of(problem).control_period)
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,22 @@ MOST_REPLANS = 5
 _PATIENCE = 3
 
 
+@dataclass(frozen=True)
+class Replanning:
+    """Where new trajectories come from during an execution, and who may refuse them.
+
+    Attributes:
+        replan: gives a trajectory from a belief, or None if there is none; None: never replan.
+        continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
+        ask_arm: gives the arm's joints along a new trajectory, from the joints that it is at, or what stands in the
+            way: such a trajectory is refused. None: new trajectories are followed without asking.
+    """
+
+    replan: Replan | None = None
+    continue_plan: ContinuePlan | None = None
+    ask_arm: AskArm | None = None
+
+
 class Pilot:
     """Decides the input of each step: follows the plan, and asks for another when the plan no longer serves."""
 
@@ -34,16 +51,15 @@ class Pilot:
         problem: Problem,
         trajectory: Trajectory,
         arm: ArmTrajectory | None = None,
-        ask_arm: AskArm | None = None,
-        replan: Replan | None = None,
-        continue_plan: ContinuePlan | None = None,
+        replanning: Replanning | None = None,
     ) -> None:
-        """Args: as of `closed_loop.execute`."""
+        """Args: as of `closed_loop.Episode`, the problem with the memory of its inputs."""
+        replanning = replanning or Replanning()
         self._problem = problem
         self._arm = arm
-        self._ask_arm = ask_arm
-        self._replan = replan
-        self._continue_plan = continue_plan
+        self._ask_arm = replanning.ask_arm
+        self._replan = replanning.replan
+        self._continue_plan = replanning.continue_plan
         self._every = problem.settings.replan_every
         self._followed = 0
         self._waited = 0

@@ -1,26 +1,44 @@
-"""The interface of a plant: what a hand is told, what a tracker sees, and, apart from both, what is true."""
+"""What a plan is executed on: `Plant`, what it is told and what it answers; and, apart from it, `Referee`.
+
+A plant is a machine with an object: a robot, a simulation, the model itself. It needs to know no truth. Who can also
+say what is true is a referee; only scores and logs may ask it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.errors import InputError, MicahError, shown
+from micah_plan.recording.checks import NORM_TOLERANCE
+from micah_plan.recording.columns import LARGEST
+from micah_plan.task.problem import Problem
+
 Floats = NDArray[np.float64]
+
+
+class PlantError(MicahError):
+    """The machine failed: it stopped itself, lost the object or no longer answers.
+
+    A plant raises it with one sentence for people. From `apply` it ends the trial as a failure, and the next trial asks
+    the plant for a reset; from `reset` it ends the execution. Nothing is commanded in between.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What the executing side sees at one time; one row per link, in the automaton's order of links.
+    """What is seen of the machine at one time; one row per link, in the automaton's order of links.
 
     Attributes:
-        time: [s] since the reset.
+        time: [s] since the reset; later at every step.
         position: (l, 3) [m], measured origin of each link's child part in the base frame.
-        quaternion: (l, 4) its measured orientation, scalar last.
-        force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if the plant has no forces.
-        joints: (J,) what the encoders of the arm say [rad or m]; None if the plant has no arm.
+        quaternion: (l, 4) its measured orientation, part to base, unit norm, scalar last.
+        force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if forces are not measured.
+        joints: (J,) what the encoders of the arm say [rad or m]; None if there is no arm.
     """
 
     time: float
@@ -34,12 +52,13 @@ class Measurement:
 class Command:
     """One control step's command, in the forms in which plants and logs take it.
 
-    The first three say the same thing for the model that the command was computed with: move from the estimate c by u.
+    The first three say the same thing for the model that the command was computed with: move from the estimate x by u.
+    A plant carries out the one that suits it; a hand or arm takes `handle`.
 
     Attributes:
         input: (m,) u of the automaton [rad or m].
         origin: (l, 3) [m], base frame: displacement of each part's origin. It is what the log calls the action.
-        handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand holding it is told.
+        handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand that holds it is told.
         posture: (J,) joints at which the plan has the arm after the step [rad or m]; None: any will do.
     """
 
@@ -51,7 +70,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true state, for scoring only: nothing that decides on inputs may read it.
+    """The true state, for scores and logs only: nothing that decides on inputs may read it.
 
     Attributes:
         mode: the true mode; None if the plant does not think in modes (physics), then `held` says what is latched.
@@ -69,21 +88,95 @@ class Truth:
     incident: str = ""
 
 
+@runtime_checkable
 class Plant(Protocol):
-    """Something that can be manipulated: the nominal automaton, a physics simulation, a real object."""
+    """Something that a plan can be executed on. `conformance.check_plant` tries whether a plant keeps to this."""
 
     def reset(self, rng: np.random.Generator) -> Measurement:
-        """Bring the object to a start drawn with `rng`, which also feeds all noise until the next reset."""
+        """Bring the object to the start of a trial and measure it.
+
+        A simulation draws the start and all its noise with `rng`. A real machine may leave `rng` alone.
+
+        Raises:
+            PlantError: if it cannot be brought there.
+        """
         ...
 
     def apply(self, command: Command) -> Measurement:
-        """Carry out one control step and measure."""
+        """Carry out one control step, wait until it has ended, and measure.
+
+        Raises:
+            PlantError: if the machine failed; it must be standing still by then.
+        """
         ...
+
+    def close(self) -> None:
+        """Stop, and free what the plant has taken. Called once, also after a failure; then it is not used any more."""
+        ...
+
+
+PlantMaker = Callable[[Problem], Plant]
+"""A class or function that makes a plant for a problem: automaton, start, physical parameters, arm."""
+
+
+@runtime_checkable
+class Referee(Protocol):
+    """Somebody who knows the truth: a simulation. A plant that has this method too is its own referee."""
 
     def truth(self) -> Truth:
         """The true state now."""
         ...
 
-    def close(self) -> None:
-        """Free what the plant holds; it cannot be used afterwards."""
-        ...
+
+def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
+    """What a plant answered, if it is a usable measurement, with arrays of its own that nobody else writes to.
+
+    Args:
+        answer: what `reset` or `apply` returned.
+        parts: (l,) name of each link's child part, in the automaton's order of links.
+        after: time of the measurement before this one [s].
+
+    Raises:
+        InputError: if it is no `Measurement`, or a value in it is of the wrong shape, not finite, beyond all sizes that
+            can be meant, not a unit quaternion (norm within 1 % of 1), or earlier than the last one.
+    """
+    if not isinstance(answer, Measurement):
+        remedy = "return a micah_plan.execution.plant.Measurement from reset and apply"
+        raise InputError(f"a plant must answer with a Measurement. Got {type(answer).__name__}", remedy=remedy)
+    rows, time = len(parts), float(_array(answer.time, "time", (), LARGEST["t"]))
+    if time <= after:
+        problem = f"Measurement.time must be later at every step. Got {time:.9g} s after {after:.9g} s"
+        raise InputError(problem, remedy="count the seconds since the reset")
+    quaternion = _array(answer.quaternion, "quaternion", (rows, 4), LARGEST["qx"])
+    norms = np.linalg.norm(quaternion, axis=1)
+    off = np.abs(norms - 1.0)
+    if off.max(initial=0.0) > NORM_TOLERANCE:
+        row = int(np.argmax(off))
+        found = f"the norm {norms[row]:.4g} for part {shown(parts[row])}"
+        problem = f"Measurement.quaternion must hold unit quaternions. Got {found}"
+        raise InputError(problem, remedy="give the measured orientation, scalar last")
+    return Measurement(
+        time=time,
+        position=_array(answer.position, "position", (rows, 3), LARGEST["x"]),
+        quaternion=quaternion,
+        force=None if answer.force is None else _array(answer.force, "force", (rows, 3), LARGEST["fx"]),
+        joints=None if answer.joints is None else _array(answer.joints, "joints", None, LARGEST["x"]),
+    )
+
+
+def _array(value: object, name: str, shape: tuple[int, ...] | None, largest: float) -> Floats:
+    """A copy of finite numbers of that shape; None: of any number of joints."""
+    expected = "(J,)" if shape is None else str(shape)
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"Measurement.{name} must be numbers of shape {expected}. Got {shown(value)}") from None
+    if array.ndim != 1 if shape is None else array.shape != shape:
+        remedy = "give one row per part, in the order of the automaton's links" if shape else None
+        raise InputError(f"Measurement.{name} must have shape {expected}. Got {array.shape}", remedy=remedy)
+    if not (np.abs(array) <= largest).all():  # false for NaN
+        wrong = float(array[~(np.abs(array) <= largest)].flat[0])
+        remedy = "wait for a measurement, or raise PlantError if there is none"
+        raise InputError(f"Measurement.{name} must be finite and at most {largest:g}. Got {wrong:g}", remedy=remedy)
+    array.setflags(write=False)
+    return array

@@ -1,6 +1,8 @@
-"""Goals against beliefs (to decide when to stop) and against the truth (to score)."""
+"""The goal against beliefs, to decide when to stop, and the truth in the model's terms, to score."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Truth
 from micah_plan.execution.pose import configuration
+from micah_plan.planning.input_memory import coasted
 from micah_plan.task.goal import Goal
 
 Floats = NDArray[np.float64]
@@ -32,6 +35,15 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
             outside += 1.0 - float(inside)
         total += float(belief.weights[number]) * max(0.0, 1.0 - outside)
     return total
+
+
+def lasting_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
+    """Probability of the goal now, and when all that was commanded has arrived: the smaller of both."""
+    now = goal_probability(automaton, goal, belief)
+    if not automaton.registers:
+        return now
+    ends = [coasted(automaton, mode.name, mean) for mode, mean in zip(automaton.modes, belief.means, strict=True)]
+    return min(now, goal_probability(automaton, goal, replace(belief, means=np.array(ends))))
 
 
 def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:

@@ -28,11 +28,13 @@ class Start:
     Attributes:
         mean, std: (n,) of the Gaussian over x [rad or m].
         mode: the mode the object is in; None: the first mode whose invariant holds the mean.
+        posture: (J,) joints that an arm starts with [rad or m], as a plan has them; None: any that hold the object.
     """
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
     mode: str | None = None
+    posture: tuple[float, ...] | None = None
 
 
 def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, str]:

@@ -10,11 +10,11 @@ from functools import cached_property
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from micah_plan import __version__
+from micah_plan.task.plants import DEFAULT_PLANT, PlantName
 
-PlantKind = Literal["nominal", "mujoco"]
 MOST_CASES = 100_000
 Digests = Mapping[str, str]
 
@@ -37,7 +37,7 @@ class Case:
     digests: Digests
     overrides: tuple[tuple[str, Any], ...]
     seed: int
-    plant: PlantKind = "nominal"
+    plant: PlantName = DEFAULT_PLANT
     trials: int = 0
 
     @cached_property
@@ -85,7 +85,7 @@ class Sweep:
     problems: tuple[SweptProblem, ...]
     grid: tuple[tuple[str, tuple[Any, ...]], ...] = ()
     seeds: range = range(1)
-    plant: PlantKind = "nominal"
+    plant: PlantName = DEFAULT_PLANT
     trials: int = 0
     source: str = ""
 

@@ -10,7 +10,7 @@ import pytest
 
 from micah_plan.documents.problem_file import load_problem
 from micah_plan.errors import InputError
-from micah_plan.execution.pilot import Pilot
+from micah_plan.execution.pilot import Pilot, Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.robot.along_plan import arm_along, start_posture
 from micah_plan.robot.load_arm import load_arm
@@ -193,7 +193,8 @@ def test_a_new_plan_starts_where_the_arm_is_or_is_refused(problem, posture):
     assert np.abs(found.positions[0] - turned).max() < 0.05
     refused = arm_along(problem, far, start=turned)
     assert isinstance(refused, ArmFailure)
-    pilot = Pilot(problem, near, found, lambda trajectory, joints: arm_along(problem, trajectory, start=joints))
+    asked = Replanning(ask_arm=lambda trajectory, joints: arm_along(problem, trajectory, start=joints))
+    pilot = Pilot(problem, near, found, asked)
     assert not pilot._follow(far, turned)
     assert refused.sentence in pilot.refusals[0]
     assert pilot.posture is found.positions[0] or np.array_equal(pilot.posture, found.positions[0])

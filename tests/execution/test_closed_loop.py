@@ -9,9 +9,10 @@ from execution_objects import SHUT, closing, door, drawer, opening, pulling, str
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.door import make_plant
 from micah_plan.execution.follower import PlanFollower
-from micah_plan.execution.trials import make_plant
+from micah_plan.execution.pilot import Replanning
 from micah_plan.recording.csv_file import read_csv, write_csv
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.task.goal import Goal
@@ -28,8 +29,9 @@ TASKS = [(CLOSE, closing()), (OPEN, opening()), (PULL, pulling())]
 
 
 def run(problem, trajectory, kind="nominal", seed=0, **options):
-    plant = make_plant(problem, kind)
-    return execute(problem, trajectory, plant, np.random.default_rng(seed), **options)
+    asked = {name: options.pop(name) for name in ("replan", "continue_plan", "ask_arm") if name in options}
+    episode = Episode(problem, trajectory, replanning=Replanning(**asked), **options)
+    return execute(episode, make_plant(problem, kind), np.random.default_rng(seed))
 
 
 def quiet(problem):

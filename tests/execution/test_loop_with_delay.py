@@ -9,7 +9,7 @@ import pytest
 
 from micah_plan import workflow
 from micah_plan.documents.problem_file import load_problem
-from micah_plan.execution.closed_loop import execute
+from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant
 from micah_plan.execution.physical_parameters import PhysicalParameters
@@ -36,7 +36,7 @@ def executed(problem, plan, seeds):
     plant = LatePlant(problem.automaton, problem.start, PhysicalParameters.from_mapping(problem.plant))
     logs, errors = [], []
     for run, seed in enumerate(seeds):
-        logs.append(execute(problem, plan.trajectory, plant, np.random.default_rng(seed), run=run).recording)
+        logs.append(execute(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng(seed)).recording)
         for _ in range(LATE + 1):
             plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
         errors.append(problem.goal.error(plant.truth().x))

@@ -5,7 +5,8 @@ import pytest
 from execution_objects import drawer, pulling
 
 from micah_plan.errors import InputError
-from micah_plan.execution.trials import make_plant, run_trials
+from micah_plan.execution.door import make_plant
+from micah_plan.execution.trials import run_trials
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 
 
 def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
-    """Keys of `execute`."""
+    """Keys of `execute`. `believed`: nobody knows the truth, so successes and errors are what the belief says."""
     return {
         "trials": statistics.trials,
         "successes": statistics.successes,
+        "believed": statistics.believed,
         "final_error": {
             "mean": statistics.final_error.mean,
             "std": statistics.final_error.std,
@@ -28,9 +29,11 @@ def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
 
 def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
     """Successes and errors of trials."""
-    error = summary["final_error"]
-    out.print(f"{summary['successes']} of {summary['trials']} trials reached the goal")
-    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}")
+    error, said, whose = summary["final_error"], "reached the goal", ""
+    if summary["believed"]:
+        said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
+    out.print(f"{summary['successes']} of {summary['trials']} trials {said}")
+    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}{whose}")
     for failure in summary["failures"]:
         out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
     print_files(files)

@@ -1,0 +1,136 @@
+"""The door between an execution and its plant: made, asked and closed here, and nothing gets in unchecked.
+
+What a plant answers is checked (`plant.checked`). What its code raises is told as the plant's fault, with file and
+line, so that a mistake in somebody's driver does not look like one of the planner.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pkgutil import resolve_name
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+
+from micah_plan.errors import InputError, MicahError, shown
+from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth, checked
+from micah_plan.task.plants import BUILT_IN
+from micah_plan.task.problem import Problem
+
+T = TypeVar("T")
+
+_METHODS = ("reset", "apply", "close")
+
+
+def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
+    """A plant for a problem.
+
+    Args:
+        kind: name of one that comes with the package, or a class or function that is called with the problem.
+
+    Raises:
+        InputError: if there is none of that name, it cannot be made, or what is made is no plant.
+        MissingDependencyError: if it needs a library that is not installed.
+        PlantError: if the machine does not answer.
+    """
+    if not isinstance(kind, str):
+        maker = kind
+    elif kind in BUILT_IN:
+        maker = resolve_name(BUILT_IN[kind].maker)
+    else:
+        raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
+    if isinstance(maker, type):  # before any machine moves
+        _check_methods(maker, maker.__name__)
+    plant = _told(lambda: maker(problem), maker, f"{getattr(maker, '__name__', 'the plant')}(problem)")
+    _check_methods(plant, type(plant).__name__)
+    return plant
+
+
+class Door:
+    """A plant as an execution sees it. As a context it closes the plant at its end, whatever happened."""
+
+    def __init__(self, plant: Plant, parts: Sequence[str]) -> None:
+        """Args: parts: (l,) names of the parts that each measurement has a row of, in this order."""
+        self._plant = plant
+        self._parts = parts
+        self._time = -np.inf
+
+    def reset(self, rng: np.random.Generator) -> Measurement:
+        """The first measurement of a trial."""
+        self._time = -np.inf
+        return self._checked(self._ask("reset", lambda: self._plant.reset(rng)))
+
+    def apply(self, command: Command) -> Measurement:
+        """The measurement after a control step."""
+        return self._checked(self._ask("apply", lambda: self._plant.apply(command)))
+
+    def truth(self) -> Truth | None:
+        """The true state now; None if the plant is no referee."""
+        plant = self._plant
+        if not isinstance(plant, Referee):
+            return None
+        answer: object = self._ask("truth", plant.truth)
+        if not isinstance(answer, Truth):
+            raise InputError(f"the plant's truth() must give a Truth. Got {type(answer).__name__}")
+        return answer
+
+    def __enter__(self) -> Door:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if error is None:
+            self._ask("close", self._plant.close)
+        else:
+            with suppress(Exception):  # what went wrong first is what is told
+                self._plant.close()
+
+    def _ask(self, method: str, call: Callable[[], T]) -> T:
+        return _told(call, type(self._plant), f"{type(self._plant).__name__}.{method}")
+
+    def _checked(self, answer: object) -> Measurement:
+        measurement = checked(answer, self._parts, self._time)
+        self._time = measurement.time
+        return measurement
+
+
+def fault(error: BaseException, file: str | None, what: str) -> InputError:
+    """An exception from somebody's code as one line: what raised it, and the line of their file in which it did.
+
+    Args:
+        file: theirs; None: not known.
+        what: what was being called.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if frame.filename == file]
+    line = own[-1].lineno if own else None
+    if isinstance(error, SyntaxError) and error.filename == file:
+        line = error.lineno
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return InputError(f"{what} raised {said}", source=file, where=None if line is None else f"line {line}")
+
+
+def _told(call: Callable[[], T], culprit: object, what: str) -> T:
+    """What a call gives; an exception from code that is not the package's becomes one line about that code."""
+    try:
+        return call()
+    except MicahError:
+        raise
+    except (Exception, SystemExit) as error:
+        if str(getattr(culprit, "__module__", "")).startswith("micah_plan."):
+            raise  # a bug of ours
+        file = None
+        with suppress(TypeError):  # it was not defined in a file
+            file = inspect.getsourcefile(culprit)  # type: ignore[arg-type]
+        raise fault(error, file, what) from error
+
+
+def _check_methods(plant: object, name: str) -> None:
+    missing = [method for method in _METHODS if not callable(getattr(plant, method, None))]
+    if missing:
+        methods = ", ".join(f"{method}()" for method in missing)
+        remedy = "a plant has reset(rng), apply(command) and close(), see micah_plan.execution.plant"
+        raise InputError(f"{name} is no plant: it has no {methods}", remedy=remedy)

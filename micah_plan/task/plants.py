@@ -1,0 +1,38 @@
+"""The plants that come with the package: the one list of their names, which files, commands and functions follow.
+
+A file may name a plant of this list and nothing else. Code of one's own is loaded only because the command line says so
+(`micah_plan.cli.own_plant`) or handed over in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+
+@dataclass(frozen=True)
+class BuiltInPlant:
+    """A plant of the package.
+
+    Attributes:
+        maker: ``module:name`` of what makes it when called with a problem, as an entry point would say it.
+        sentence: what it is, for help texts.
+    """
+
+    maker: str
+    sentence: str
+
+
+BUILT_IN: Mapping[str, BuiltInPlant] = {
+    "nominal": BuiltInPlant("micah_plan.execution.nominal:NominalPlant.of", "the model with noise"),
+    "mujoco": BuiltInPlant("micah_plan.execution.in_mujoco:in_mujoco", "independent physics"),
+}
+DEFAULT_PLANT = "nominal"
+SENTENCES = ", ".join(f"{name}: {plant.sentence}" for name, plant in BUILT_IN.items())
+
+if TYPE_CHECKING:
+    PlantName = str
+else:
+    PlantName = Literal[tuple(BUILT_IN)]
+"""The name of one of them; where documents are read, no other text is accepted."""
