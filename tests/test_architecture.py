@@ -195,6 +195,13 @@ def test_each_heavy_library_has_one_importer(library: str) -> None:
     assert not one_file or len(users) <= 1
 
 
+def test_only_the_command_line_loads_code_that_is_not_the_packages() -> None:
+    """Above everything that reads files: no problem, sweep or plan can have code loaded."""
+    loaders = {"spec_from_file_location", "entry_points", "run_path", "SourceFileLoader"}
+    users = {module for module, tree in TREES.items() if loaders & {n.rpartition(".")[2] for n in _imported(tree)}}
+    assert users == {"cli.own_plant"}
+
+
 def _run(code: str, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, check=False)
 

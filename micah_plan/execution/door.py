@@ -44,9 +44,9 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
     else:
         raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
     if isinstance(maker, type):  # before any machine moves
-        _check_methods(maker, maker.__name__)
+        check_methods(maker, maker.__name__)
     plant = _told(lambda: maker(problem), maker, f"{getattr(maker, '__name__', 'the plant')}(problem)")
-    _check_methods(plant, type(plant).__name__)
+    check_methods(plant, type(plant).__name__)
     return plant
 
 
@@ -128,7 +128,8 @@ def _told(call: Callable[[], T], culprit: object, what: str) -> T:
         raise fault(error, file, what) from error
 
 
-def _check_methods(plant: object, name: str) -> None:
+def check_methods(plant: object, name: str) -> None:
+    """Refuse what lacks a method of a plant."""
     missing = [method for method in _METHODS if not callable(getattr(plant, method, None))]
     if missing:
         methods = ", ".join(f"{method}()" for method in missing)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import forward
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Measurement
-from micah_plan.execution.pose import chain, components, moving_joints
+from micah_plan.execution.pose import carried, moving_joints
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 Floats = NDArray[np.float64]
@@ -95,13 +96,17 @@ class RunLog:
 
     def _estimate_columns(self) -> dict[str, tuple[str, ...]]:
         """One text per sample and part."""
-        rows = []
-        for sample in self._samples:
-            mode = sample.belief.most_likely
-            joints = moving_joints(self.automaton, self.automaton.modes[mode].name)
-            poses = chain(self.automaton, joints, sample.belief.means[mode])
-            rows += np.hstack(components(poses)).tolist()
-        return {name: tuple(_text(row[i]) for row in rows) for i, name in enumerate(ESTIMATE)}
+        automaton, modes = self.automaton, np.array([sample.belief.most_likely for sample in self._samples])
+        means = np.array([sample.belief.means[mode] for sample, mode in zip(self._samples, modes, strict=True)])
+        values = np.zeros((len(modes), len(automaton.links), len(ESTIMATE)))
+        for mode in np.unique(modes):
+            own, joints = modes == mode, moving_joints(automaton, automaton.modes[mode].name)
+            links = zip(joints, automaton.links, strict=True)
+            relative = [forward(joint, means[own, link.coordinate]) for joint, link in links]
+            for place, pose in enumerate(carried(automaton, relative)):
+                values[own, place] = np.hstack([pose.translation, pose.rotation.as_quat(canonical=True)])
+        columns = values.reshape(-1, len(ESTIMATE)).T
+        return {name: tuple(map(_text, column)) for name, column in zip(ESTIMATE, columns, strict=True)}
 
 
 def concatenated(recordings: Sequence[Recording]) -> Recording:

@@ -93,6 +93,7 @@ def test_values_that_cannot_be_are_refused_with_their_place(tmp_path: Path, grid
         ({"problems": []}, "at least 1 entries"),
         ({"seeds": 0}, "expected a number >= 1"),
         ({"execute": {"plant": "mujocco"}}, "did you mean 'mujoco'?"),
+        ({"execute": {"plant": "examples/own_plant.py:ProcessPlant"}}, "expected 'nominal' or 'mujoco', found"),
         ({"sedes": 3}, "unknown key 'sedes'; did you mean 'seeds'?"),
     ],
 )

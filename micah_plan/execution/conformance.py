@@ -1,0 +1,236 @@
+"""What every plant must do; run `check_plant` on your own before you execute plans on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.tracks import read_by_sensors
+from micah_plan.automaton.transition import step
+from micah_plan.errors import InputError, together
+from micah_plan.execution.door import Door, check_methods
+from micah_plan.execution.nominal import pose_noise
+from micah_plan.execution.plant import Measurement, Plant, Truth
+from micah_plan.execution.pose import command, configuration, moving_joints
+from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.limits import limits_of
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
+
+Floats = NDArray[np.float64]
+
+# How many standard deviations of the model's noise count as noise: a right plant has more once in 16,000 times.
+_SIGMAS = 4.0
+# What a tracker may be off beyond that [m], [rad], and a start in its coordinates [rad or m].
+_PLACE, _TURN, _START = 0.05, 0.3, 0.05
+# A motion may differ by this share of what was asked: friction and compliance take their part.
+_SHARE = 0.5
+# A motion of so many standard deviations can be told from none; it is made in at most so many steps.
+_TELLING, _MOST_STEPS = 10.0, 8
+_FIRST_SECONDS = 60.0
+
+
+def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...]:
+    """Refuse a plant that does not do what executions rely on.
+
+    It is reset twice, moved along every input by the fewest steps that show above the noise, if the start's mode allows
+    them, and told to stand still. On a real machine, stand by. Checked: methods, types, shapes, unit quaternions, time;
+    that poses fit the model's joints and the problem's start; that commands move the parts where they say; that nothing
+    moves by itself; and of a simulation (a `Referee`) that its truth is what it shows, and that the same seed gives the
+    same start.
+
+    Args:
+        plant: stays open.
+        problem: for which it was made.
+        seed: of the start and noise of a simulation.
+
+    Returns:
+        What could not be tried, one sentence each.
+
+    Raises:
+        InputError: says what is wrong; its `each()` gives all that was found.
+        PlantError: if the machine failed.
+    """
+    check_methods(plant, type(plant).__name__)
+    trial = _Trial(plant, problem, seed)
+    found = list(trial.faults())
+    if found:
+        raise together([InputError(f"{type(plant).__name__}: {sentence}") for sentence in found])
+    return tuple(trial.untried)
+
+
+class _Trial:
+    """A plant under test, and what the model says of its state."""
+
+    def __init__(self, plant: Plant, problem: Problem, seed: int) -> None:
+        known = with_input_memory(problem)
+        self._problem, self._seed = problem, seed
+        self._plain, self._whole = problem.automaton, known.automaton
+        self._limits = limits_of(known)
+        self._parts = [link.child for link in self._plain.links]
+        self._door = Door(plant, self._parts)
+        mode, reason = start_mode(self._plain, problem.start)
+        if mode is None:
+            raise InputError(reason)
+        self._mode = mode
+        self._x: Floats = np.array(known.start.mean, dtype=float)
+        """State with the memory of inputs: measured where it can be, else as the model predicts."""
+        self.untried: list[str] = []
+
+    def faults(self) -> Iterator[str]:
+        """One sentence for each."""
+        first = self._door.reset(np.random.default_rng(self._seed))
+        if abs(first.time) > _FIRST_SECONDS:
+            yield f"time must count from the reset. Got {first.time:.9g} s in the first measurement"
+        misplaced = list(self._misplaced(first))
+        yield from misplaced
+        if misplaced:
+            return  # motions would say nothing
+        yield from self._off_start(first)
+        truth = self._door.truth()
+        if truth is not None:
+            yield from self._hides_truth(first, truth)
+        self._measure(first)
+        for j in range(self._plain.m):
+            yield from self._goes_elsewhere(j)
+        yield from self._moves_by_itself()
+        again = self._door.reset(np.random.default_rng(self._seed))
+        if truth is not None and not np.array_equal(first.position, again.position):
+            yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
+
+    def _misplaced(self, seen: Measurement) -> Iterator[str]:
+        """Parts that are not where the model's joints allow them to be, whatever the configuration."""
+        joints, x = moving_joints(self._plain, self._mode), self._measured(seen)
+        allowed = [forward(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
+        measured = self._relative(seen.position, seen.quaternion)
+        turned = self._relative(seen.position, np.roll(seen.quaternion, -1, axis=1))
+        noise = pose_noise(self._plain, self._noise(self._x))
+        for row, part in enumerate(self._parts):
+            place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
+            away, angle = _apart(allowed[row], measured[row])
+            lever = float(np.linalg.norm(allowed[row].translation))
+            if away > place + _PLACE + turn * lever:
+                hint = "give the place of the part's origin in m, in the base frame of the model"
+                yield f"part '{part}' is measured {away:.3g} m from where its joint allows it to be; {hint}"
+            if angle > turn + _TURN:
+                hint = "give the orientation from part to base, scalar last"
+                if _apart(allowed[row], turned[row])[1] <= turn + _TURN:
+                    hint = "the quaternion has its scalar first; give it last"
+                yield f"part '{part}' is measured turned by {angle:.3g} rad against its joint; {hint}"
+
+    def _off_start(self, seen: Measurement) -> Iterator[str]:
+        start, noise, x = self._problem.start, self._noise(self._x), self._measured(seen)
+        for i, coordinate in enumerate(self._plain.coordinates):
+            if abs(x[i] - start.mean[i]) > _SIGMAS * float(np.hypot(start.std[i], noise[i])) + _START:
+                expected = f"the problem starts at {start.mean[i]:.4g} +- {start.std[i]:.2g} {coordinate.unit}"
+                yield f"{coordinate.name} is measured at {x[i]:.4g} after a reset, but {expected}"
+
+    def _hides_truth(self, seen: Measurement, truth: Truth) -> Iterator[str]:
+        """A referee that does not say what the tracker shows."""
+        rows, n = len(self._parts), self._plain.n
+        shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "held": (n,)}
+        wrong = [name for name, shape in shapes.items() if np.shape(getattr(truth, name)) != shape]
+        for name in wrong:
+            yield f"Truth.{name} must have shape {shapes[name]}. Got {np.shape(getattr(truth, name))}"
+        if wrong:
+            return
+        noise = pose_noise(self._plain, self._noise(truth.x))
+        pairs = zip(
+            self._relative(seen.position, seen.quaternion),
+            self._relative(truth.position, truth.quaternion),
+            strict=True,
+        )
+        for row, (measured, true) in enumerate(pairs):
+            away, room = _apart(measured, true)[0], _SIGMAS * float(np.ravel(noise.position)[row]) + _PLACE
+            if away > room + _SIGMAS * float(np.ravel(noise.rotation)[row]) * float(np.linalg.norm(true.translation)):
+                yield f"part '{self._parts[row]}' is measured {away:.3g} m from its true place"
+
+    def _goes_elsewhere(self, j: int) -> Iterator[str]:
+        """Along one input, in the direction in which the mode stays what it is: does it go where it is told to?"""
+        name = self._plain.inputs[j].name
+        for sign in (1.0, -1.0):
+            u = np.zeros(self._plain.m)
+            u[j] = sign * self._limits.max_step[j]
+            steps = self._telling_steps(u)
+            if not steps:
+                continue
+            before = self._x[: self._plain.n].copy()
+            asked, moved, std = self._told(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
+            for i in np.flatnonzero(np.abs(asked) >= _TELLING * std):
+                if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + _SIGMAS * std[i]:
+                    of, unit = self._plain.coordinates[i].name, self._plain.coordinates[i].unit
+                    hint = "a command is a displacement in m, in the base frame, from where the part is"
+                    yield f"told to move {of} by {asked[i]:.3g} {unit}, it moved by {moved[i]:.3g} {unit}; {hint}"
+            return
+        self.untried.append(
+            f"input '{name}' was not tried: in mode {self._mode} nothing that it does shows above noise"
+        )
+
+    def _telling_steps(self, u: Floats) -> int:
+        """The fewest steps with an input that show above noise and stay in the mode; 0 if there are none."""
+        x = self._x
+        for steps in range(1, _MOST_STEPS + 1):
+            after = step(self._whole, self._mode, x, u)
+            if after.mode != self._mode:
+                return 0
+            x = after.x
+            if (np.abs(x - self._x)[: self._plain.n] >= _TELLING * self._std(steps)).any():
+                return steps
+        return 0
+
+    def _moves_by_itself(self) -> Iterator[str]:
+        n, expected = self._plain.n, self._told(np.zeros(self._plain.m), 1)
+        room = _SIGMAS * self._std(1) + _SHARE * self._limits.speed[:n]
+        for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):
+            coordinate, moved = self._plain.coordinates[i], self._x[i] - expected[i]
+            yield f"without a command {coordinate.name} moved by {moved:.3g} {coordinate.unit}; it must stand still"
+
+    def _told(self, u: Floats, steps: int) -> Floats:
+        """Give a command some times, and measure; (n,) where the model expects the configuration then."""
+        n, expected = self._plain.n, self._x.copy()
+        for _ in range(steps):
+            order = command(self._plain, self._mode, self._x[:n], u)
+            self._x = np.array(step(self._whole, self._mode, self._x, u).x)
+            expected = step(self._whole, self._mode, expected, u).x
+            self._measure(self._door.apply(order))
+        return np.asarray(expected[:n])
+
+    def _measure(self, seen: Measurement) -> None:
+        self._x[: self._plain.n] = self._measured(seen)
+
+    def _measured(self, seen: Measurement) -> Floats:
+        """(n,) the configuration that a measurement shows; where it shows nothing, as the model predicts."""
+        n = self._plain.n
+        z = configuration(self._plain, self._mode, seen.position, seen.quaternion, self._x[:n])
+        z = read_by_sensors(self._plain, z[None], np.array([seen.time]))[0]
+        return np.where(np.isfinite(z), z, self._x[:n])
+
+    def _noise(self, x: Floats) -> Floats:
+        """(n,) std of a measured coordinate at a state; huge where none is measured."""
+        return np.nan_to_num(self._plain.sensing(self._plain.mode(self._mode)).std_at(x[: self._plain.n]), posinf=1e9)
+
+    def _std(self, steps: int) -> Floats:
+        """(n,) of a measured displacement over some steps."""
+        process = np.array(self._plain.noise.process_std)
+        return np.asarray(np.sqrt(2.0 * self._noise(self._x) ** 2 + steps * process**2))
+
+    def _relative(self, position: Floats, quaternion: Floats) -> list[RigidTransform]:
+        """Pose of each link's child relative to its parent, where that is measured too."""
+        rotations = Rotation.from_quat(quaternion)
+        poses = [RigidTransform.from_components(p, rotations[row]) for row, p in enumerate(position)]
+        named = dict(zip(self._parts, poses, strict=True))
+        return [
+            named[link.parent].inv() * pose if link.parent != BASE and link.parent in named else pose
+            for link, pose in zip(self._plain.links, poses, strict=True)
+        ]
+
+
+def _apart(one: RigidTransform, other: RigidTransform) -> tuple[float, float]:
+    """How far two poses are apart: [m], [rad]."""
+    between = one.inv() * other
+    return float(np.linalg.norm(between.translation)), float(between.rotation.magnitude())
