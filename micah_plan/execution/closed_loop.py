@@ -22,6 +22,7 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import command, configuration
 from micah_plan.execution.scoring import lasting_probability, true_state
 from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
@@ -220,12 +221,12 @@ class Episode:
         """In which respects a state is not in the goal set, the true one or the believed one."""
         automaton, goal = self._problem.automaton, self._problem.goal
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
-        misses = [
-            f"{automaton.coordinates[i].name} {is_} {abs(x[i] - value):.4g} {automaton.coordinates[i].unit} "
-            f"from its target (tolerance {tolerance:g})"
-            for i, value, tolerance in goal.target
-            if abs(x[i] - value) > tolerance
-        ]
+        misses = []
+        for i, value, tolerance in goal.target:
+            name, unit = automaton.coordinates[i].name, automaton.coordinates[i].unit
+            if abs(x[i] - value) > tolerance:
+                away = quantity(abs(x[i] - value), unit)
+                misses.append(f"{name} {is_} {away} from its target (tolerance {quantity(tolerance, unit)})")
         if not goal.admits(mode):
             misses.append(f"the {true} mode is {mode}, not {' or '.join(goal.modes)}")
         return misses

@@ -6,19 +6,19 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.kinematics import placements
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError, together
 from micah_plan.execution.door import Door, check_methods
 from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
-from micah_plan.execution.pose import command, configuration, moving_joints
+from micah_plan.execution.pose import command, configuration, matrices, moving_joints
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import limits_of
+from micah_plan.quantities import quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
@@ -106,29 +106,29 @@ class _Trial:
     def _misplaced(self, seen: Measurement) -> Iterator[str]:
         """Parts that are not where the model's joints allow them to be, whatever the configuration."""
         joints, x = moving_joints(self._plain, self._mode), self._measured(seen)
-        allowed = [forward(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
+        allowed = [placements(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
         measured = self._relative(seen.position, seen.quaternion)
         turned = self._relative(seen.position, np.roll(seen.quaternion, -1, axis=1))
         noise = pose_noise(self._plain, self._noise(self._x))
         for row, part in enumerate(self._parts):
             place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
             away, angle = _apart(allowed[row], measured[row])
-            lever = float(np.linalg.norm(allowed[row].translation))
+            lever = float(np.linalg.norm(allowed[row][:3, 3]))
             if away > place + _PLACE + turn * lever:
                 hint = "give the place of the part's origin in m, in the base frame of the model"
-                yield f"part '{part}' is measured {away:.3g} m from where its joint allows it to be; {hint}"
+                yield f"part '{part}' is measured {quantity(away, 'm')} from where its joint allows it to be; {hint}"
             if angle > turn + _TURN:
                 hint = "give the orientation from part to base, scalar last"
                 if _apart(allowed[row], turned[row])[1] <= turn + _TURN:
                     hint = "the quaternion has its scalar first; give it last"
-                yield f"part '{part}' is measured turned by {angle:.3g} rad against its joint; {hint}"
+                yield f"part '{part}' is measured turned by {quantity(angle, 'rad')} against its joint; {hint}"
 
     def _off_start(self, seen: Measurement) -> Iterator[str]:
         start, noise, x = self._problem.start, self._noise(self._x), self._measured(seen)
         for i, coordinate in enumerate(self._plain.coordinates):
             if abs(x[i] - start.mean[i]) > _SIGMAS * float(np.hypot(start.std[i], noise[i])) + _START:
-                expected = f"the problem starts at {start.mean[i]:.4g} +- {start.std[i]:.2g} {coordinate.unit}"
-                yield f"{coordinate.name} is measured at {x[i]:.4g} after a reset, but {expected}"
+                stated = f"the problem starts at {with_spread(start.mean[i], start.std[i], coordinate.unit)}"
+                yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
 
     def _hides_truth(self, seen: Measurement, truth: Truth) -> Iterator[str]:
         """A referee that does not say what the tracker shows."""
@@ -147,8 +147,8 @@ class _Trial:
         )
         for row, (measured, true) in enumerate(pairs):
             away, room = _apart(measured, true)[0], _SIGMAS * float(np.ravel(noise.position)[row]) + _PLACE
-            if away > room + _SIGMAS * float(np.ravel(noise.rotation)[row]) * float(np.linalg.norm(true.translation)):
-                yield f"part '{self._parts[row]}' is measured {away:.3g} m from its true place"
+            if away > room + _SIGMAS * float(np.ravel(noise.rotation)[row]) * float(np.linalg.norm(true[:3, 3])):
+                yield f"part '{self._parts[row]}' is measured {quantity(away, 'm')} from its true place"
 
     def _goes_elsewhere(self, j: int) -> Iterator[str]:
         """Along one input, in the direction in which the mode stays what it is: does it go where it is told to?"""
@@ -165,7 +165,8 @@ class _Trial:
                 if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + _SIGMAS * std[i]:
                     of, unit = self._plain.coordinates[i].name, self._plain.coordinates[i].unit
                     hint = "a command is a displacement in m, in the base frame, from where the part is"
-                    yield f"told to move {of} by {asked[i]:.3g} {unit}, it moved by {moved[i]:.3g} {unit}; {hint}"
+                    went = f"it moved by {quantity(moved[i], unit)}"
+                    yield f"told to move {of} by {quantity(asked[i], unit)}, {went}; {hint}"
             return
         self.untried.append(
             f"input '{name}' was not tried: in mode {self._mode} nothing that it does shows above noise"
@@ -187,8 +188,9 @@ class _Trial:
         n, expected = self._plain.n, self._told(np.zeros(self._plain.m), 1)
         room = _SIGMAS * self._std(1) + _SHARE * self._limits.speed[:n]
         for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):
-            coordinate, moved = self._plain.coordinates[i], self._x[i] - expected[i]
-            yield f"without a command {coordinate.name} moved by {moved:.3g} {coordinate.unit}; it must stand still"
+            coordinate = self._plain.coordinates[i]
+            moved = quantity(self._x[i] - expected[i], coordinate.unit)
+            yield f"without a command {coordinate.name} moved by {moved}; it must stand still"
 
     def _told(self, u: Floats, steps: int) -> Floats:
         """Give a command some times, and measure; (n,) where the model expects the configuration then."""
@@ -219,18 +221,16 @@ class _Trial:
         process = np.array(self._plain.noise.process_std)
         return np.asarray(np.sqrt(2.0 * self._noise(self._x) ** 2 + steps * process**2))
 
-    def _relative(self, position: Floats, quaternion: Floats) -> list[RigidTransform]:
-        """Pose of each link's child relative to its parent, where that is measured too."""
-        rotations = Rotation.from_quat(quaternion)
-        poses = [RigidTransform.from_components(p, rotations[row]) for row, p in enumerate(position)]
-        named = dict(zip(self._parts, poses, strict=True))
+    def _relative(self, position: Floats, quaternion: Floats) -> list[Floats]:
+        """Pose (4, 4) of each link's child relative to its parent, where that is measured too."""
+        named = dict(zip(self._parts, matrices(position, quaternion), strict=True))
         return [
-            named[link.parent].inv() * pose if link.parent != BASE and link.parent in named else pose
-            for link, pose in zip(self._plain.links, poses, strict=True)
+            np.linalg.solve(named[link.parent], named[link.child]) if link.parent in named else named[link.child]
+            for link in self._plain.links
         ]
 
 
-def _apart(one: RigidTransform, other: RigidTransform) -> tuple[float, float]:
-    """How far two poses are apart: [m], [rad]."""
-    between = one.inv() * other
-    return float(np.linalg.norm(between.translation)), float(between.rotation.magnitude())
+def _apart(one: Floats, other: Floats) -> tuple[float, float]:
+    """How far two poses (4, 4) are apart: [m], [rad]."""
+    between = np.linalg.solve(one, other)
+    return float(np.linalg.norm(between[:3, 3])), float(Rotation.from_matrix(between[:3, :3]).magnitude())

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import forward
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Measurement
-from micah_plan.execution.pose import carried, moving_joints
+from micah_plan.execution.pose import chain, components, moving_joints
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 Floats = NDArray[np.float64]
@@ -96,16 +95,12 @@ class RunLog:
 
     def _estimate_columns(self) -> dict[str, tuple[str, ...]]:
         """One text per sample and part."""
-        automaton, modes = self.automaton, np.array([sample.belief.most_likely for sample in self._samples])
-        means = np.array([sample.belief.means[mode] for sample, mode in zip(self._samples, modes, strict=True)])
-        values = np.zeros((len(modes), len(automaton.links), len(ESTIMATE)))
-        for mode in np.unique(modes):
-            own, joints = modes == mode, moving_joints(automaton, automaton.modes[mode].name)
-            links = zip(joints, automaton.links, strict=True)
-            relative = [forward(joint, means[own, link.coordinate]) for joint, link in links]
-            for place, pose in enumerate(carried(automaton, relative)):
-                values[own, place] = np.hstack([pose.translation, pose.rotation.as_quat(canonical=True)])
-        columns = values.reshape(-1, len(ESTIMATE)).T
+        automaton, modes = self.automaton, self.automaton.mode_names
+        poses = []
+        for belief in (sample.belief for sample in self._samples):
+            number = belief.most_likely
+            poses.append(chain(automaton, moving_joints(automaton, modes[number]), belief.means[number]))
+        columns = np.hstack(components(np.concatenate(poses))).T
         return {name: tuple(map(_text, column)) for name, column in zip(ESTIMATE, columns, strict=True)}
 
 

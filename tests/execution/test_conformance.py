@@ -160,7 +160,7 @@ def test_each_way_to_be_wrong_is_named(kind, said):
 def test_a_start_somewhere_else_is_named():
     elsewhere = replace(PULL, start=replace(PULL.start, mean=(0.2,)))
     (sentence,) = faults(NominalPlant.of(elsewhere), PULL)
-    assert "after a reset, but the problem starts at 0.02 +- 0.01 m" in sentence
+    assert "after a reset, but the problem starts at 20 ± 10 mm" in sentence
 
 
 def test_answers_that_are_none_and_missing_methods_are_named():
