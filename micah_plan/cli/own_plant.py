@@ -43,7 +43,7 @@ def named_plant(text: str) -> str | PlantMaker:
 
 
 def _in_file(file: Path, name: str) -> PlantMaker:
-    from micah_plan.execution.door import fault
+    from micah_plan.execution.checked_plant import fault
 
     source = str(file)
     if not file.is_file():
@@ -65,7 +65,7 @@ def _in_file(file: Path, name: str) -> PlantMaker:
 
 
 def _registered(point: EntryPoint) -> PlantMaker:
-    from micah_plan.execution.door import fault
+    from micah_plan.execution.checked_plant import fault
 
     try:
         found = point.load()

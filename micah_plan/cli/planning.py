@@ -127,10 +127,10 @@ def execute(
             run = partial(workflow.execute, stored.problem, stored.plan, plant=machine, trials=trials, seed=seed)
             statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
     except BaseException as error:
-        told = _broken_off(error, logs, output)
-        if told is error:
+        stopped = _broken_off(error, logs, output)
+        if stopped is error:
             raise
-        raise told from error
+        raise stopped from error
     write_recording(statistics.recording, output)
     if figure is not None:
         from micah_plan.view.figures import belief_figure, save_figure

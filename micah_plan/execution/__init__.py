@@ -1,1 +1,1 @@
-"""Plants (nominal, MuJoCo), closed-loop execution of plans, and statistics over trials."""
+"""Plants (the model, MuJoCo, your own machine), closed-loop execution of plans, and statistics over trials."""

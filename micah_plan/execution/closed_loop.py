@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.door import Door
+from micah_plan.execution.checked_plant import CheckedPlant
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
@@ -102,14 +102,14 @@ class Episode:
             max_steps: control steps at most; None: twice the plan's plus 20.
             run: the run's number in the log.
         """
-        known = with_input_memory(problem)
-        self.automaton: HybridAutomaton = known.automaton
+        augmented = with_input_memory(problem)
+        self.automaton: HybridAutomaton = augmented.automaton
         """Over whose states, memories of inputs among them, the belief is."""
         self._problem, self._run = problem, run
-        self._start, self._start_mode = known.start, trajectory.modes[0]
+        self._start, self._start_mode = augmented.start, trajectory.modes[0]
         spare = 2 * int((~trajectory.is_transition).sum()) + _SPARE_STEPS
         self._longest = spare if max_steps is None else max_steps
-        self._pilot = Pilot(known, trajectory, arm, replanning)
+        self._pilot = Pilot(augmented, trajectory, arm, replanning)
         self._log = RunLog(problem.automaton)
         self._beliefs: list[HybridBelief] = []
         self._confidence = 0.0
@@ -232,7 +232,7 @@ class Episode:
         return misses
 
 
-def execute(episode: Episode, plant: Plant | Door, rng: np.random.Generator) -> TrialResult:
+def execute(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:
     """Carry out an episode on a plant, which is reset first.
 
     If the plant is also a `Referee`, the result is scored by the truth; else by the belief, and says so.
@@ -245,15 +245,17 @@ def execute(episode: Episode, plant: Plant | Door, rng: np.random.Generator) -> 
         InputError: if the plant's code raised something else, or what it answered is no usable measurement. What was
             logged until then is `episode.recording`.
     """
-    door = plant if isinstance(plant, Door) else Door(plant, [link.child for link in episode.automaton.links])
-    automaton, belief, measurement = episode.automaton, episode.prior, door.reset(rng)
+    automaton, belief = episode.automaton, episode.prior
+    if not isinstance(plant, CheckedPlant):
+        plant = CheckedPlant(plant, [link.child for link in automaton.links])
+    measurement = plant.reset(rng)
     while True:
         belief = update(automaton, belief, episode.reading(belief, measurement))
-        order = episode.decide(belief, measurement, door.truth())
+        order = episode.decide(belief, measurement, plant.truth())
         if order is None:
             return episode.result()
         try:
-            measurement = door.apply(order)
+            measurement = plant.apply(order)
         except PlantError as failure:
             return episode.result(str(failure))
         belief = predict(automaton, belief, order.input)

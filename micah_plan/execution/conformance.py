@@ -12,7 +12,7 @@ from micah_plan.automaton.kinematics import placements
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError, together
-from micah_plan.execution.door import Door, check_methods
+from micah_plan.execution.checked_plant import CheckedPlant, check_methods
 from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration, matrices, moving_joints
@@ -68,23 +68,23 @@ class _Trial:
     """A plant under test, and what the model says of its state."""
 
     def __init__(self, plant: Plant, problem: Problem, seed: int) -> None:
-        known = with_input_memory(problem)
+        augmented = with_input_memory(problem)
         self._problem, self._seed = problem, seed
-        self._plain, self._whole = problem.automaton, known.automaton
-        self._limits = limits_of(known)
+        self._plain, self._augmented = problem.automaton, augmented.automaton
+        self._limits = limits_of(augmented)
         self._parts = [link.child for link in self._plain.links]
-        self._door = Door(plant, self._parts)
+        self._plant = CheckedPlant(plant, self._parts)
         mode, reason = start_mode(self._plain, problem.start)
         if mode is None:
             raise InputError(reason)
         self._mode = mode
-        self._x: Floats = np.array(known.start.mean, dtype=float)
+        self._x: Floats = np.array(augmented.start.mean, dtype=float)
         """State with the memory of inputs: measured where it can be, else as the model predicts."""
         self.untried: list[str] = []
 
     def faults(self) -> Iterator[str]:
         """One sentence for each."""
-        first = self._door.reset(np.random.default_rng(self._seed))
+        first = self._plant.reset(np.random.default_rng(self._seed))
         if abs(first.time) > _FIRST_SECONDS:
             yield f"time must count from the reset. Got {first.time:.9g} s in the first measurement"
         misplaced = list(self._misplaced(first))
@@ -92,14 +92,14 @@ class _Trial:
         if misplaced:
             return  # motions would say nothing
         yield from self._off_start(first)
-        truth = self._door.truth()
+        truth = self._plant.truth()
         if truth is not None:
             yield from self._hides_truth(first, truth)
         self._measure(first)
         for j in range(self._plain.m):
             yield from self._goes_elsewhere(j)
         yield from self._moves_by_itself()
-        again = self._door.reset(np.random.default_rng(self._seed))
+        again = self._plant.reset(np.random.default_rng(self._seed))
         if truth is not None and not np.array_equal(first.position, again.position):
             yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
 
@@ -160,7 +160,7 @@ class _Trial:
             if not steps:
                 continue
             before = self._x[: self._plain.n].copy()
-            asked, moved, std = self._told(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
+            asked, moved, std = self._commanded(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
             for i in np.flatnonzero(np.abs(asked) >= _TELLING * std):
                 if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + _SIGMAS * std[i]:
                     of, unit = self._plain.coordinates[i].name, self._plain.coordinates[i].unit
@@ -176,7 +176,7 @@ class _Trial:
         """The fewest steps with an input that show above noise and stay in the mode; 0 if there are none."""
         x = self._x
         for steps in range(1, _MOST_STEPS + 1):
-            after = step(self._whole, self._mode, x, u)
+            after = step(self._augmented, self._mode, x, u)
             if after.mode != self._mode:
                 return 0
             x = after.x
@@ -185,21 +185,21 @@ class _Trial:
         return 0
 
     def _moves_by_itself(self) -> Iterator[str]:
-        n, expected = self._plain.n, self._told(np.zeros(self._plain.m), 1)
+        n, expected = self._plain.n, self._commanded(np.zeros(self._plain.m), 1)
         room = _SIGMAS * self._std(1) + _SHARE * self._limits.speed[:n]
         for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):
             coordinate = self._plain.coordinates[i]
             moved = quantity(self._x[i] - expected[i], coordinate.unit)
             yield f"without a command {coordinate.name} moved by {moved}; it must stand still"
 
-    def _told(self, u: Floats, steps: int) -> Floats:
+    def _commanded(self, u: Floats, steps: int) -> Floats:
         """Give a command some times, and measure; (n,) where the model expects the configuration then."""
         n, expected = self._plain.n, self._x.copy()
         for _ in range(steps):
             order = command(self._plain, self._mode, self._x[:n], u)
-            self._x = np.array(step(self._whole, self._mode, self._x, u).x)
-            expected = step(self._whole, self._mode, expected, u).x
-            self._measure(self._door.apply(order))
+            self._x = np.array(step(self._augmented, self._mode, self._x, u).x)
+            expected = step(self._augmented, self._mode, expected, u).x
+            self._measure(self._plant.apply(order))
         return np.asarray(expected[:n])
 
     def _measure(self, seen: Measurement) -> None:

@@ -6,16 +6,14 @@ say what is true is a referee; only scores and logs may ask it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.errors import InputError, MicahError, shown
-from micah_plan.recording.checks import NORM_TOLERANCE
-from micah_plan.recording.columns import LARGEST
+from micah_plan.errors import MicahError
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -126,57 +124,3 @@ class Referee(Protocol):
     def truth(self) -> Truth:
         """The true state now."""
         ...
-
-
-def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
-    """What a plant answered, if it is a usable measurement, with arrays of its own that nobody else writes to.
-
-    Args:
-        answer: what `reset` or `apply` returned.
-        parts: (l,) name of each link's child part, in the automaton's order of links.
-        after: time of the measurement before this one [s].
-
-    Raises:
-        InputError: if it is no `Measurement`, or a value in it is of the wrong shape, not finite, beyond all sizes that
-            can be meant, not a unit quaternion (norm within 1 % of 1), or earlier than the last one.
-    """
-    if not isinstance(answer, Measurement):
-        remedy = "return a micah_plan.execution.plant.Measurement from reset and apply"
-        raise InputError(f"a plant must answer with a Measurement. Got {type(answer).__name__}", remedy=remedy)
-    rows, time = len(parts), float(_array(answer.time, "time", (), LARGEST["t"]))
-    if time <= after:
-        problem = f"Measurement.time must be later at every step. Got {time:.9g} s after {after:.9g} s"
-        raise InputError(problem, remedy="count the seconds since the reset")
-    quaternion = _array(answer.quaternion, "quaternion", (rows, 4), LARGEST["qx"])
-    norms = np.linalg.norm(quaternion, axis=1)
-    off = np.abs(norms - 1.0)
-    if off.max(initial=0.0) > NORM_TOLERANCE:
-        row = int(np.argmax(off))
-        found = f"the norm {norms[row]:.4g} for part {shown(parts[row])}"
-        problem = f"Measurement.quaternion must hold unit quaternions. Got {found}"
-        raise InputError(problem, remedy="give the measured orientation, scalar last")
-    return Measurement(
-        time=time,
-        position=_array(answer.position, "position", (rows, 3), LARGEST["x"]),
-        quaternion=quaternion,
-        force=None if answer.force is None else _array(answer.force, "force", (rows, 3), LARGEST["fx"]),
-        joints=None if answer.joints is None else _array(answer.joints, "joints", None, LARGEST["x"]),
-    )
-
-
-def _array(value: object, name: str, shape: tuple[int, ...] | None, largest: float) -> Floats:
-    """A copy of finite numbers of that shape; None: of any number of joints."""
-    expected = "(J,)" if shape is None else str(shape)
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"Measurement.{name} must be numbers of shape {expected}. Got {shown(value)}") from None
-    if array.ndim != 1 if shape is None else array.shape != shape:
-        remedy = "give one row per part, in the order of the automaton's links" if shape else None
-        raise InputError(f"Measurement.{name} must have shape {expected}. Got {array.shape}", remedy=remedy)
-    if not (np.abs(array) <= largest).all():  # false for NaN
-        wrong = float(array[~(np.abs(array) <= largest)].flat[0])
-        remedy = "wait for a measurement, or raise PlantError if there is none"
-        raise InputError(f"Measurement.{name} must be finite and at most {largest:g}. Got {wrong:g}", remedy=remedy)
-    array.setflags(write=False)
-    return array

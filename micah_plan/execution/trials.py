@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
+from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import Episode, TrialResult, execute
-from micah_plan.execution.door import Door, make_plant
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.pilot import AskArm, ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
@@ -103,12 +103,12 @@ def run_trials(
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
     results: list[TrialResult] = []
-    with _opened(problem, plant) as door:
+    with _opened(problem, plant) as machine:
         for trial in range(trials):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,)))
             episode = Episode(problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps, run=trial)
             try:
-                result = execute(episode, door, rng)
+                result = execute(episode, machine, rng)
             except BaseException:
                 if keep is not None and episode.recording is not None:
                     keep(episode.recording)
@@ -122,12 +122,12 @@ def run_trials(
     return summarise(results)
 
 
-def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[Door]:
-    """The door to a plant; one that is made here is closed at the end."""
+def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:
+    """A plant, checked; one that is made here is closed at the end."""
     parts = [link.child for link in problem.automaton.links]
     if isinstance(plant, str | type) or not isinstance(plant, Plant):
-        return Door(make_plant(problem, plant), parts)
-    return nullcontext(Door(plant, parts))
+        return CheckedPlant(make_plant(problem, plant), parts)
+    return nullcontext(CheckedPlant(plant, parts))
 
 
 def _arm_of(problem: Problem, plan: Plan) -> AskArm | None:

@@ -9,8 +9,8 @@ from execution_objects import SHUT, closing, door, drawer, opening, pulling, str
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.closed_loop import Episode, execute
-from micah_plan.execution.door import make_plant
 from micah_plan.execution.follower import PlanFollower
 from micah_plan.execution.pilot import Replanning
 from micah_plan.recording.csv_file import read_csv, write_csv

@@ -12,8 +12,8 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.documents.problem_file import load_problem
 from micah_plan.errors import InputError
+from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.conformance import check_plant
-from micah_plan.execution.door import make_plant
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.task.goal import Goal
 from micah_plan.task.plants import BUILT_IN

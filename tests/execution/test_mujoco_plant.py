@@ -242,7 +242,7 @@ sys.modules["mujoco"] = None
 sys.path.insert(0, "tests/execution")
 import micah_plan.execution
 from micah_plan.errors import MissingDependencyError
-from micah_plan.execution.door import make_plant
+from micah_plan.execution.checked_plant import make_plant
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start

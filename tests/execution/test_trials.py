@@ -5,7 +5,7 @@ import pytest
 from execution_objects import drawer, pulling
 
 from micah_plan.errors import InputError
-from micah_plan.execution.door import make_plant
+from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.trials import run_trials
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan

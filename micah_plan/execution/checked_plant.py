@@ -1,7 +1,7 @@
-"""The door between an execution and its plant: made, asked and closed here, and nothing gets in unchecked.
+"""Plants as an execution meets them: made by `make_plant`, and every answer `checked`.
 
-What a plant answers is checked (`plant.checked`). What its code raises is told as the plant's fault, with file and
-line, so that a mistake in somebody's driver does not look like one of the planner.
+What the code of a plant raises becomes one line about that code, so that a mistake in somebody's driver does not look
+like one of the planner.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, MicahError, shown
-from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth, checked
+from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth
+from micah_plan.recording.checks import NORM_TOLERANCE
+from micah_plan.recording.columns import LARGEST
 from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
 
+Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 _METHODS = ("reset", "apply", "close")
@@ -45,13 +49,13 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
         raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
-    plant = _told(lambda: maker(problem), maker, f"{getattr(maker, '__name__', 'the plant')}(problem)")
+    plant = _called(lambda: maker(problem), maker, f"{getattr(maker, '__name__', 'the plant')}(problem)")
     check_methods(plant, type(plant).__name__)
     return plant
 
 
-class Door:
-    """A plant as an execution sees it. As a context it closes the plant at its end, whatever happened."""
+class CheckedPlant:
+    """A plant whose answers are checked. As a context it closes the plant at its end, whatever happened."""
 
     def __init__(self, plant: Plant, parts: Sequence[str]) -> None:
         """Args: parts: (l,) names of the parts that each measurement has a row of, in this order."""
@@ -78,7 +82,7 @@ class Door:
             raise InputError(f"the plant's truth() must give a Truth. Got {type(answer).__name__}")
         return answer
 
-    def __enter__(self) -> Door:
+    def __enter__(self) -> CheckedPlant:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
@@ -89,12 +93,66 @@ class Door:
                 self._plant.close()
 
     def _ask(self, method: str, call: Callable[[], T]) -> T:
-        return _told(call, type(self._plant), f"{type(self._plant).__name__}.{method}")
+        return _called(call, type(self._plant), f"{type(self._plant).__name__}.{method}")
 
     def _checked(self, answer: object) -> Measurement:
         measurement = checked(answer, self._parts, self._time)
         self._time = measurement.time
         return measurement
+
+
+def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
+    """What a plant answered, if it is a usable measurement, with arrays of its own that nobody else writes to.
+
+    Args:
+        answer: what `reset` or `apply` returned.
+        parts: (l,) name of each link's child part, in the automaton's order of links.
+        after: time of the measurement before this one [s].
+
+    Raises:
+        InputError: if it is no `Measurement`, or a value in it is of the wrong shape, not finite, beyond all sizes that
+            can be meant, not a unit quaternion (norm within 1 % of 1), or earlier than the last one.
+    """
+    if not isinstance(answer, Measurement):
+        remedy = "return a micah_plan.execution.plant.Measurement from reset and apply"
+        raise InputError(f"a plant must answer with a Measurement. Got {type(answer).__name__}", remedy=remedy)
+    rows, time = len(parts), float(_array(answer.time, "time", (), LARGEST["t"]))
+    if time <= after:
+        problem = f"Measurement.time must be later at every step. Got {time:.9g} s after {after:.9g} s"
+        raise InputError(problem, remedy="count the seconds since the reset")
+    quaternion = _array(answer.quaternion, "quaternion", (rows, 4), LARGEST["qx"])
+    norms = np.linalg.norm(quaternion, axis=1)
+    off = np.abs(norms - 1.0)
+    if off.max(initial=0.0) > NORM_TOLERANCE:
+        row = int(np.argmax(off))
+        found = f"the norm {norms[row]:.4g} for part {shown(parts[row])}"
+        problem = f"Measurement.quaternion must hold unit quaternions. Got {found}"
+        raise InputError(problem, remedy="give the measured orientation, scalar last")
+    return Measurement(
+        time=time,
+        position=_array(answer.position, "position", (rows, 3), LARGEST["x"]),
+        quaternion=quaternion,
+        force=None if answer.force is None else _array(answer.force, "force", (rows, 3), LARGEST["fx"]),
+        joints=None if answer.joints is None else _array(answer.joints, "joints", None, LARGEST["x"]),
+    )
+
+
+def _array(value: object, name: str, shape: tuple[int, ...] | None, largest: float) -> Floats:
+    """A copy of finite numbers of that shape; None: of any number of joints."""
+    expected = "(J,)" if shape is None else str(shape)
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"Measurement.{name} must be numbers of shape {expected}. Got {shown(value)}") from None
+    if array.ndim != 1 if shape is None else array.shape != shape:
+        remedy = "give one row per part, in the order of the automaton's links" if shape else None
+        raise InputError(f"Measurement.{name} must have shape {expected}. Got {array.shape}", remedy=remedy)
+    if not (np.abs(array) <= largest).all():  # false for NaN
+        wrong = float(array[~(np.abs(array) <= largest)].flat[0])
+        remedy = "wait for a measurement, or raise PlantError if there is none"
+        raise InputError(f"Measurement.{name} must be finite and at most {largest:g}. Got {wrong:g}", remedy=remedy)
+    array.setflags(write=False)
+    return array
 
 
 def fault(error: BaseException, file: str | None, what: str) -> InputError:
@@ -113,7 +171,7 @@ def fault(error: BaseException, file: str | None, what: str) -> InputError:
     return InputError(f"{what} raised {said}", source=file, where=None if line is None else f"line {line}")
 
 
-def _told(call: Callable[[], T], culprit: object, what: str) -> T:
+def _called(call: Callable[[], T], culprit: object, what: str) -> T:
     """What a call gives; an exception from code that is not the package's becomes one line about that code."""
     try:
         return call()
