@@ -9,6 +9,7 @@ from functools import cached_property
 from micah_plan.planning.findings import endpoint_findings
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.task.deadline import Clock, Deadline
+from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
@@ -96,7 +97,12 @@ def attempted(
         planner: gives a plan, still to be verified, or says why there is none.
         problem, seed, progress: see `Attempt`.
         deadline: None: as the settings say, from now on.
+
+    Raises:
+        InputError: if a constraint on the path does not fit the model.
     """
+    for constraint in problem.constraints:
+        check_constraint(constraint, problem.automaton)
     attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s), progress or silent)
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:

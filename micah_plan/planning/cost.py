@@ -2,6 +2,7 @@
 
     weight_effort · Σ |u / max_step|²                                                    over all steps
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
+      + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
 
 Read with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates are
 asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.path_constraints import path_cost
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 
@@ -50,4 +52,5 @@ def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
     """What a trajectory costs, without the slack that an optimisation may have paid for."""
     effort = effort_cost(problem, np.square(trajectory.inputs / limits.max_step).sum())
     variance = np.square(trajectory.factors[-1]).sum(axis=-1)
-    return float(effort + goal_cost(problem, trajectory.means[-1]) + variance_cost(problem, variance))
+    ending = goal_cost(problem, trajectory.means[-1]) + variance_cost(problem, variance)
+    return float(effort + ending) + path_cost(problem, trajectory)

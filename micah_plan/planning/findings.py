@@ -119,7 +119,7 @@ def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the
     """Why the roadmaps do not connect start and goal although the transitions do.
 
     Args:
-        in_the_way: guards without any one of which they would be connected.
+        in_the_way: constraints on the path and guards without any one of which they would be connected.
     """
     automaton = problem.automaton
     edges = (automaton.edges[i] for i in samples.exits)
@@ -132,9 +132,11 @@ def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
             )
     if in_the_way:
+        is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
         return (
             f"no motion of the modes that can be reached leads to the goal without '{in_the_way[0]}', which alone is "
-            f"in the way{_others(in_the_way[1:])}; make room there, or let the object change its mode first"
+            f"in the way{_others(in_the_way[1:])}; "
+            + ("relax it" if is_asked else "make room there, or let the object change its mode first")
         )
     return (
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
@@ -274,6 +276,8 @@ def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: b
     if row.kind == "guard":
         reached = f"{has} past it" if room >= 0 else f"{behind} before it"
         return f"the mean gets {reached} where the transition at {name} needs it {quantity(need, row.unit)} past it"
+    if row.kind == "path":
+        return f"the mean has {has} to spare at {name}, {needs}"
     return f"the path has {has} to {name}, {needs}"
 
 
@@ -284,6 +288,7 @@ def _remedy(problem: Problem, row: Row, room: float, need: float) -> str:
     edges = problem.automaton.edges_from(row.mode)
     contact = [edge.target for edge in edges if row.sign < 0 and row.half_space in edge.guard.half_spaces]
     ways += [f"allow contact with '{contact[0]}'"] if contact else []
+    ways += [f"relax {row.name} by {quantity(need - room, row.unit)}"] if row.kind == "path" else []
     # The confidence at which the room suffices, rounded down.
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
     lower = possible > _LEAST_CONFIDENCE
@@ -311,4 +316,6 @@ def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
         return "raise max_step, or correct the inputs that the model admits"
     if row.kind == "boundary":
         return f"move the goal or the start away from it, or {steps}"
+    if row.kind == "path" and np.isfinite(shortfall.amount):
+        return f"relax it by {quantity(shortfall.amount, row.unit)}, or {steps}"
     return steps

@@ -21,6 +21,7 @@ from micah_plan.belief.filter import initial_belief
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.input_memory import steps_of_memory, with_input_memory, without_input_memory
 from micah_plan.planning.limits import limited_input, limits_of
+from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
@@ -57,11 +58,13 @@ class RollOuts:
         modes: (t,) indices of the true modes.
         states: (t, n) true states [rad or m].
         beliefs: of the filters, after the last measurement.
+        path: what the steps did to the problem's constraints on the path.
     """
 
     modes: Ints
     states: Floats
     beliefs: BeliefBatch
+    path: PathRecord
 
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int | tuple[int, ...]) -> Chances:
@@ -95,7 +98,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
     start = initial_belief(whole, known.start.mean, known.start.std, trajectory.modes[0])
     beliefs = repeated(whole, start, trials)
-    knots = time_knots(trajectory)
+    knots, path = time_knots(trajectory), PathRecord(problem, trials)
     for step, knot in enumerate(knots):
         deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")
         believed = beliefs.most_likely
@@ -107,11 +110,13 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         modes, x = chances.objects.step(modes, x, channel.pass_on(u, modes), chances.process[step])
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
         beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
+        path.add(modes, x, u, beliefs.factors[everyone, beliefs.most_likely])
     nothing = np.zeros((trials, automaton.m))
     for _ in range(steps_of_memory(whole, limits.max_step)[1]):
         modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes), np.zeros_like(x))
         beliefs = predict(whole, beliefs, nothing)
-    return RollOuts(modes, x, beliefs)
+        path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])
+    return RollOuts(modes, x, beliefs, path)
 
 
 def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
@@ -125,6 +130,6 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
-    """(t,) whether each true end lies in the goal set."""
+    """(t,) whether each true end lies in the goal set, and no constraint on the path was broken on the way."""
     admitted = problem.goal.admitted(problem.automaton.mode_names)
-    return np.asarray(admitted[ends.modes] & problem.goal.holds(ends.states))
+    return np.asarray(admitted[ends.modes] & problem.goal.holds(ends.states) & ~ends.path.is_broken)

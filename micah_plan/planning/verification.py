@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.findings import finding_of_reason
+from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
@@ -78,11 +79,12 @@ def verify(
 
 @dataclass(frozen=True, eq=False)
 class _Ends:
-    """Where t roll-outs ended: modes (t,) by index, states (t, n) [rad or m], and which of them are in the goal."""
+    """Where t roll-outs ended: modes (t,) by index, states (t, n) [rad or m], which are in the goal; and how."""
 
     modes: NDArray[np.int64]
     states: Floats
     in_goal: NDArray[np.bool_]
+    path: PathRecord
 
 
 def _ends(
@@ -90,7 +92,7 @@ def _ends(
 ) -> _Ends:
     """That many roll-outs at once."""
     ends = roll_out(problem, trajectory, draw_chances(problem, trajectory, count, seed), deadline)
-    return _Ends(ends.modes, ends.states, are_in_goal(problem, ends))
+    return _Ends(ends.modes, ends.states, are_in_goal(problem, ends), ends.path)
 
 
 def _ends_in_turns(problem: Problem, trajectory: Trajectory, total: int, seed: int, deadline: Deadline) -> _Ends:
@@ -104,7 +106,7 @@ def _ends_in_turns(problem: Problem, trajectory: Trajectory, total: int, seed: i
         if len(in_goal) >= total or plain is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
-    return _Ends(modes, states, in_goal)
+    return _Ends(modes, states, in_goal, joined([turn.path for turn in turns]))
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
@@ -131,7 +133,7 @@ def least_share(confidence: float, trials: int) -> float:
 def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Finding]:
     """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
     automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
-    found: list[tuple[float, Finding]] = []
+    found: list[tuple[float, Finding]] = ends.path.findings(modes)
     names = [automaton.modes[i].name for i in ends.modes]
     wrong = [name for name in names if not goal.admits(name)]
     if wrong:

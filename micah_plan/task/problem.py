@@ -11,6 +11,7 @@ from micah_plan.automaton.joint import Vector3
 from micah_plan.scene.body import Body
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 from micah_plan.task.goal import Goal
+from micah_plan.task.path import PathConstraint
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
 
@@ -44,6 +45,7 @@ class Problem:
         robot: the arm that holds the object; None: none is planned for.
         grasp: what it holds.
         hold: how a hand holds the object by one part; None: it stands, and its joints are moved.
+        constraints: what is asked of the path, beyond the boundaries of the model.
     """
 
     automaton: HybridAutomaton
@@ -57,3 +59,4 @@ class Problem:
     robot: RobotDescription | None = None
     grasp: Grasp | None = None
     hold: Hold | None = None
+    constraints: tuple[PathConstraint, ...] = ()

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -24,6 +25,7 @@ from scipy.sparse import coo_array, csr_array
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.search.mode_paths import JoinedRoadmap, cheapest_sequences
 from micah_plan.planning.search.motion import ModeMotion, motions_of
@@ -88,7 +90,7 @@ def search_modes(
     reason = why_unreachable(problem, limits, samples, start_mode)
     if reason:
         return SearchResult((), reason)
-    motions = motions_of(problem.automaton, limits.max_step, limits.speed)
+    motions = _motions(problem, limits)
     points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
     graphs: dict[str, csr_array] = {}
     for name in points:
@@ -106,7 +108,7 @@ def search_modes(
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
     if not shortest:
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
-        in_the_way = _guards_in_the_way(problem, limits, roadmap, points, deadline)
+        in_the_way = _in_the_way(problem, limits, roadmap, points, deadline)
         return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
@@ -144,16 +146,27 @@ def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, Mo
     return ModeSequence(tuple(modes), _edges(path, beliefs), tuple(waypoints), path.length, path.uncertainty)
 
 
-def _guards_in_the_way(
+def _motions(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
+    """The motions of each mode, within what is asked of the path."""
+    admits = partial(admitted, problem, limits) if problem.constraints else None
+    return motions_of(problem.automaton, limits.max_step, limits.speed, admits)
+
+
+def _in_the_way(
     problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
 ) -> tuple[str, ...]:
-    """The guards on states without any one of which, in all modes, the same samples would connect start and goal."""
-    automaton, found = problem.automaton, []
-    changes = [e for e in automaton.edges if not e.is_self_transition and not e.guard.on_input]
-    for name in dict.fromkeys(edge.guard.name for edge in changes):
-        kept = tuple(edge for edge in automaton.edges if edge.guard.name != name)
-        motions = motions_of(replace(automaton, edges=kept), limits.max_step, limits.speed)
-        if deadline.is_over():  # that nothing connects them is known; what is in the way is not
+    """The constraints on the path, and the guards on states in all modes, without any one of which the same samples
+    would connect start and goal."""
+    without, found = dict[str, Problem](), []
+    for one in problem.constraints:
+        without[one.name] = replace(problem, constraints=tuple(c for c in problem.constraints if c.name != one.name))
+    for edge in problem.automaton.edges:
+        if not edge.is_self_transition and not edge.guard.on_input:
+            others = tuple(e for e in problem.automaton.edges if e.guard.name != edge.guard.name)
+            without.setdefault(edge.guard.name, replace(problem, automaton=replace(problem.automaton, edges=others)))
+    for name, easier in without.items():
+        motions = _motions(easier, limits)
+        if deadline.is_over():  # that nothing connects them is certain; what is in the way is not
             return ()
         graphs = {mode: roadmap_of(points[mode], limits.speed, motions[mode]) for mode in points}
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +32,14 @@ class ModeMotion:
         speed: (n,) scale of each coordinate [rad or m per step].
         obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
             happens, but not enter it.
+        admits: (k,) whether constraints on the path let states (k, n) be passed; None: there are none.
     """
 
     B: Floats
     max_step: Floats
     speed: Floats
     obstacles: tuple[Region, ...]
+    admits: Callable[[Floats], Booleans] | None = None
 
     def steps(self, x: Floats, y: Floats) -> Floats:
         """(k,) number of steps (not rounded) of the straight motions x (k, n) -> y (k, n); infinite if not allowed."""
@@ -46,6 +50,12 @@ class ModeMotion:
         steps[missed > _MISS * (1.0 + steps)] = np.inf
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
+        possible = np.flatnonzero(np.isfinite(steps))
+        if self.admits is not None and possible.size:
+            # Asked where steps of a motion end, as in a plan: not where it begins.
+            for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(max(1.0, steps[possible].max()))))[1:]:
+                passed = self.admits(x[possible] + share * delta[possible])
+                steps[possible[~passed]] = np.inf
         return np.asarray(steps)
 
     def shortcut(self, path: Floats) -> Floats:
@@ -59,11 +69,17 @@ class ModeMotion:
         return path[kept]
 
 
-def motions_of(automaton: HybridAutomaton, max_step: Floats, speed: Floats) -> dict[str, ModeMotion]:
-    """The motions of each mode."""
+def motions_of(
+    automaton: HybridAutomaton,
+    max_step: Floats,
+    speed: Floats,
+    admits: Callable[[str, Floats], Booleans] | None = None,
+) -> dict[str, ModeMotion]:
+    """The motions of each mode; `admits` tells by mode whether constraints on the path let states (k, n) be passed."""
     motions = {}
     for mode in automaton.modes:
-        motions[mode.name] = ModeMotion(mode.B, max_step, speed, obstacles_on_state(automaton, mode.name))
+        own = None if admits is None else partial(admits, mode.name)
+        motions[mode.name] = ModeMotion(mode.B, max_step, speed, obstacles_on_state(automaton, mode.name), own)
     return motions
 
 

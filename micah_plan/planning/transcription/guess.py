@@ -40,6 +40,7 @@ class PhaseGuess:
         spreads: (N+1, n, n) covariance of the estimate around the mean in closed loop. Planning assumes that every
             measurement is the most likely one; real ones move the estimate, and the true state is spread around the
             planned mean by this and the belief's covariance together (van den Berg et al., LQG-MP, IJRR 2011).
+        gains: (N, m, n) of the feedback; closed: (N, n, n) by which a step with feedback carries the estimate on.
     """
 
     mode: str
@@ -49,6 +50,8 @@ class PhaseGuess:
     factors: Floats
     inputs: Floats
     spreads: Floats
+    gains: Floats
+    closed: Floats
 
     @property
     def steps(self) -> int:
@@ -115,12 +118,12 @@ def _divide(
     felt, gone = steps_of_memory(automaton, limits.max_step)
     for p, mode in enumerate(sequence.modes):
         moves = bool(automaton.mode(mode).B.any())
-        by_input = p > 0 and _is_by_input(automaton, sequence.edges[p - 1])
+        by_input = p > 0 and automaton.edges[sequence.edges[p - 1]].guard.on_input
         wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
         least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
         wanted[p] = int(np.ceil(stretch * wanted[p])) if moves else wanted[p]
         # Commands take their time: until the object is released, and until the last one has arrived.
-        waits = felt * (p < len(sequence.edges) and _is_by_input(automaton, sequence.edges[p]))
+        waits = felt * (p < len(sequence.edges) and automaton.edges[sequence.edges[p]].guard.on_input)
         least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:
         return [], (
@@ -129,10 +132,6 @@ def _divide(
         )
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
-
-
-def _is_by_input(automaton: HybridAutomaton, edge: int) -> bool:
-    return automaton.edges[edge].guard.on_input
 
 
 def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
@@ -158,12 +157,14 @@ def _roll(
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
         mode, count = compiled.modes[name], steps[p]
-        slopes = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
+        A, slope = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
+        own = gains[first_knot : first_knot + count]
+        closed = A + slope @ own
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
             _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
-            covariance = factors[-1] @ factors[-1].T + _spreads(mode, slopes, spread, factors, gains[first_knot:])[-1]
+            covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(problem.automaton, name, limits.max_step)
         needed.append(_input_length(path, B, limits.max_step))
@@ -172,8 +173,8 @@ def _roll(
             inputs[:] = _pull(problem.automaton, edge, limits)
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)
-        spreads = _spreads(mode, slopes, spread, factors, gains[first_knot:])
-        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads))
+        spreads = _spreads(mode, spread, factors, closed)
+        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads, own, closed))
         first_knot += count + 1
         if edge is not None:
             u = inputs[-1] if count else np.zeros(problem.automaton.m)
@@ -196,16 +197,12 @@ def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list
     return belief_lqr(problem, limits, tuple(modes), is_transition)
 
 
-def _spreads(
-    mode: CompiledMode, slopes: tuple[Floats, Floats], spread: Floats, factors: Floats, gains: Floats
-) -> Floats:
+def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats) -> Floats:
     """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
     spreads, u = [spread], np.zeros(mode.mode.B.shape[1])
-    n = len(spread)
-    for before, after, gain in zip(factors[:-1], factors[1:], gains, strict=False):
-        predicted = _belief(mode.predict(np.zeros(n), before, u))[1]
-        closed = slopes[0] + slopes[1] @ gain
-        spreads.append(closed @ spreads[-1] @ closed.T + predicted @ predicted.T - after @ after.T)
+    for before, after, carried in zip(factors[:-1], factors[1:], closed, strict=True):
+        predicted = _belief(mode.predict(np.zeros(len(spread)), before, u))[1]
+        spreads.append(carried @ spreads[-1] @ carried.T + predicted @ predicted.T - after @ after.T)
     return np.array(spreads)
 
 

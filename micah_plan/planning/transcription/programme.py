@@ -8,6 +8,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
+  The same holds for constraints that a user puts on the path (`path_rows`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from micah_plan.planning.nlp import Programme
 from micah_plan.planning.transcription.corridor import CorridorRow, corridor
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
+from micah_plan.planning.transcription.path_rows import PathRows, path_rows
 from micah_plan.planning.transcription.rows import Row, Rows
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compile_automaton
 from micah_plan.symbolic.square_root import norm as smooth_norm
@@ -118,16 +120,16 @@ def transcribe(problem: Problem, limits: Limits, guess: tuple[PhaseGuess, ...]) 
     taken = [phase.edge for phase in guess if phase.edge is not None]
     pattern = factor_pattern(compiled, guess[0].factors[0], [phase.mode for phase in guess], taken)
     nlp = Transcription(problem, limits, guess, pattern)
-    for phase in guess:
-        _add_phase(nlp, phase)
+    for phase, path in zip(guess, path_rows(problem, limits, guess, pattern), strict=True):
+        _add_phase(nlp, phase, path)
     for before, after in pairwise(range(len(guess))):
         _join(nlp, before, after)
     _add_goal(nlp)
     return nlp
 
 
-def _add_phase(nlp: Transcription, guess: PhaseGuess) -> None:
-    """Variables, dynamics, effort, inputs and the corridor of one phase."""
+def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> None:
+    """Variables, dynamics, effort, inputs, the corridor and what is asked of the path, of one phase."""
     automaton, steps = nlp.problem.automaton, guess.steps
     mode = compile_automaton(automaton).modes[guess.mode]
     start = pack(guess.means, guess.factors, nlp.pattern)
@@ -139,7 +141,10 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess) -> None:
     inputs = nlp.variables(largest.shape, guess.inputs.T, -largest, largest)
     boundaries = corridor(automaton, nlp.limits, guess)
     k = nlp.problem.settings.sigmas
-    slack_start = np.array([row.slack_start(k) for row in boundaries if row.uncertain])[:, None]
+    slack_start = np.array([row.slack_start(k) for row in boundaries if row.uncertain])
+    if path is not None:
+        slack_start = np.append(slack_start, path.slack.ravel(order="F"))
+    slack_start = slack_start[:, None]
     slacks = nlp.variables(slack_start.shape, slack_start, 0.0 * slack_start, np.full_like(slack_start, np.inf))
     nlp.phases.append(PhaseVariables(states, inputs, slacks))
     if steps:
@@ -149,6 +154,10 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess) -> None:
         _require_inputs(nlp, mode, guess, nlp.phases[-1])
     if boundaries:
         _require_corridor(nlp, guess, nlp.phases[-1], boundaries)
+    if path is not None:
+        _require_path(nlp, guess, nlp.phases[-1], path)
+    if slack_start.size:
+        nlp.cost += _SLACK_WEIGHT * ca.sum1(slacks)
 
 
 def _step_function(mode: CompiledMode, pattern: ca.Sparsity, m: int) -> ca.Function:
@@ -212,14 +221,37 @@ def _require_corridor(
         scales = [boundaries[i].scale for i in uncertain]
         total = _total_std(stds[uncertain].T, ca.DM([boundaries[i].spread for i in uncertain]))
         phase.soft.extend(zip(range(len(nlp.rows), len(nlp.rows) + len(uncertain)), scales, strict=True))
-        soft = margins[uncertain].T - settings.sigmas * total + ca.DM(scales) * phase.slacks
+        slacks = phase.slacks[: len(uncertain)]
+        soft = margins[uncertain].T - settings.sigmas * total + ca.DM(scales) * slacks
         nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in uncertain], total)
-        nlp.cost += _SLACK_WEIGHT * ca.sum1(phase.slacks)
 
 
 def _boundary_row(nlp: Transcription, guess: PhaseGuess, one: CorridorRow) -> Row:
     place = guess.mode, guess.first_knot + one.step, one.name, _unit(nlp.problem.automaton, one.half_space)
     return Row(*place, 0.0, np.inf, "boundary", one.half_space, one.sign)
+
+
+def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows) -> None:
+    """What is asked of the steps of a phase: hard for the mean, with a slack that costs at k-sigma; and their cost."""
+    settings, terms = nlp.problem.settings, path.terms
+    inputs = ca.horzcat(*(nlp.phases[p].inputs[:, i] for p, i in path.inputs))
+    at = phase.states[:, path.knots]
+    margins, stds, _, costs = terms.function.map(len(path.knots))(at, inputs, path.covariances)
+    nlp.cost += ca.sum2(costs)
+    rows = [
+        Row(guess.mode, guess.first_knot + knot, f"'{name}'", unit, 0.0, np.inf, "path")
+        for knot in path.knots
+        for name, unit in terms.requirements
+    ]
+    nlp.require(margins, rows)
+    if terms.uncertain:
+        chosen = [j * len(terms.requirements) + i for j in range(len(path.knots)) for i in terms.uncertain]
+        lengths = path.lengths[terms.uncertain]
+        slacks = ca.reshape(phase.slacks[-lengths.size :], *lengths.shape)
+        first = len(nlp.rows)
+        phase.soft.extend(zip(range(first, first + len(chosen)), lengths.ravel(order="F").tolist(), strict=True))
+        soft = margins[terms.uncertain, :] - settings.sigmas * stds[terms.uncertain, :] + lengths * slacks
+        nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in chosen], stds[terms.uncertain, :])
 
 
 def _margin_function(pattern: ca.Sparsity) -> ca.Function:

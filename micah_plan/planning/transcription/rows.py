@@ -12,7 +12,7 @@ from micah_plan.automaton.region import HalfSpace
 from micah_plan.quantities import percent
 
 Floats = NDArray[np.float64]
-Kind = Literal["dynamics", "input", "boundary", "guard", "goal"]
+Kind = Literal["dynamics", "input", "boundary", "guard", "goal", "path"]
 
 # Violations below this are the solver's own tolerance, not a message [in the unit of the row].
 NEGLIGIBLE = 1e-5

@@ -12,7 +12,7 @@ from micah_plan.planning.findings import partly_held, sentence_of
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.transcription.layout import unpack
 from micah_plan.planning.transcription.programme import Transcription
-from micah_plan.planning.transcription.rows import Row, Shortfall
+from micah_plan.planning.transcription.rows import NEGLIGIBLE, Row, Shortfall
 
 Floats = NDArray[np.float64]
 
@@ -59,33 +59,73 @@ def solve(nlp: Transcription, time_limit_s: float) -> BeliefPath:
 
 
 def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
-    """What stands in the way of an infeasible problem: the fewest rows to relax, with the amounts, worst first.
+    """What stands in the way of an infeasible problem, worst first.
 
-    Minimises the summed violation of all rows but the dynamics ("elastic mode", Gill, Murray and Saunders, SIAM Review
-    2005). Empty if the solver finds no such point or no violation.
+    Constraints on the path, and how far each must be relaxed, if that is enough; else the fewest rows to relax, with
+    the amounts. Empty if the solver finds no such point or no violation.
     """
     programme = nlp.programme
     rows = programme.values(programme.start)[1]
-    if np.isfinite(rows).all():
-        w = Solver(_elastic(programme, rows), time_limit_s).solve().w[: len(programme.start)]
-        rows = programme.values(w)[1]
-        rows = np.where(nlp.rows.lower < nlp.rows.upper, rows, nlp.rows.lower)
-        return _worst(nlp, w, rows)
-    return _worst(nlp, programme.start, rows)
+    if not np.isfinite(rows).all():
+        return _worst(nlp, programme.start, rows)
+    return _constraints_to_relax(nlp, programme, rows, time_limit_s) or _rows_to_relax(
+        nlp, programme, rows, time_limit_s
+    )
 
 
-def _elastic(programme: Programme, rows: Floats) -> Programme:
-    """The programme whose inequalities may be missed, from a start where they have these values."""
+def _constraints_to_relax(nlp: Transcription, programme: Programme, rows: Floats, limit_s: float) -> list[Shortfall]:
+    """The constraints on the path that would hold if each were relaxed by one amount at all knots; empty if none would.
+
+    The row is that of the knot where the constraint is tightest.
+    """
+    asked = [i for i, row in enumerate(nlp.rows) if row.kind == "path" and row.confidence is None]
+    names = [nlp.rows[i].name for i in asked]
+    own = list(dict.fromkeys(names))
+    if not asked:
+        return []
+    found = Solver(_elastic(programme, rows, asked, list(map(own.index, names))), limit_s).solve()
+    if not found.is_feasible:
+        return []
+    g = programme.values(found.w[: len(programme.start)])[1]
+    amounts = dict(zip(own, found.w[len(programme.start) :].tolist(), strict=True))
+    tightest = {name: min((i for i in asked if nlp.rows[i].name == name), key=g.__getitem__) for name in own}
+    missed = sorted((name for name in own if amounts[name] > NEGLIGIBLE), key=lambda name: -amounts[name])
+    return [Shortfall(nlp.rows[tightest[name]], amounts[name]) for name in missed]
+
+
+def _rows_to_relax(nlp: Transcription, programme: Programme, rows: Floats, limit_s: float) -> list[Shortfall]:
+    """The worst rows where the summed violation of all but the dynamics is least.
+
+    Source: "elastic mode", Gill, Murray and Saunders, SIAM Review 2005.
+    """
+    loose = np.flatnonzero(nlp.rows.lower < nlp.rows.upper).tolist()
+    found = Solver(_elastic(programme, rows, loose, list(range(len(loose)))), limit_s).solve()
+    w = found.w[: len(programme.start)]
+    return _worst(nlp, w, np.where(nlp.rows.lower < nlp.rows.upper, programme.values(w)[1], nlp.rows.lower))
+
+
+def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list[int]) -> Programme:
+    """The programme in which some rows may be missed, each by the amount of that number, at the cost of all amounts.
+
+    Args:
+        rows: (r,) values at the start.
+        loose, amounts: numbers of the rows, and of the amount of each.
+    """
     lower, upper = programme.row_bounds
-    loose, fixed = (np.flatnonzero(chosen).tolist() for chosen in (lower < upper, lower == upper))
-    missing = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)[loose]
-    e, g, free = ca.MX.sym("e", len(loose)), programme.rows, np.full(len(loose), np.inf)
+    fixed = np.setdiff1d(np.arange(len(lower)), loose).tolist()
+    missing = np.zeros(max(amounts) + 1)
+    np.maximum.at(missing, amounts, np.maximum(lower - rows, rows - upper)[loose])
+    e, g, free = ca.MX.sym("e", len(missing)), programme.rows, np.full(len(loose), np.inf)
+    missed = ca.vec(e[amounts])  # a scalar's entries come as a row
     return Programme(
         w=ca.vertcat(programme.w, e),
         cost=ca.sum1(e) + _ELASTIC_COST * programme.cost,
-        rows=ca.vertcat(g[fixed], g[loose] + e, g[loose] - e),
+        rows=ca.vertcat(g[fixed], g[loose] + missed, g[loose] - missed),
         start=np.concatenate([programme.start, missing]),
-        bounds=(np.append(programme.bounds[0], np.zeros(len(loose))), np.append(programme.bounds[1], free)),
+        bounds=(
+            np.concatenate([programme.bounds[0], np.zeros(len(missing))]),
+            np.concatenate([programme.bounds[1], np.full(len(missing), np.inf)]),
+        ),
         row_bounds=(
             np.concatenate([lower[fixed], lower[loose], -free]),
             np.concatenate([upper[fixed], free, upper[loose]]),

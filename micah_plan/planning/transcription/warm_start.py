@@ -35,8 +35,8 @@ class WarmStartedProgramme:
         self._nlp, self._programme = nlp, nlp.programme
         self._solver = Solver(self._programme, time_limit_s, warm_start=True)
         # A plan that is left at a knot has no more to do with what ends there or before: its inputs and what they must
-        # be, the dynamics that led there, and the boundaries at that knot itself, since the belief is where it is.
-        ended = [row.knot + (row.kind not in ("dynamics", "boundary")) for row in nlp.rows]
+        # be, the dynamics that led there, and what is asked of that knot itself, since the belief is where it is.
+        ended = [row.knot + (row.kind not in ("dynamics", "boundary", "path")) for row in nlp.rows]
         self._row_ends, (self._ends, self._is_state) = np.array(ended), _layout(nlp)
         self._first = self._solver.solve()
         self.path = self._path(self._first)

@@ -1,0 +1,130 @@
+"""Constraints and costs on the path (`task.path`), read with arrays: on roll-outs, executions, trajectories and states.
+
+Where a step ends is where it counts: a step that ends with a transition counts behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.planning.limits import Limits
+from micah_plan.quantities import percent, quantity
+from micah_plan.task.path import Pay, Require, path_terms
+from micah_plan.task.plan import Finding, Trajectory
+from micah_plan.task.problem import Problem
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# A margin this far below zero is rounding of the optimisation, no violation [unit of the margin].
+ROUNDING = 1e-6
+
+
+@dataclass(eq=False)
+class PathRecord:
+    """Which constraints t roll-outs or executions break: `add` their steps, one after the other.
+
+    Attributes:
+        problem: with the constraints, over the coordinates of the true states.
+        count: t.
+        worst: per constraint, by name and unit, the (t,) smallest margins so far; infinite where it never acted.
+    """
+
+    problem: Problem
+    count: int
+    worst: dict[tuple[str, str], Floats] = field(default_factory=dict)
+
+    def add(self, modes: Ints, x: Floats, u: Floats, factors: Floats) -> None:
+        """One step of each.
+
+        Args:
+            modes: (t,) indices of the true modes behind it; x: (t, n) true states there.
+            u: (t, m) inputs that were commanded.
+            factors: (t, n, n) square roots of the covariances of the most likely modes' beliefs there, or over more
+                coordinates that come last.
+        """
+        if not self.problem.constraints:
+            return
+        std = np.linalg.norm(factors, axis=-1)
+        for index in np.unique(modes):
+            rows = modes == index
+            name = self.problem.automaton.modes[index].name
+            for term in _terms(self.problem, name, x[rows], u[rows], std[rows]):
+                if isinstance(term, Require):
+                    worst = self.worst.setdefault((term.name, term.unit), np.full(self.count, np.inf))
+                    worst[rows] = np.fmin(worst[rows], np.where(np.isnan(term.margin), -np.inf, term.margin))
+
+    @property
+    def is_broken(self) -> Booleans:
+        """(t,) whether any constraint was broken."""
+        broken = [worst < -ROUNDING for worst in self.worst.values()]
+        return np.any(broken, axis=0) if broken else np.zeros(self.count, dtype=bool)
+
+    def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
+        """(share that broke it, finding) per constraint that roll-outs break, for a plan through these modes."""
+        found, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence
+        for (name, unit), worst in self.worst.items():
+            share, amount = float((worst < -ROUNDING).mean()), -float(worst.min())
+            if share == 0.0:
+                continue
+            remedy = "lower the noise or the start's std, or raise `confidence`, which leaves more room"
+            missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
+            if ROUNDING < missing < np.inf:
+                remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
+            sentence = f"{share:.0%} of the roll-outs break '{name}'"
+            finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
+            if amount < np.inf:
+                finding = replace(finding, sentence=f"{sentence}, by up to {quantity(amount, unit)}", amount=amount)
+            found.append((share, finding))
+        return found
+
+
+def joined(records: Sequence[PathRecord]) -> PathRecord:
+    """One record of all roll-outs of several (at least one)."""
+    worst = {}
+    for key in dict.fromkeys(key for record in records for key in record.worst):
+        worst[key] = np.concatenate([record.worst.get(key, np.full(record.count, np.inf)) for record in records])
+    return PathRecord(records[0].problem, sum(record.count for record in records), worst)
+
+
+def path_cost(problem: Problem, trajectory: Trajectory) -> float:
+    """What the steps of a trajectory cost by the problem's constraints."""
+    automaton, cost = problem.automaton, 0.0
+    for knot in np.flatnonzero(~trajectory.is_transition) if problem.constraints else ():
+        end = int(knot) + 1
+        while end < len(trajectory.is_transition) and trajectory.is_transition[end]:
+            between = [e for e in automaton.edges if (e.source, e.target) == tuple(trajectory.modes[end : end + 2])]
+            if any(edge.guard.on_input for edge in between):
+                break
+            end += 1
+        std = np.linalg.norm(trajectory.factors[end], axis=-1)
+        point = trajectory.means[end][None], trajectory.inputs[knot][None], std[None]
+        for term in _terms(problem, trajectory.modes[end], *point):
+            cost += float(np.sum(term.amount)) if isinstance(term, Pay) else 0.0
+    return cost
+
+
+def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans:
+    """(k,) whether exactly known states (k, n) of a mode meet what is asked, after some step: none or a largest one."""
+    automaton, inside = problem.automaton, np.ones(len(x), dtype=bool)
+    steps = np.vstack([np.zeros(automaton.m), np.diag(limits.max_step), -np.diag(limits.max_step)])
+    best: dict[str, Floats] = {}
+    for u in steps:
+        for term in _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x)):
+            if isinstance(term, Require):
+                best[term.name] = np.fmax(best.get(term.name, -np.inf), term.margin)
+    for margin in best.values():
+        inside &= margin >= -ROUNDING
+    return inside
+
+
+def _terms(problem: Problem, mode: str, x: Floats, u: Floats, std: Floats) -> Iterator[Require | Pay]:
+    """What the constraints that act in a mode ask of k steps: states and stds (k, n), inputs (k, m)."""
+    for constraint in problem.constraints:
+        if constraint.acts_in(mode):
+            yield from path_terms(constraint, np, problem.automaton, x.T, u.T, std.T)
