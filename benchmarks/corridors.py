@@ -24,8 +24,8 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.search.mode_search import roadmap_of
 from micah_plan.planning.search.motion import motions_of, obstacles_on_state
+from micah_plan.planning.search.roadmap import roadmap_of
 from micah_plan.planning.search.samples import inside_any, sample_modes
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem

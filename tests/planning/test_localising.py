@@ -15,9 +15,9 @@ from micah_plan.documents.problem_file import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import Chances, draw_chances, roll_out
-from micah_plan.planning.search.mode_paths import JoinedRoadmap
 from micah_plan.planning.search.mode_search import ModeSequence, search_modes
 from micah_plan.planning.search.path_beliefs import PathBeliefs
+from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

@@ -13,11 +13,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from micah_plan.planning.search.mode_paths import JoinedRoadmap, VertexPath, joined_graph
+from micah_plan.planning.search.mode_paths import VertexPath
 from micah_plan.planning.search.path_beliefs import PathBeliefs
+from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.task.deadline import NEVER, Deadline
 
 Floats = NDArray[np.float64]
@@ -82,11 +82,8 @@ class LocalisingSearch:
     def __init__(self, roadmap: JoinedRoadmap, beliefs: PathBeliefs, revisits: int, deadline: Deadline = NEVER) -> None:
         self.roadmap, self.beliefs, self.deadline = roadmap, beliefs, deadline
         self.most_visits = 1 + revisits
-        self.graph: csr_array = joined_graph(roadmap)
-        self.size = self.graph.shape[0] - 1
-        to_go, following = dijkstra(self.graph.T.tocsr(), indices=self.size, return_predecessors=True)
-        # The last hop to the extra vertex behind all goals costs one more than it counts.
-        self.to_go, self.following = to_go[: self.size] - 1.0, following[: self.size]
+        self.to_go, self.following = roadmap.to_goal
+        self.size = len(self.to_go)
 
     def paths(self) -> list[ScoredPath]:
         """The best path through each vertex that leads to the goal, with up to two stops; the best first.
@@ -132,7 +129,7 @@ class LocalisingSearch:
     def _through_all(self, beginning: _Beginning) -> list[tuple[ScoredPath, _Beginning]]:
         """The beginning, on to every vertex by the shortest way, and from there to the goal by the shortest way."""
         here = beginning.vertices[-1]
-        distance, previous = dijkstra(self.graph, indices=here, return_predecessors=True)
+        distance, previous = dijkstra(self.roadmap.graph, indices=here, return_predecessors=True)
         distance, previous = distance[: self.size], previous[: self.size]
         reached = np.flatnonzero(np.isfinite(distance) & np.isfinite(self.to_go))
         there = self._spread(beginning, here, previous, np.flatnonzero(np.isfinite(distance)))

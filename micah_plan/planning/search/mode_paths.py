@@ -1,6 +1,6 @@
 """The k cheapest mode sequences through roadmaps that are joined by directed guard edges.
 
-A best-first search over prefixes of mode sequences. A prefix knows the cheapest cost of entering its last mode at every
+A best-first search over prefixes of mode sequences. A prefix has the cheapest cost of entering its last mode at every
 vertex; the exact cost-to-go of the joined roadmaps (which ignores that revisits are forbidden, so it never
 overestimates) guides the search, so only prefixes that compete with the k cheapest sequences are ever expanded.
 """
@@ -8,50 +8,21 @@ overestimates) guides the search, so only prefixes that compete with the k cheap
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import count, islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
+
+from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
-TRANSITION_COST = 1.0
-# Digits [steps] to which costs are told apart.
+# Digits [steps] in which costs must differ to count as different.
 _DIGITS = 9
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedRoadmap:
-    """Roadmaps of all modes and the guard edges between them.
-
-    Attributes:
-        graphs: (v, v) directed motion costs [steps] by mode.
-        exits: (k, 2) vertex pairs by edge index.
-        ends: (source, target) mode by edge index.
-        start: (mode, vertex).
-        goals: vertices by mode.
-        goal_costs: cost [steps] of ending at each of these vertices, by mode.
-    """
-
-    graphs: Mapping[str, csr_array]
-    exits: Mapping[int, Ints]
-    ends: Mapping[int, tuple[str, str]]
-    start: tuple[str, int]
-    goals: Mapping[str, Ints]
-    goal_costs: Mapping[str, Floats]
-
-    @cached_property
-    def offsets(self) -> dict[str, int]:
-        """Number of each mode's first vertex where the vertices of all modes are counted in one row."""
-        sizes = [graph.shape[0] for graph in self.graphs.values()]
-        return dict(zip(self.graphs, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -132,8 +103,8 @@ class _Search:
     """Shortest paths of the joined roadmap, computed when first needed."""
 
     def __init__(self, roadmap: JoinedRoadmap) -> None:
-        self.roadmap = roadmap
-        self.to_go = _cost_to_go(roadmap)
+        self.roadmap, offsets, costs = roadmap, roadmap.offsets, roadmap.to_goal[0]
+        self.to_go = {name: costs[offsets[name] : offsets[name] + g.shape[0]] for name, g in roadmap.graphs.items()}
         self._distances: dict[str, tuple[Floats, Ints]] = {}
 
     def distances(self, mode: str) -> tuple[Floats, Ints]:
@@ -181,40 +152,3 @@ class _Search:
             vertex = int(last.exit_of[entry])
             last = last.parent
         return VertexPath(prefix.modes, tuple(reversed(edges)), tuple(reversed(vertices)), cost)
-
-
-def _cost_to_go(roadmap: JoinedRoadmap) -> dict[str, Floats]:
-    """(v,) cheapest cost from each vertex of each mode to any goal, revisits allowed."""
-    graph = joined_graph(roadmap)
-    distance = dijkstra(graph.T.tocsr(), indices=graph.shape[0] - 1) - 1.0
-    offsets = roadmap.offsets
-    return {mode: distance[offsets[mode] : offsets[mode] + g.shape[0]] for mode, g in roadmap.graphs.items()}
-
-
-def joined_graph(roadmap: JoinedRoadmap) -> csr_array:
-    """(V+1, V+1) costs of all motions and transitions; the last vertex lies behind all goals.
-
-    Arriving there from a goal costs one step more than it counts: a sparse graph would drop a cost of zero.
-    """
-    offsets, total = roadmap.offsets, sum(graph.shape[0] for graph in roadmap.graphs.values())
-    parts = [(graph.tocoo(), offsets[mode]) for mode, graph in roadmap.graphs.items()]
-    rows = [part.row + offset for part, offset in parts]
-    columns = [part.col + offset for part, offset in parts]
-    costs = [part.data for part, _ in parts]
-    for edge, pairs in roadmap.exits.items():
-        source, target = roadmap.ends[edge]
-        rows.append(pairs[:, 0] + offsets[source])
-        columns.append(pairs[:, 1] + offsets[target])
-        costs.append(np.full(len(pairs), TRANSITION_COST))
-    for mode, vertices in roadmap.goals.items():
-        rows.append(vertices + offsets[mode])
-        columns.append(np.full(len(vertices), total))
-        costs.append(roadmap.goal_costs[mode] + 1.0)
-    data = np.concatenate(costs)
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    best = np.lexsort((data, column, row))
-    row, column, data = row[best], column[best], data[best]
-    # coo -> csr adds duplicates up; two edges between the same vertices must stay the cheaper of the two.
-    first = np.ones(len(row), dtype=bool)
-    first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
-    return coo_array((data[first], (row[first], column[first])), shape=(total + 1, total + 1)).tocsr()

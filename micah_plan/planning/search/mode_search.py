@@ -1,9 +1,9 @@
-"""The high level of POMDP-HD: a roadmap per mode, guard edges between them, and the cheapest mode sequences.
+"""The high level of POMDP-HD: which mode sequences lead from the start to the goal, cheapest first.
 
-The roadmaps are OMPL's PRM* over the coordinates that a mode leaves free (Karaman and Frazzoli, IJRR 2011). All states
-come from our own generator through a valid-state sampler and growth stops by count, so that the result depends on the
-seed alone, not on what the process did before. OMPL is given no other callback: motions are checked afterwards in one
-NumPy batch.
+1. sample the states of every mode                                        `samples`
+2. connect them within each mode, and the modes by guard edges            `roadmap`
+3. take the cheapest mode sequences through all of it                     `mode_paths`
+4. look for detours that localise, and rank by length and uncertainty     `localising`, `path_beliefs`
 """
 
 from __future__ import annotations
@@ -13,32 +13,25 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from ompl import base as ob
-from ompl import geometric as og
-from ompl import util as ou
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
-from micah_plan.planning.search.mode_paths import JoinedRoadmap, cheapest_sequences
+from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.motion import ModeMotion, motions_of
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.samples import sample_modes
+from micah_plan.planning.search.roadmap import JoinedRoadmap, roadmap_of
+from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-# Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
-_SHORTEST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +71,7 @@ def search_modes(
 ) -> SearchResult:
     """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
 
-    The shortest sequences compete with detours that localise (`localising_paths`) by length and predicted uncertainty.
+    The shortest sequences compete with detours that localise (`localising`) by length and predicted uncertainty.
 
     Args:
         deadline: of the search; detours are left out where it passes while they are compared.
@@ -92,18 +85,7 @@ def search_modes(
         return SearchResult((), reason)
     motions = _motions(problem, limits)
     points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
-    graphs: dict[str, csr_array] = {}
-    for name in points:
-        deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
-        graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
-    edges = problem.automaton.edges
-    ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
-    # The goal error that is left, as the optimisation will weigh it against effort.
-    costs = {
-        name: np.broadcast_to(in_steps(problem, goal_cost(problem, points[name][vertices].T)), len(vertices))
-        for name, vertices in samples.goals.items()
-    }
-    roadmap = JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
+    roadmap = _joined(problem, limits, samples, points, start_mode, deadline)
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
     if not shortest:
@@ -112,10 +94,10 @@ def search_modes(
         return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
-    best: dict[tuple[int, ...], ScoredPath] = {}
     detours: list[ScoredPath] = []
     with suppress(TimeLimitError):
         detours = localising.paths()
+    best: dict[tuple[int, ...], ScoredPath] = {}
     for path in [*map(localising.score, shortest), *detours]:
         taken = _edges(path, beliefs)
         # A detour through the same modes must be worth it: rounding is no reason.
@@ -123,6 +105,29 @@ def search_modes(
             best[taken] = path
     chosen = sorted(best.values(), key=lambda path: path.cost)[:candidates]
     return SearchResult(tuple(_mode_sequence(path, beliefs, motions) for path in chosen))
+
+
+def _joined(
+    problem: Problem,
+    limits: Limits,
+    samples: Samples,
+    points: Mapping[str, Floats],
+    start_mode: str,
+    deadline: Deadline,
+) -> JoinedRoadmap:
+    """The roadmaps of all modes, with the guard edges that the samples take."""
+    motions, edges = _motions(problem, limits), problem.automaton.edges
+    graphs: dict[str, csr_array] = {}
+    for name in points:
+        deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
+        graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
+    ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
+    # The goal error that is left, as the optimisation will weigh it against effort.
+    costs = {
+        name: np.broadcast_to(in_steps(problem, goal_cost(problem, points[name][vertices].T)), len(vertices))
+        for name, vertices in samples.goals.items()
+    }
+    return JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
 
 
 def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:
@@ -172,79 +177,3 @@ def _in_the_way(
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
             found.append(name)
     return tuple(found)
-
-
-def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
-    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
-    pairs = _prm_connections(points / speed, deadline)
-    steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
-    allowed = np.isfinite(steps)
-    pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
-    return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
-
-
-def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
-    """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
-    free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
-    if not len(free):
-        return np.zeros((0, 2), dtype=np.int64)
-    states = np.ascontiguousarray(points[:, free])
-    # Distinct states may agree in the last bits after scaling; PRM* sees each only once.
-    numbers: dict[bytes, int] = {}
-    for number, state in enumerate(states):
-        numbers.setdefault((state + 0.0).tobytes(), number)
-    grown, links = _grow_prm(states[list(numbers.values())] + 0.0, deadline)
-    vertices = np.array([numbers[state.tobytes()] for state in grown], dtype=np.int64)
-    pairs = vertices[np.array(links, dtype=np.int64).reshape(-1, 2)]
-    both = np.concatenate([pairs, pairs[:, ::-1]]) @ [len(points), 1]
-    return np.stack(np.divmod(np.unique(both), len(points)), axis=1)
-
-
-def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[int, int]]]:
-    """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
-    ou.setLogLevel(ou.LogLevel.LOG_ERROR)
-    space = ob.RealVectorStateSpace(states.shape[1])
-    bounds = ob.RealVectorBounds(states.shape[1])
-    for i, (low, high) in enumerate(zip(states.min(axis=0), states.max(axis=0), strict=True)):
-        bounds.setLow(i, float(low))
-        bounds.setHigh(i, float(high))
-    space.setBounds(bounds)
-    information = ob.SpaceInformation(space)
-    samplers: list[_GivenStates] = []
-
-    def allocate(owner: Any) -> _GivenStates:
-        samplers.append(_GivenStates(owner, states))
-        return samplers[-1]
-
-    information.setValidStateSamplerAllocator(allocate)
-    information.setup()
-    planner = og.PRMstar(information)
-    planner.setProblemDefinition(ob.ProblemDefinition(information))
-    planner.setup()
-    is_done = lambda: any(s.used >= len(states) for s in samplers) or deadline.is_over()  # noqa: E731
-    planner.growRoadmapPtc(ob.PlannerTerminationCondition(is_done))
-    deadline.check("search", "a roadmap was being grown", "samples_per_mode")
-    data = ob.PlannerData(information)
-    planner.getPlannerData(data)
-    # The data points into the planner's memory: copy it while the planner lives.
-    vertices = [data.getVertex(i).getState() for i in range(data.numVertices())]
-    grown = np.array([[state[i] for i in range(states.shape[1])] for state in vertices])
-    return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
-
-
-class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information
-    """Hands given states to a planner, one after the other."""
-
-    def __init__(self, information: Any, states: Floats) -> None:
-        super().__init__(information)
-        self.states = states
-        self.used = 0
-
-    def sample(self, state: Any) -> bool:
-        for i, value in enumerate(self.states[min(self.used, len(self.states) - 1)]):
-            state[i] = float(value)
-        self.used += 1
-        return True
-
-    def sampleNear(self, _state: Any, _near: Any, _distance: float) -> bool:  # noqa: N802  # OMPL's name
-        return False

@@ -24,12 +24,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
-# Share of sampled coordinates that take a value named in the problem or model: it connects modes that hold coordinates.
+# Share of sampled coordinates that take a value named in the problem or model: it connects modes with idle coordinates.
 _LANDMARK_SHARE = 0.3
 _FEWEST_GUARD_STATES = 4
 # Least share of samples_per_mode that are random states, however many states guards have.
 _FREE_SHARE = 0.5
-# Arrivals in modes that hold coordinates are carried on at most so often.
+# Arrivals in modes with idle coordinates are carried on at most so often.
 _MOST_CARRIED = 200
 
 
@@ -42,7 +42,7 @@ class ModeStates:
     numbers: dict[bytes, int] = field(default_factory=dict)
 
     def add(self, point: Floats) -> int:
-        """The number of a state (n,), new or known."""
+        """The number of a state (n,), new or added before."""
         key = (point + 0.0).tobytes()  # + 0.0 makes a negative zero positive
         if key not in self.numbers:
             self.numbers[key] = len(self.points)
@@ -76,46 +76,138 @@ def sample_modes(
     Raises:
         TimeLimitError: if the deadline passes.
     """
-    automaton = problem.automaton
-    modes = {
-        mode.name: ModeStates(mode_states(mode, limits.lower, limits.upper, limits.max_step))
-        for mode in automaton.modes
+    sampler = _Sampler(problem, limits, rng, deadline)
+    own = sampler.modes[start_mode]
+    start = own.add(own.states.nearest(sampler.start))
+    sampler.add_goals()
+    sampler.add_guards()
+    sampler.carry_on(start_mode)
+    sampler.add_random()
+    goals = {
+        name: np.flatnonzero(states.contains(np.array(sampler.modes[name].points)))
+        for name, states in sampler.goals.items()
     }
-    landmarks = _landmarks(problem)
-    start = modes[start_mode].add(modes[start_mode].states.nearest(np.array(problem.start.mean)))
-    target = np.array(problem.start.mean)
-    for index, value, _ in problem.goal.target:
-        target[index] = value
-    goal_sets = {name: states for name in modes if not (states := goal_states(problem, limits, name)).is_empty}
-    for name, states in goal_sets.items():
-        mode = automaton.mode(name)
-        fit = np.where(_held(mode), np.array(problem.start.mean), target)
-        points = [
-            states.nearest(target),
-            states.nearest(fit),
-            *_draw(states, mode, landmarks, rng, _FEWEST_GUARD_STATES),
-        ]
-        for point in points:
-            modes[name].add(point)
-    exits: dict[int, Ints] = {}
-    for index, edge in enumerate(automaton.edges):
-        deadline.check("search", f"{index} of {len(automaton.edges)} guards had states", "samples_per_mode")
-        if len(taken := _sample_guard(problem, limits, modes, edge, landmarks, target, rng)):
-            exits[index] = taken
-    _carry_held(problem, limits, modes, goal_sets, exits, start_mode, target, deadline)
-    for number, mode in enumerate(automaton.modes):
-        deadline.check("search", f"{number} of {len(automaton.modes)} modes had states", "samples_per_mode")
-        chosen = modes[mode.name]
-        # Many guards must not leave the space between them without states.
-        wanted = problem.settings.samples_per_mode
-        missing = max(wanted - len(chosen.points), int(_FREE_SHARE * wanted))
-        if not chosen.states.is_empty:
-            obstacles = obstacles_on_state(automaton, mode.name)
-            random = _draw(chosen.states, mode, landmarks, rng, missing)
-            for point in random[~inside_any(obstacles, random)]:
-                chosen.add(point)
-    goals = {name: np.flatnonzero(states.contains(np.array(modes[name].points))) for name, states in goal_sets.items()}
-    return Samples(modes, exits, start, goals)
+    return Samples(sampler.modes, sampler.exits, start, goals)
+
+
+class _Sampler:
+    """Adds states to the modes of a problem, stage by stage.
+
+    Attributes:
+        start, target: (n,) the start's mean, and the same with the goal's values.
+        modes: states by name; goals: the sets within the goal, of those modes that have one.
+        exits: see `Samples`.
+    """
+
+    def __init__(self, problem: Problem, limits: Limits, rng: np.random.Generator, deadline: Deadline) -> None:
+        """Args: see `sample_modes`."""
+        self._problem, self._automaton, self._limits = problem, problem.automaton, limits
+        self._rng, self._deadline, self._landmarks = rng, deadline, _landmarks(problem)
+        self.start = np.array(problem.start.mean)
+        self.target = self.start.copy()
+        for index, value, _ in problem.goal.target:
+            self.target[index] = value
+        self.modes = {
+            mode.name: ModeStates(mode_states(mode, limits.lower, limits.upper, limits.max_step))
+            for mode in self._automaton.modes
+        }
+        sets = {name: goal_states(problem, limits, name) for name in self.modes}
+        self.goals = {name: states for name, states in sets.items() if not states.is_empty}
+        self.exits: dict[int, Ints] = {}
+
+    def add_goals(self) -> None:
+        """States within the goal: the nearest to its values, one with the start's idle coordinates, and random ones."""
+        for name, states in self.goals.items():
+            mode = self._automaton.mode(name)
+            reachable = np.where(_idle(mode), self.start, self.target)
+            points = [states.nearest(self.target), states.nearest(reachable)]
+            for point in [*points, *self._draw(states, mode, _FEWEST_GUARD_STATES)]:
+                self.modes[name].add(point)
+
+    def add_guards(self) -> None:
+        """States on the guards, with those behind their resets."""
+        for index, edge in enumerate(self._automaton.edges):
+            state = f"{index} of {len(self._automaton.edges)} guards had states"
+            self._deadline.check("search", state, "samples_per_mode")
+            if edge.is_self_transition or (states := guard_states(self._problem, self._limits, edge)).is_empty:
+                continue
+            count = max(_FEWEST_GUARD_STATES, self._problem.settings.samples_per_mode // 8)
+            before = [states.nearest(self.start), states.nearest(self.target)]
+            before += list(self._draw(states, self._automaton.mode(edge.source), count))
+            # Also where the edge leads nowhere: it is in the way, and a corridor beside it needs states.
+            pairs = [self._add_exit(edge, _on_boundary(states, edge, x)) for x in before]
+            if taken := dict.fromkeys(pair for pair in pairs if pair is not None):
+                self.exits[index] = np.array(list(taken), dtype=np.int64)
+
+    def carry_on(self, start_mode: str) -> None:
+        """States to which arrivals in modes with idle coordinates can go on: in the goal, on guards, and behind them.
+
+        A mode that neither moves nor pins a coordinate connects only states with one value of it.
+        """
+        arrivals = [(start_mode, self.modes[start_mode].points[0])]
+        for index, pairs in self.exits.items():
+            target = self._automaton.edges[index].target
+            arrivals += [(target, self.modes[target].points[k]) for k in pairs[:, 1]]
+        for name, x in arrivals:
+            self._deadline.check("search", f"{len(arrivals)} arrivals were carried on", "samples_per_mode")
+            idle = _idle(self._automaton.mode(name))
+            if not idle.any() or len(arrivals) > _MOST_CARRIED:
+                continue
+            if name in self.goals and (there := _at(self.goals[name], idle, x)) is not None:
+                self.modes[name].add(there.nearest(self.target))
+            for index, edge in enumerate(self._automaton.edges):
+                if edge.source != name or edge.is_self_transition:
+                    continue
+                if (there := _at(guard_states(self._problem, self._limits, edge), idle, x)) is None:
+                    continue
+                behind = self.modes[edge.target]
+                count, pair = (
+                    len(behind.points),
+                    self._add_exit(edge, _on_boundary(there, edge, there.nearest(x)), True),
+                )
+                if pair is not None:
+                    before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
+                    self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
+                    if len(behind.points) > count:
+                        arrivals.append((edge.target, behind.points[-1]))
+
+    def add_random(self) -> None:
+        """Random states outside of the guards on states."""
+        wanted = self._problem.settings.samples_per_mode
+        for number, mode in enumerate(self._automaton.modes):
+            state = f"{number} of {len(self._automaton.modes)} modes had states"
+            self._deadline.check("search", state, "samples_per_mode")
+            chosen = self.modes[mode.name]
+            # Many guards must not leave the space between them without states.
+            missing = max(wanted - len(chosen.points), int(_FREE_SHARE * wanted))
+            if not chosen.states.is_empty:
+                random = self._draw(chosen.states, mode, missing)
+                for point in random[~inside_any(obstacles_on_state(self._automaton, mode.name), random)]:
+                    chosen.add(point)
+
+    def _add_exit(self, edge: Edge, x: Floats, only_if_allowed: bool = False) -> tuple[int, int] | None:
+        """Numbers of the states before and behind an edge taken at x; None if it leads out of the invariant."""
+        after = edge.reset.apply(x, np.zeros(self._automaton.m))
+        for pin in self._automaton.mode(edge.target).pins:
+            after[pin.coordinate] = pin.value
+        target = self.modes[edge.target]
+        leads_on = bool(target.states.contains(after))
+        if only_if_allowed and not leads_on:
+            return None
+        number = self.modes[edge.source].add(x)
+        return (number, target.add(after)) if leads_on else None
+
+    def _draw(self, states: Polytope, mode: Mode, count: int) -> Floats:
+        """(at most count, n) random states; idle coordinates take landmark values only, others some."""
+        random = states.sample(self._rng, count)
+        named = np.stack([self._rng.choice(values, count) for values in self._landmarks], axis=1)
+        idle = _idle(mode)
+        mixed = (self._rng.random(random.shape) < _LANDMARK_SHARE) & mode.free
+        points = np.where(mixed | idle, named, random)
+        fits = states.contains(points)
+        if idle.any():
+            return np.asarray(points[fits])
+        return np.asarray(np.where(fits[:, None], points, random))
 
 
 def goal_states(problem: Problem, limits: Limits, mode: str) -> Polytope:
@@ -132,31 +224,6 @@ def guard_states(problem: Problem, limits: Limits, edge: Edge) -> Polytope:
     """The states of an edge's source mode at which some input within the limits takes the edge."""
     source = mode_states(problem.automaton.mode(edge.source), limits.lower, limits.upper, limits.max_step)
     return source.intersect(edge.guard, limits.max_step)
-
-
-def _sample_guard(
-    problem: Problem,
-    limits: Limits,
-    modes: dict[str, ModeStates],
-    edge: Edge,
-    landmarks: list[Floats],
-    target: Floats,
-    rng: np.random.Generator,
-) -> Ints:
-    """(k, 2) pairs of states before and after the edge, added to its two modes."""
-    automaton = problem.automaton
-    if edge.is_self_transition or (states := guard_states(problem, limits, edge)).is_empty:
-        return np.zeros((0, 2), dtype=np.int64)
-    count = max(_FEWEST_GUARD_STATES, problem.settings.samples_per_mode // 8)
-    before = [states.nearest(np.array(problem.start.mean)), states.nearest(target)]
-    before += list(_draw(states, automaton.mode(edge.source), landmarks, rng, count))
-    pairs: dict[tuple[int, int], None] = {}
-    for x in (_on_boundary(states, edge, x) for x in before):
-        # Also where the edge leads nowhere: it is in the way, and a corridor beside it needs states.
-        number, after = modes[edge.source].add(x), _after(problem, edge, x)
-        if modes[edge.target].states.contains(after):
-            pairs[number, modes[edge.target].add(after)] = None
-    return np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
 
 
 def inside_any(regions: Sequence[Region], points: Floats) -> Booleans:
@@ -184,66 +251,18 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
     return x
 
 
-def _carry_held(
-    problem: Problem,
-    limits: Limits,
-    modes: dict[str, ModeStates],
-    goal_sets: dict[str, Polytope],
-    exits: dict[int, Ints],
-    start_mode: str,
-    target: Floats,
-    deadline: Deadline,
-) -> None:
-    """Add the states to which arrivals in modes that hold coordinates can go on: to the goal, to guards, and beyond.
-
-    A mode that holds a coordinate wherever it was when it was entered connects only states with that same value.
-    """
-    automaton = problem.automaton
-    targets = {index: automaton.edges[index].target for index in exits}
-    arrivals = [(start_mode, modes[start_mode].points[0])]
-    arrivals += [(name, modes[name].points[k]) for index, name in targets.items() for k in exits[index][:, 1]]
-    for name, x in arrivals:
-        deadline.check("search", f"{len(arrivals)} arrivals were carried on", "samples_per_mode")
-        held = _held(automaton.mode(name))
-        if not held.any() or len(arrivals) > _MOST_CARRIED:
-            continue
-        if name in goal_sets and (there := _at(goal_sets[name], held, x)) is not None:
-            modes[name].add(there.nearest(target))
-        for index, edge in enumerate(automaton.edges):
-            if edge.source != name or edge.is_self_transition:
-                continue
-            if (there := _at(guard_states(problem, limits, edge), held, x)) is None:
-                continue
-            before = _on_boundary(there, edge, there.nearest(x))
-            after = _after(problem, edge, before)
-            if modes[edge.target].states.contains(after):
-                known = len(modes[edge.target].points)
-                pair = modes[name].add(before), modes[edge.target].add(after)
-                exits[index] = np.unique(np.vstack([exits.get(index, np.zeros((0, 2), dtype=np.int64)), pair]), axis=0)
-                if len(modes[edge.target].points) > known:
-                    arrivals.append((edge.target, after))
-
-
-def _at(states: Polytope, held: Booleans, x: Floats) -> Polytope | None:
-    """The part of a set in which the held coordinates are those of x; None if it is empty."""
-    for i in np.flatnonzero(held):
+def _at(states: Polytope, chosen: Booleans, x: Floats) -> Polytope | None:
+    """The part of a set in which the chosen coordinates are those of x; None if it is empty."""
+    for i in np.flatnonzero(chosen):
         if not states.lower[i] - TOLERANCE <= x[i] <= states.upper[i] + TOLERANCE:
             return None
         states = states.fix(int(i), float(x[i]))
     return None if states.is_empty else states
 
 
-def _held(mode: Mode) -> Booleans:
-    """(n,) the coordinates that a mode neither moves nor pins."""
+def _idle(mode: Mode) -> Booleans:
+    """(n,) the coordinates that a mode neither moves nor pins: they stay as they were when it was entered."""
     return ~mode.driven & mode.free
-
-
-def _after(problem: Problem, edge: Edge, x: Floats) -> Floats:
-    """(n,) the state behind an edge that is taken at x, in its target's pins."""
-    after = edge.reset.apply(x, np.zeros(problem.automaton.m))
-    for pin in problem.automaton.mode(edge.target).pins:
-        after[pin.coordinate] = pin.value
-    return after
 
 
 def _landmarks(problem: Problem) -> list[Floats]:
@@ -260,16 +279,3 @@ def _landmarks(problem: Problem) -> list[Floats]:
         if half_space.bound is not None:
             values[half_space.bound.coordinate].append(half_space.bound.value)
     return [np.array(list(dict.fromkeys(v))) for v in values]
-
-
-def _draw(states: Polytope, mode: Mode, landmarks: list[Floats], rng: np.random.Generator, count: int) -> Floats:
-    """(at most count, n) random states; coordinates that the mode cannot move take landmark values only."""
-    random = states.sample(rng, count)
-    named = np.stack([rng.choice(values, count) for values in landmarks], axis=1)
-    held = _held(mode)
-    mixed = (rng.random(random.shape) < _LANDMARK_SHARE) & mode.free
-    points = np.where(mixed | held, named, random)
-    fits = states.contains(points)
-    if held.any():
-        return np.asarray(points[fits])
-    return np.asarray(np.where(fits[:, None], points, random))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from micah_plan.automaton.facing import faces, is_beyond
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
@@ -13,8 +12,6 @@ from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.guess import PhaseGuess
-
-Floats = NDArray[np.float64]
 
 _SMALLEST_STD = 1e-9
 

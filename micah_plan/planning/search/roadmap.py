@@ -1,0 +1,175 @@
+"""Roadmaps: the allowed motions among the states of each mode, and all of them joined by directed guard edges.
+
+The roadmaps are OMPL's PRM* over the coordinates that a mode leaves free (Karaman and Frazzoli, IJRR 2011). All states
+come from our own generator through a valid-state sampler and growth stops by count, so that the result depends on the
+seed alone, not on what the process did before. OMPL is given no other callback: motions are checked afterwards in one
+NumPy batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from micah_plan.planning.search.motion import ModeMotion
+from micah_plan.task.deadline import NEVER, Deadline
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
+TRANSITION_COST = 1.0
+# Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
+_SHORTEST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedRoadmap:
+    """Roadmaps of all modes and the guard edges between them.
+
+    Attributes:
+        graphs: (v, v) directed motion costs [steps] by mode.
+        exits: (k, 2) vertex pairs by edge index.
+        ends: (source, target) mode by edge index.
+        start: (mode, vertex).
+        goals: vertices by mode.
+        goal_costs: cost [steps] of ending at each of these vertices, by mode.
+    """
+
+    graphs: Mapping[str, csr_array]
+    exits: Mapping[int, Ints]
+    ends: Mapping[int, tuple[str, str]]
+    start: tuple[str, int]
+    goals: Mapping[str, Ints]
+    goal_costs: Mapping[str, Floats]
+
+    @cached_property
+    def offsets(self) -> dict[str, int]:
+        """Number of each mode's first vertex where the vertices of all modes are counted in one row."""
+        sizes = [graph.shape[0] for graph in self.graphs.values()]
+        return dict(zip(self.graphs, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+
+    @cached_property
+    def graph(self) -> csr_array:
+        """(V+1, V+1) costs of all motions and transitions; the last vertex lies behind all goals.
+
+        Arriving there from a goal costs one step more than it counts: a sparse graph would drop a cost of zero.
+        """
+        offsets, total = self.offsets, sum(graph.shape[0] for graph in self.graphs.values())
+        parts = [(graph.tocoo(), offsets[mode]) for mode, graph in self.graphs.items()]
+        rows = [part.row + offset for part, offset in parts]
+        columns = [part.col + offset for part, offset in parts]
+        costs = [part.data for part, _ in parts]
+        for edge, pairs in self.exits.items():
+            source, target = self.ends[edge]
+            rows.append(pairs[:, 0] + offsets[source])
+            columns.append(pairs[:, 1] + offsets[target])
+            costs.append(np.full(len(pairs), TRANSITION_COST))
+        for mode, vertices in self.goals.items():
+            rows.append(vertices + offsets[mode])
+            columns.append(np.full(len(vertices), total))
+            costs.append(self.goal_costs[mode] + 1.0)
+        data = np.concatenate(costs)
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        best = np.lexsort((data, column, row))
+        row, column, data = row[best], column[best], data[best]
+        # coo -> csr adds duplicates up; two edges between the same vertices must stay the cheaper of the two.
+        first = np.ones(len(row), dtype=bool)
+        first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
+        return coo_array((data[first], (row[first], column[first])), shape=(total + 1, total + 1)).tocsr()
+
+    @cached_property
+    def to_goal(self) -> tuple[Floats, Ints]:
+        """(V,) cheapest cost from each vertex to any goal [steps], revisits allowed, and (V,) the vertex to go to next.
+
+        Next of a vertex of the goal comes V, which lies behind all goals.
+        """
+        last = self.graph.shape[0] - 1
+        costs, following = dijkstra(self.graph.T.tocsr(), indices=last, return_predecessors=True)
+        return costs[:last] - 1.0, following[:last]
+
+
+def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
+    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
+    pairs = _prm_connections(points / speed, deadline)
+    steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
+    allowed = np.isfinite(steps)
+    pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
+    return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
+
+
+def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
+    """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
+    free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
+    if not len(free):
+        return np.zeros((0, 2), dtype=np.int64)
+    states = np.ascontiguousarray(points[:, free])
+    # Distinct states may agree in the last bits after scaling; PRM* sees each only once.
+    numbers: dict[bytes, int] = {}
+    for number, state in enumerate(states):
+        numbers.setdefault((state + 0.0).tobytes(), number)
+    grown, links = _grow_prm(states[list(numbers.values())] + 0.0, deadline)
+    vertices = np.array([numbers[state.tobytes()] for state in grown], dtype=np.int64)
+    pairs = vertices[np.array(links, dtype=np.int64).reshape(-1, 2)]
+    both = np.concatenate([pairs, pairs[:, ::-1]]) @ [len(points), 1]
+    return np.stack(np.divmod(np.unique(both), len(points)), axis=1)
+
+
+def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[int, int]]]:
+    """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
+    ou.setLogLevel(ou.LogLevel.LOG_ERROR)
+    space = ob.RealVectorStateSpace(states.shape[1])
+    bounds = ob.RealVectorBounds(states.shape[1])
+    for i, (low, high) in enumerate(zip(states.min(axis=0), states.max(axis=0), strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    information = ob.SpaceInformation(space)
+    samplers: list[_GivenStates] = []
+
+    def allocate(owner: Any) -> _GivenStates:
+        samplers.append(_GivenStates(owner, states))
+        return samplers[-1]
+
+    information.setValidStateSamplerAllocator(allocate)
+    information.setup()
+    planner = og.PRMstar(information)
+    planner.setProblemDefinition(ob.ProblemDefinition(information))
+    planner.setup()
+    is_done = lambda: any(s.used >= len(states) for s in samplers) or deadline.is_over()  # noqa: E731
+    planner.growRoadmapPtc(ob.PlannerTerminationCondition(is_done))
+    deadline.check("search", "a roadmap was being grown", "samples_per_mode")
+    data = ob.PlannerData(information)
+    planner.getPlannerData(data)
+    # The data points into the planner's memory: copy it while the planner lives.
+    vertices = [data.getVertex(i).getState() for i in range(data.numVertices())]
+    grown = np.array([[state[i] for i in range(states.shape[1])] for state in vertices])
+    return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
+
+
+class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information
+    """Hands given states to a planner, one after the other."""
+
+    def __init__(self, information: Any, states: Floats) -> None:
+        super().__init__(information)
+        self.states = states
+        self.used = 0
+
+    def sample(self, state: Any) -> bool:
+        for i, value in enumerate(self.states[min(self.used, len(self.states) - 1)]):
+            state[i] = float(value)
+        self.used += 1
+        return True
+
+    def sampleNear(self, _state: Any, _near: Any, _distance: float) -> bool:  # noqa: N802  # OMPL's name
+        return False
