@@ -35,13 +35,12 @@ class Explanation:
 def explain(problem: Problem, plan: Plan) -> Explanation:
     """What a plan (of any outcome, also one read from a file) ran into.
 
-    A plan file of an older version does not tell findings; then start and goal are checked again, and for the rest its
-    own sentence stands.
+    A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
     """
-    known = plan.findings
+    found = plan.findings
     if plan.outcome == "no_plan":
-        known = endpoint_findings(problem) or known
-    findings = tuple(sorted(known, key=lambda finding: _LEVELS.index(finding.level)))
+        found = endpoint_findings(problem) or found
+    findings = tuple(sorted(found, key=lambda finding: _LEVELS.index(finding.level)))
     if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
         findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))
     level = None if plan.outcome == "solved" or not findings else findings[0].level
@@ -49,7 +48,7 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
     for finding in findings:
         lines += finding_lines(finding)
     if not findings and plan.outcome != "solved":
-        lines.append("the file tells no details, it was written by an older version: solve the problem again")
+        lines.append("the file has no details, it was written by an older version: solve the problem again")
     lines += [_candidate_line(candidate) for candidate in plan.candidates]
     return Explanation(plan.outcome, plan.reason, level, findings, tuple(lines))
 

@@ -111,16 +111,12 @@ def path_cost(problem: Problem, trajectory: Trajectory) -> float:
 
 def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans:
     """(k,) whether exactly known states (k, n) of a mode meet what is asked, after some step: none or a largest one."""
-    automaton, inside = problem.automaton, np.ones(len(x), dtype=bool)
-    steps = np.vstack([np.zeros(automaton.m), np.diag(limits.max_step), -np.diag(limits.max_step)])
-    best: dict[str, Floats] = {}
-    for u in steps:
-        for term in _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x)):
-            if isinstance(term, Require):
-                best[term.name] = np.fmax(best.get(term.name, -np.inf), term.margin)
-    for margin in best.values():
-        inside &= margin >= -ROUNDING
-    return inside
+    m, margins = problem.automaton.m, []
+    for u in np.vstack([np.zeros(m), np.diag(limits.max_step), -np.diag(limits.max_step)]):
+        terms = _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x))
+        required = [np.broadcast_to(term.margin, len(x)) for term in terms if isinstance(term, Require)]
+        margins.append(np.array(required).reshape(-1, len(x)))
+    return np.asarray((np.max(margins, axis=0) >= -ROUNDING).all(axis=0))
 
 
 def _terms(problem: Problem, mode: str, x: Floats, u: Floats, std: Floats) -> Iterator[Require | Pay]:

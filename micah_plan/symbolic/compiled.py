@@ -4,11 +4,11 @@ Inputs and outputs: x, mean (n, 1); u (m, 1); factor (n, n), structurally lower 
 of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton.
 u is what is commanded; guards and motion see what of it comes out of the automaton's registers.
 
-Noise and pins: the process noise acts on the coordinates that a mode leaves free. A pinned coordinate is held, so it
-gets none; that the mode holds it at a known value is one piece of information (N(value, std²)), counted once, when
-the mode is entered (`CompiledEdge.belief_reset`) or when a belief starts in it (`CompiledMode.condition`). Counting it
-at every step would shrink the belief without end. Entering through a guard on the coordinate itself, the pin replaces
-what was known: where the state was before tells nothing of where exactly it is held.
+Noise and pins: the process noise acts on the coordinates that a mode leaves free, so a pinned one gets none. That the
+mode pins it at a value is one piece of information (N(value, std²)), counted once, when the mode is entered
+(`CompiledEdge.belief_reset`) or when a belief starts in it (`CompiledMode.condition`). Counting it at every step would
+shrink the belief without end. Entering through a guard on the coordinate itself, the pin replaces the belief: where
+the state was before says nothing of where exactly it is pinned.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.effects import CasadiOperations
-from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, hold, lower_factor, norm, observe
+from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, lower_factor, norm, observe, put_at
 
 _MEMO = "compiled"
 
@@ -49,7 +49,7 @@ class CompiledMode:
         update: (mean, factor, z) -> (mean, factor, log_likelihood): the EKF measurement update.
         belief_step: (mean, factor, u) -> (mean_next, factor_next): predict, then update with the most likely
             observation, as precise as one is at the predicted mean.
-        condition: (mean, factor) -> (mean, factor): given that the mode holds its pins.
+        condition: (mean, factor) -> (mean, factor): given that the mode's pins hold.
     """
 
     mode: Mode
@@ -84,7 +84,7 @@ class CompiledEdge:
         reset: (x, u) -> x.
         belief_reset: (mean, factor, u) -> (mean, factor): of a mean that a whole step led behind the guard, what the
             target mode turns back within that step (`automaton.turning`); the affine reset through the covariance; then
-            the pins of the target mode (a contact is information): held there if the guard locates them, else
+            the pins of the target mode (a contact is information): put there if the guard locates them, else
             conditioned on.
     """
 
@@ -164,7 +164,7 @@ class _Edges(Sequence[CompiledEdge]):
 
 
 def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
-    """All CasADi functions of an automaton, kept with it: asked again, for a replan, they are there already."""
+    """All CasADi functions of an automaton, memoised with it: asked again, for a replan, they are there already."""
     if _MEMO not in automaton.derived:
         n, m = automaton.n, automaton.m
         z, u = ca.SX.sym("z", n), ca.SX.sym("u", m)
@@ -195,7 +195,7 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
         spread = add_noise(carried, _step_noise_std(automaton, mode, given))
     updated = _update(s.x, s.factor, sensing_std(sensing, s.x), s.z)
     stepped = _update(flowed, spread, sensing_std(sensing, flowed), None)
-    held = _condition(s.x, s.factor, mode.pins)
+    conditioned = _condition(s.x, s.factor, mode.pins)
     belief = [s.x, s.factor, s.u]
     names = ["mean", "factor"]
     return CompiledMode(
@@ -211,7 +211,7 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
             "update", [s.x, s.factor, s.z], list(updated), [*names, "z"], ["mean_next", "factor_next", "log_likelihood"]
         ),
         belief_step=ca.Function("belief_step", belief, list(stepped[:2]), [*names, "u"], ["mean_next", "factor_next"]),
-        condition=ca.Function("condition", [s.x, s.factor], list(held), names, ["mean_next", "factor_next"]),
+        condition=ca.Function("condition", [s.x, s.factor], list(conditioned), names, ["mean_next", "factor_next"]),
     )
 
 
@@ -257,15 +257,15 @@ def _compile_edge(automaton: HybridAutomaton, edge: Edge, s: _Symbols) -> Compil
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
     factor = factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), factor))
     located = automaton.pins_located_by(edge)
-    mean, factor = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in located])
-    held = _condition(mean, factor, automaton.pins_met_by(edge))
+    mean, factor = put_at(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in located])
+    after = _condition(mean, factor, automaton.pins_met_by(edge))
     return CompiledEdge(
         edge=edge,
         guard=_margins("guard", edge.guard, s, given),
         guard_belief=_margins_of_belief("guard_belief", edge.guard, s, given),
         reset=ca.Function("reset", [s.x, s.u], [moved], ["x", "u"], ["x_next"]),
         belief_reset=ca.Function(
-            "belief_reset", [s.x, s.factor, s.u], list(held), ["mean", "factor", "u"], ["mean_next", "factor_next"]
+            "belief_reset", [s.x, s.factor, s.u], list(after), ["mean", "factor", "u"], ["mean_next", "factor_next"]
         ),
     )
 

@@ -107,33 +107,33 @@ def observe(
     return Observed(mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink)), innovation, sums[0])
 
 
-def hold(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float, int | None]]) -> tuple[ca.SX, ca.SX]:
-    """Replace what is known of coordinates by (index, value, std, follows).
+def put_at(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float, int | None]]) -> tuple[ca.SX, ca.SX]:
+    """Replace the belief on coordinates by places (index, value, std, follows).
 
     They become independent of the others, but for the coordinate that one follows, which adds to its value.
     """
     if not places:
         return mean, factor
     mean, spread = ca.SX(mean), ca.SX(factor.shape[0], len(places))
-    kept = ca.SX(factor)
+    others = ca.SX(factor)
     for column, (index, value, std, follows) in enumerate(places):
         mean[index] = value if follows is None else value + mean[follows]
-        kept[index, :] = 0 if follows is None else factor[follows, :]
+        others[index, :] = 0 if follows is None else factor[follows, :]
         spread[index, column] = std
-    return mean, lower_factor(ca.sparsify(ca.horzcat(kept, spread)))
+    return mean, lower_factor(ca.sparsify(ca.horzcat(others, spread)))
 
 
-def _rotate(kept: list[ca.SX], other: list[ca.SX], row: int) -> None:
-    """Rotate two columns so that `other` vanishes in that row; kept[row] >= 0 and the rows above are zero in both.
+def _rotate(column: list[ca.SX], other: list[ca.SX], row: int) -> None:
+    """Rotate two columns so that `other` vanishes in that row; column[row] >= 0 and the rows above are zero in both.
 
-    kept[row] is floored smoothly rather than the radius, so that the map stays a rotation (loses no variance) at zero.
+    column[row] is floored smoothly, not the radius, so that the map stays a rotation (loses no variance) at zero.
     """
-    floored = ca.sqrt(kept[row] ** 2 + SMALLEST_STD**2)
+    floored = ca.sqrt(column[row] ** 2 + SMALLEST_STD**2)
     radius = ca.sqrt(floored**2 + other[row] ** 2)
     cosine, sine = floored / radius, other[row] / radius
-    for i in range(row + 1, len(kept)):
-        kept[i], other[i] = cosine * kept[i] + sine * other[i], cosine * other[i] - sine * kept[i]
-    kept[row], other[row] = radius, ca.SX(0)
+    for i in range(row + 1, len(column)):
+        column[i], other[i] = cosine * column[i] + sine * other[i], cosine * other[i] - sine * column[i]
+    column[row], other[row] = radius, ca.SX(0)
 
 
 def _lower(columns: list[list[ca.SX]], n: int) -> ca.SX:

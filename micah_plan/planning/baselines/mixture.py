@@ -26,7 +26,7 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.symbolic.compiled import CompiledMode, compile_automaton, sensing_std
 from micah_plan.symbolic.normal import log_ndtr
-from micah_plan.symbolic.square_root import SMALLEST_STD, hold, lower_factor, observe
+from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -108,17 +108,17 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     branches: list[tuple[int, ca.SX, ca.SX, ca.SX]] = []
     compiled = compile_automaton(automaton)
     for number, mode in enumerate(automaton.modes):
-        held, spread = _flowed(compiled.modes[mode.name], mean, factor, u)
+        moved, spread = _flowed(compiled.modes[mode.name], mean, factor, u)
         left = weights[number]
         for edge in sorted(automaton.edges_from(mode.name), key=lambda e: e.is_self_transition):
-            chance = _guard_chance(edge, held, spread, u, limits)
+            chance = _guard_chance(edge, moved, spread, u, limits)
             a, b, c = edge.reset.matrices(n, m)
             pins = [(p.coordinate, p.value, p.std, p.follows) for p in automaton.mode(edge.target).pins]
-            reset = ca.mtimes(ca.DM(a), held) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
-            after = hold(reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), pins)
+            reset = ca.mtimes(ca.DM(a), moved) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
+            after = put_at(reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), pins)
             branches.append((automaton.mode_index(edge.target), left * chance, *after))
             left = left * (1 - chance)
-        branches.append((number, left, held, spread))
+        branches.append((number, left, moved, spread))
     arrived = [ca.SX(0)] * len(automaton.modes)
     for target, weight, _, _ in branches:
         arrived[target] += weight
@@ -153,9 +153,9 @@ def _information(automaton: HybridAutomaton, mean: ca.SX, weights: list[ca.SX]) 
 
 
 def _flowed(compiled: CompiledMode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Mean and factor after a mode's flow and process noise, its pins held."""
-    held = hold(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in compiled.mode.pins])
-    after = compiled.predict.call([*held, u])
+    """Mean and factor after a mode's flow and process noise, from its pins."""
+    pinned = put_at(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in compiled.mode.pins])
+    after = compiled.predict.call([*pinned, u])
     return ca.densify(after[0]), ca.sparsify(after[1])
 
 

@@ -60,13 +60,13 @@ class ModeMotion:
 
     def shortcut(self, path: Floats) -> Floats:
         """(w, n) the path (k, n) without the states that a straight motion can leave out."""
-        kept, i = [0], 0
+        corners, i = [0], 0
         while i < len(path) - 1:
             ends = np.arange(len(path) - 1, i, -1)
             allowed = np.isfinite(self.steps(np.repeat(path[i : i + 1], len(ends), axis=0), path[ends]))
             i = int(ends[np.argmax(allowed)]) if allowed.any() else i + 1
-            kept.append(i)
-        return path[kept]
+            corners.append(i)
+        return path[corners]
 
 
 def motions_of(

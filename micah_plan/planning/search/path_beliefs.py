@@ -1,6 +1,6 @@
 """What a path through the roadmaps would leave of the belief: a cheap filter along many paths at once.
 
-Variances are kept per coordinate, without correlations. Process and measurement noise are diagonal, so this is the
+Variances are per coordinate, without correlations. Process and measurement noise are diagonal, so this is the
 filter of the transcription where resets do not couple coordinates, and an estimate where they do. As there, every
 measurement is as precise as it is at the mode and at the place that the path leads through.
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
@@ -73,14 +73,11 @@ class PathBeliefs:
 
     def start(self, vertex: int) -> Floats:
         """(n,) variance once feedback had the time to make up for a start that is k standard deviations off."""
-        std = np.array(self.problem.start.std, dtype=float)
         mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
-        variance: Floats = np.square(std)
+        variance: Floats = np.square(np.array(self.problem.start.std, dtype=float))
         for pin in mode.pins:
             variance[[pin.coordinate]] = _together(variance[[pin.coordinate]], np.array([pin.std**2]))
-        moved = mode.driven
-        steps = int(np.max(self._k * std / self.limits.speed, where=moved, initial=0.0))
-        for _ in range(steps):
+        for _ in range(steps_to_correct_start(self.problem, self.limits, mode)):
             variance = self._measured(variance[None], self.points[[vertex]], self.mode_of[[vertex]])[0]
         return variance
 
@@ -156,19 +153,25 @@ class PathBeliefs:
         return deepest
 
     def _after(self, edge: Edge, variance: Floats) -> Floats:
-        """The variances after a transition: reset, and what contact tells."""
+        """The variances after a transition: through the reset, and with the information of the contact."""
         automaton = self.problem.automaton
         if edge.reset.A is not None:
             variance = variance @ np.square(np.array(edge.reset.A)).T
         variance, located = variance.copy(), automaton.pins_located_by(edge)
         for pin in automaton.mode(edge.target).pins:
-            before, known = variance[:, pin.coordinate], np.full(len(variance), pin.std**2)
-            variance[:, pin.coordinate] = known if pin in located else _together(before, known)
+            before, pinned = variance[:, pin.coordinate], np.full(len(variance), pin.std**2)
+            variance[:, pin.coordinate] = pinned if pin in located else _together(before, pinned)
         return variance
 
 
+def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
+    """Steps that the feedback needs in a mode to make up for a start that is k standard deviations off."""
+    off = problem.settings.sigmas * np.array(problem.start.std) / limits.speed
+    return int(np.max(off, where=mode.driven, initial=0.0))
+
+
 def _together(prior: Floats, measured: Floats) -> Floats:
-    """Variance of two independent pieces of information; an infinite one tells nothing."""
+    """Variance of two independent pieces of information; an infinite one adds nothing."""
     both = np.maximum(prior + measured, np.finfo(float).tiny)
     joined = prior * np.divide(measured, both, out=np.ones_like(both), where=np.isfinite(measured))
     return np.asarray(joined)

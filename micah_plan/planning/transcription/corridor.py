@@ -82,7 +82,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
 
 
 def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[HalfSpace]) -> dict[HalfSpace, float]:
-    """How well the thresholds are known at which the mode is left: of guards, and of boundaries that end at one."""
+    """Stds of the thresholds at which the mode is left: of guards, and of boundaries that end at one."""
     stds: dict[HalfSpace, float] = {}
     for edge in automaton.edges_from(mode.name):
         for guard in edge.guard.half_spaces if edge.threshold_std else ():

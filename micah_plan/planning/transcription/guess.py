@@ -1,4 +1,4 @@
-"""Phases, knots and the warm start of a transcription: the search path with the belief rolled out along it."""
+"""Phases, knots and the start point of a transcription: the search path with the belief rolled out along it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, motion_per_input
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.motion import PACE
-from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP
+from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import mode_states
 from micah_plan.symbolic.compiled import CompiledMode, compile_automaton
 from micah_plan.task.problem import Problem
@@ -60,7 +60,7 @@ class PhaseGuess:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """The warm start of all phases, or why there is none."""
+    """The start point of all phases, or why there is none."""
 
     phases: tuple[PhaseGuess, ...]
     reason: str = ""
@@ -77,7 +77,7 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
     steps, reason = _divide(problem, limits, sequence, needed, stretch)
     if reason:
         return Guess((), reason)
-    # The overshoot into a guard lengthens a phase and is known only once the belief has been rolled out.
+    # The overshoot into a guard lengthens a phase; it follows from the belief that is rolled out.
     rolled, needed = _roll(problem, limits, sequence, steps)
     again, reason = _divide(problem, limits, sequence, needed, stretch)
     if reason:
@@ -90,7 +90,7 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
 
 
 def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> tuple[PhaseGuess, ...]:
-    """The warm start of a path that is followed already, with its number of steps in each mode."""
+    """The start point on a path that is followed already, with its number of steps in each mode."""
     return _roll(problem, limits, sequence, steps)[0]
 
 
@@ -114,7 +114,7 @@ def _divide(
     wanted = [int(np.ceil(steps / PACE - 1e-9)) for steps in needed]
     moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
     if moving is not None:
-        wanted[moving] += int(_steps_to_correct_start(problem, limits, sequence.modes[moving]))
+        wanted[moving] += steps_to_correct_start(problem, limits, automaton.mode(sequence.modes[moving]))
     felt, gone = steps_of_memory(automaton, limits.max_step)
     for p, mode in enumerate(sequence.modes):
         moves = bool(automaton.mode(mode).B.any())
@@ -132,13 +132,6 @@ def _divide(
         )
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
-
-
-def _steps_to_correct_start(problem: Problem, limits: Limits, mode: str) -> float:
-    """Steps that the feedback needs to make up for a start that is k standard deviations off."""
-    k = problem.settings.sigmas
-    moved = problem.automaton.mode(mode).driven
-    return float(np.max(k * np.array(problem.start.std) / limits.speed, where=moved, initial=0.0))
 
 
 def _roll(

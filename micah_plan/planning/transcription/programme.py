@@ -4,7 +4,7 @@ Source: Jain and Niekum, CoRL 2018; Platt et al., RSS 2010 (belief space, maximu
 "Practical Methods for Optimal Control" (transcription in phases). The state of a knot is the mean and the lower
 Cholesky factor L of the covariance. With k = Φ⁻¹(confidence), a half-space a'x >= c is planned to hold as
 a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the estimate in closed loop
-(`PhaseGuess.spreads`) and σ how well c is known (`Edge.threshold_std`):
+(`PhaseGuess.spreads`) and σ the std of c (`Edge.threshold_std`):
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
@@ -62,7 +62,7 @@ class Transcription:
 
     Attributes:
         problem, limits: what it is made of.
-        guess: the phases with their warm start.
+        guess: the phases with their start point.
         pattern: of the factors.
         phases: the symbols of each phase.
         cost: expression.
