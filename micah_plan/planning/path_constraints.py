@@ -76,7 +76,7 @@ class PathRecord:
             missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
             if ROUNDING < missing < np.inf:
                 remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
-            sentence = f"{share:.0%} of the roll-outs break '{name}'"
+            sentence = f"{percent(share, 0)} of the roll-outs break '{name}'"
             finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
             if amount < np.inf:
                 finding = replace(finding, sentence=f"{sentence}, by up to {quantity(amount, unit)}", amount=amount)

@@ -28,6 +28,7 @@ from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.transcription.path_rows import path_rows, path_terms_of
 from micah_plan.planning.verification import verify
+from micah_plan.quantities import quantity
 from micah_plan.task.path import (
     PathConstraint,
     PathStep,
@@ -225,7 +226,7 @@ def test_roll_outs_that_break_a_constraint_fail_and_say_which() -> None:
         assert (failed.outcome, failed.success_probability) == ("not_verified", 0.0)
         (finding,) = explain(asked, failed).findings
         assert (finding.level, finding.constraint) == ("verification", "'creep'")
-        assert finding.sentence.startswith("100% of the roll-outs break 'creep', by up to ")
+        assert finding.sentence.startswith("100 % of the roll-outs break 'creep', by up to ")
         assert finding.amount is not None
         assert finding.amount > 0.0047  # the planned input, 0.0347, and what feedback adds
     chances = draw_chances(asked, found.trajectory, 200, seed=1)
@@ -242,12 +243,12 @@ def test_room_too_narrow_for_the_belief_is_not_verified_and_named() -> None:
     by_level = {finding.level: finding for finding in explain(problem, found).findings}
     assert by_level["verification"].constraint == "'door stays below 0.995'"
     planned = by_level["optimisation"]
-    assert (planned.constraint, planned.unit) == ("'door stays below 0.995' at 95%", "rad")
+    assert (planned.constraint, planned.unit) == ("'door stays below 0.995' at 95 %", "rad")
     assert planned.sentence.startswith("the mean has ")
     assert planned.need is not None
     assert planned.room is not None
     assert planned.need - planned.room == pytest.approx(planned.amount)
-    assert f"relax 'door stays below 0.995' by {planned.amount:.3g} rad" in planned.remedy
+    assert f"relax 'door stays below 0.995' by {quantity(planned.amount or 0.0, 'rad')}" in planned.remedy
 
 
 def test_a_constraint_counts_in_its_modes_only_and_behind_the_guard_that_a_step_crosses() -> None:
