@@ -136,7 +136,7 @@ def symbolic_forward(arm: Arm) -> Any:
     Pinocchio's own CasADi bindings are not in its wheels. The chain has one joint after the other, because all joints
     that do not move the tool are held still.
     """
-    from micah_plan.symbolic.chain_kinematics import ChainJoint, chain_forward
+    from micah_plan.symbolic.kinematics import ChainJoint, chain_forward
 
     model = arm.model
     joints = [

@@ -1,36 +1,66 @@
-"""A joint's forward kinematics f(c) as a CasADi function; NumPy twin: `micah_plan.automaton.kinematics.forward`."""
+"""Forward kinematics of a joint, and of a chain of joints, as CasADi functions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numpy.typing import NDArray
 
 from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import origin, twist
+
+Floats = NDArray[np.float64]
+
+
+class ChainJoint(NamedTuple):
+    """A joint on the way from the root to the tool.
+
+    Attributes:
+        placement: (4, 4) pose of the joint's frame in that of the joint before [m].
+        twist: (6,) [translation, rotation] of its motion in its own frame per unit of its coordinate; the rotation is a
+            unit vector or zero.
+    """
+
+    placement: Floats
+    twist: Floats
 
 
 def forward(joint: Joint) -> ca.Function:
     """c (1, 1) -> T (4, 4), the pose of the part's frame in the base frame [m] at configuration c [rad or m].
 
-    Rodrigues' formula about the unit axis, R(c) = I + sin c K + (1 - cos c) K², smooth at every c, zero included
-    (Murray, Li and Sastry, "A Mathematical Introduction to Robotic Manipulation", eq. 2.14).
+    NumPy twin: `micah_plan.automaton.kinematics.forward`.
     """
-    c = ca.SX.sym("c")
-    axis, center = np.array(joint.axis), np.array(joint.center)
-    position = np.array(joint.position)
-    orientation = Rotation.from_quat(joint.quaternion).as_matrix()
-    if joint.kind == "rigid":
-        rotated, moved = ca.SX(ca.DM(orientation)), ca.SX(ca.DM(position))
-    elif joint.kind == "prismatic":
-        rotated, moved = ca.SX(ca.DM(orientation)), ca.DM(position) + c * ca.DM(axis)
-    else:
-        turn = _rotation(axis, c)
-        rotated = ca.mtimes(turn, ca.DM(orientation))
-        moved = ca.DM(center) + ca.mtimes(turn, ca.DM(position - center)) + joint.pitch * c * ca.DM(axis)
-    pose = ca.vertcat(ca.horzcat(rotated, moved), ca.DM([[0.0, 0.0, 0.0, 1.0]]))
-    return ca.Function("forward", [c], [ca.densify(pose)], ["c"], ["pose"])
+    rotation, translation = np.split(twist(joint), 2)
+    own = ChainJoint(np.eye(4), np.concatenate([translation, rotation]))
+    return chain_forward([own], origin(joint).as_matrix())
 
 
-def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
-    k = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return ca.SX.eye(3) + ca.sin(angle) * ca.DM(k) + (1 - ca.cos(angle)) * ca.DM(k @ k)
+def chain_forward(joints: Sequence[ChainJoint], tool: Floats) -> ca.Function:
+    """q (n, 1) [rad or m] -> T (4, 4), the pose of the tool in the frame that the first joint is placed in [m].
+
+    T = P1 exp(ξ1 q1) ... Pn exp(ξn qn) tool (Murray, Li and Sastry, "A Mathematical Introduction to Robotic
+    Manipulation", section 3.2), smooth at every q.
+
+    Args:
+        joints: from the root on; n of them.
+        tool: (4, 4) pose of the tool in the last joint's frame.
+    """
+    q = ca.SX.sym("q", len(joints))
+    pose = ca.SX.eye(4)
+    for i, joint in enumerate(joints):
+        pose = ca.mtimes([pose, ca.DM(joint.placement), _motion(joint.twist, q[i])])
+    pose = ca.densify(ca.mtimes(pose, ca.DM(tool)))
+    return ca.Function("chain_forward", [q], [pose], ["q"], ["pose"])
+
+
+def _motion(twist: Floats, c: ca.SX) -> ca.SX:
+    """(4, 4) exp(ξ c) by Rodrigues' formula; a joint without rotation slides."""
+    v, w = twist[:3], twist[3:]
+    k = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    turn = ca.SX.eye(3) + ca.sin(c) * ca.DM(k) + (1 - ca.cos(c)) * ca.DM(k @ k)
+    along = np.outer(w, w) @ v if w.any() else v
+    moved = ca.mtimes(ca.SX.eye(3) - turn, ca.DM(np.cross(w, v))) + c * ca.DM(along)
+    return ca.vertcat(ca.horzcat(turn, moved), ca.DM([[0.0, 0.0, 0.0, 1.0]]))

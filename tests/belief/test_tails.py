@@ -15,16 +15,16 @@ from micah_plan.automaton.region import above
 from micah_plan.belief import gaussian
 from micah_plan.belief.filter import initial_belief, update
 from micah_plan.belief.truncation import truncate
+from micah_plan.planning.baselines import mixture
 from micah_plan.planning.baselines.mixture import mixture_step
 from micah_plan.planning.limits import Limits
-from micah_plan.symbolic import normal
 
 SIGMAS = np.concatenate([np.linspace(-30.0, 8.0, 96), [-5.0 - 1e-9, -5.0, -5.0 + 1e-9]])
 
 
 def compiled() -> ca.Function:
     t = ca.SX.sym("t")
-    value = normal.log_ndtr(t)
+    value = mixture.log_ndtr(t)
     slope = ca.gradient(value, t)
     return ca.Function("tail", [t], [value, slope, ca.gradient(slope, t)])
 
