@@ -156,7 +156,7 @@ def alike(shown: str, printed: str) -> bool:
 
     def lines(text: str) -> list[str]:
         kept = [re.sub("─+", "─", " ".join(line.split())) for line in text.splitlines()]
-        return [line for line in kept if line and not line.startswith("seconds")]
+        return [line for line in kept if line and not line.startswith("time ")]
 
     def words(line: str) -> str:
         return NUMBER.sub("#", line)

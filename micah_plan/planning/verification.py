@@ -13,7 +13,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
-from micah_plan.quantities import percent, quantity
+from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
@@ -65,13 +65,13 @@ def verify(
     share, interval = successes / done, wilson_interval(successes, done)
     answer = replace(plan, success_probability=share, success_interval=interval, verification_trials=done)
     confidence = problem.settings.confidence
-    plain = plain_answer(successes, done, confidence) if done < count else None
-    if share >= least_share(confidence, count) if plain is None else plain:
+    clear = plain_answer(successes, done, confidence) if done < count else None
+    if share >= least_share(confidence, count) if clear is None else clear:
         return answer
     reason = (
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
-        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, lower the "
-        f"confidence or the noise"
+        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, or lower the "
+        "confidence or the noise"
     )
     seen = _findings(problem, plan.mode_sequence, ends)
     return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *seen))
@@ -102,8 +102,8 @@ def _ends_in_turns(problem: Problem, trajectory: Trajectory, total: int, seed: i
         done = sum(len(turn.in_goal) for turn in turns)
         turns.append(_ends(problem, trajectory, max(1, math.ceil(look * total) - done), (seed, number), deadline))
         in_goal = np.concatenate([turn.in_goal for turn in turns])
-        plain = plain_answer(int(in_goal.sum()), len(in_goal), problem.settings.confidence)
-        if len(in_goal) >= total or plain is not None:
+        clear = plain_answer(int(in_goal.sum()), len(in_goal), problem.settings.confidence)
+        if len(in_goal) >= total or clear is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
     return _Ends(modes, states, in_goal, joined([turn.path for turn in turns]))
@@ -155,7 +155,8 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
             f"{percent(confidence)} of all need {text}, its tolerance is {has}"
         )
-        remedy = f"widen the tolerance of '{coordinate.name}' to {text}, lower the noise, or lower `confidence`"
+        wider = f"{plain(need)} {coordinate.unit}"  # in the unit of the file
+        remedy = f"widen the tolerance of '{coordinate.name}' to {wider}, lower the noise, or lower `confidence`"
         if elsewhere:
             remedy = "lower the noise or the start's std, so that the transitions are surer"
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):

@@ -70,11 +70,8 @@ class MissingMode:
         ends = [f"from {quantity(self.low, self.unit)} on"] if np.isfinite(self.low) else []
         ends += [f"up to {quantity(self.high, self.unit)}"] if np.isfinite(self.high) else []
         moves = f"{percent(self.gain, 0)} of a command is carried out"
-        moves += (
-            f" and {quantity(self.bias, self.unit, digits=2)} added to each step"
-            if abs(self.bias) > 1e-3 * abs(self.gain)
-            else ""
-        )
+        if abs(self.bias) > 1e-3 * abs(self.gain):
+            moves += f" and {quantity(self.bias, self.unit, digits=2)} added to each step"
         added = f"; the new model has it as {', '.join(self.modes)}" if self.modes else ""
         return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}{added}"
 

@@ -197,7 +197,7 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
 def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     coordinates = problem.automaton.coordinates
     units = {coordinates[index].unit for index, _, _ in problem.goal.target}
-    unit = units.pop() if len(units) == 1 else ""
+    unit = units.pop() if len(units) == 1 else "rad or m"
     facts = [("Confidence asked for", percent(problem.settings.confidence))]
     for index, value, tolerance in problem.goal.target:
         goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)

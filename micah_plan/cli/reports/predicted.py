@@ -13,13 +13,13 @@ from micah_plan.quantities import quantity
 from micah_plan.residual.judgement import Floor, judge
 from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse
 
-_ERRORS = (("position_rmse_m", "m"), ("rotation_rmse_rad", "rad"), ("configuration_rmse", ""))
-
 
 def predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
     """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
     judged = judge(automaton, runs)
+    units = {coordinate.unit for coordinate in automaton.coordinates}
     return {
+        "configuration_unit": units.pop() if len(units) == 1 else "rad or m",
         "one_step": _rmse([run.one_step for run in runs]),
         "rollout": _rmse([run.rollout for run in runs]),
         "noise_floor": {"one_step": _floor(judged.one_step), "rollout": _floor(judged.rollout)},
@@ -71,9 +71,9 @@ def print_predicted(summary: dict[str, Any]) -> None:
     """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
     shown = table("root mean square error", "position", "rotation", "configuration")
     for name, text in (("one_step", "one step"), ("rollout", "roll-out")):
-        shown.add_row(text, *_three(summary[name]))
-        floor = summary["noise_floor"][name]
-        shown.add_row("  noise alone", *(_three(floor) if floor else ("unknown",) * 3))
+        floor, unit = summary["noise_floor"][name], summary["configuration_unit"]
+        shown.add_row(text, *_three(summary[name], unit))
+        shown.add_row("  noise alone", *(_three(floor, unit) if floor else ("unknown",) * 3))
     out.print(shown)
     out.print(summary["whiteness"]["verdict"], markup=False)
     changes = summary["mode_changes"]
@@ -87,6 +87,7 @@ def print_predicted(summary: dict[str, Any]) -> None:
         out.print(f"mode changes: {len(both)} predicted{on_average}, {missed} measured only, {extra} predicted only")
 
 
-def _three(values: dict[str, float | None]) -> tuple[str, ...]:
-    found = ((values[name], unit) for name, unit in _ERRORS)
-    return tuple("not measured" if value is None else quantity(value, unit, degrees=False) for value, unit in found)
+def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
+    units = {"position_rmse_m": "m", "rotation_rmse_rad": "rad", "configuration_rmse": unit}
+    found = ((values[name], own) for name, own in units.items())
+    return tuple("not measured" if value is None else quantity(value, own, degrees=False) for value, own in found)
