@@ -114,7 +114,7 @@ def test_the_table_stays_readable(run):
     code, printed = run(sure_graph())
     assert code == 0
     lines = [" ".join(line.split()) for line in printed.out.splitlines()]
-    assert lines[lines.index("start") + 1] == "joint rows configuration axis radius sure 95 %"
+    assert lines[lines.index("first row") + 1] == "joint rows configuration axis radius sure (95 %)"
     assert "revolute 0-99 0 → 1.2 rad 0.00 0.00 -1.00 310 mm 98 %" in lines
     assert "rigid 100-130 1.2 >99 % 99-102" in lines
     assert "actions explain 87 %: gain 0.94 ± 0.02, turned 11.5 ± 2.9°, delay 0.11 ± 0.03 s" in lines

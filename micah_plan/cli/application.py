@@ -52,12 +52,12 @@ def main() -> None:
         _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
         raise
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
-        _fail("interrupted; nothing was half-written", INTERRUPTED)
+        _fail("interrupted; no file was left half-written", INTERRUPTED)
     sys.exit(code)
 
 
 def _usage_line(error: Any) -> InputError:
-    """What click says about wrong usage, in the form of all other errors."""
+    """The message of click about wrong usage, in the form of all other errors."""
     text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
     command = error.ctx.command_path if error.ctx is not None else "micah-plan"
     return InputError(text[:1].lower() + text[1:], remedy=f"see {command} --help")

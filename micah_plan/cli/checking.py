@@ -16,7 +16,7 @@ def check(
     files: Annotated[list[Path], typer.Argument(help="Models, parts, problems, sweeps, plans and recordings.")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Say what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
+    """List what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
     from micah_plan.checking import check_file
     from micah_plan.cli.reports.checked import checked, print_checked
 
@@ -35,7 +35,7 @@ def diff(
     after: Annotated[Path, typer.Argument(help="Model (YAML).")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Say what differs between two models: what calibration added, or what two recordings taught."""
+    """List what differs between two models, such as what calibration added or what two recordings led to."""
     from micah_plan.documents.model_difference import differences
     from micah_plan.documents.model_file import load_model
 
@@ -51,7 +51,7 @@ def _short(line: str) -> str:
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Try libraries, solvers and browser, and say what to install for what; exit code 1 if planning cannot work."""
+    """Test libraries, solvers and browser, and say what to install for what; exit code 1 if planning cannot work."""
     from micah_plan.cli.reports.checked import examined, print_environment
     from micah_plan.environment import examine
 

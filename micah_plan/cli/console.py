@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all that is random; same seed, same bytes.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Random seed; the same seed gives the same files.")]
 OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
 
 NO_RESULT = 1
@@ -30,12 +30,12 @@ err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 
 class Interrupted(MicahError):  # noqa: N818 - it is no mistake
-    """Ctrl-C in a command that can say how to go on."""
+    """Ctrl-C in a command whose work can be continued; the message says how."""
 
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """What long work reports to: called with a message and the fraction done; shown on a terminal unless quiet."""
+    """Progress of long work: called with a message and the fraction done; shown on a terminal unless quiet."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -53,7 +53,7 @@ def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], No
 
 
 def title_of(file: Path) -> str:
-    """What the page of a file is called: as the file, or as its folder where the file says nothing."""
+    """Title of the page of a file: its name, or that of its folder for problem.yaml and model.yaml."""
     return file.resolve().parent.name if file.stem in ("problem", "model") else file.stem
 
 

@@ -1,4 +1,4 @@
-"""`micah-plan new`, `convert` and `schema`: files to start from, in the formats of others, and what files may hold."""
+"""`micah-plan new`, `convert` and `schema`: template files, files in other formats, and the schemas of ours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from micah_plan.outputs import PLAN, Output, check_outputs
 
 
 class Template(StrEnum):
-    """What can be begun."""
+    """What can be written from a template."""
 
     PROBLEM = "problem"
     EFFECT = "effect"
@@ -23,9 +23,9 @@ class Template(StrEnum):
 
 
 def new(
-    kind: Annotated[Template, typer.Argument(help="What to begin.")],
-    folder: Annotated[Path, typer.Argument(help="Where to write the files; made if it is not there.")],
-    model: Annotated[Path | None, typer.Option(help="Of a problem: the model (YAML) that it is about.")] = None,
+    kind: Annotated[Template, typer.Argument(help="What to write.")],
+    folder: Annotated[Path, typer.Argument(help="Folder for the files; created if it does not exist.")],
+    model: Annotated[Path | None, typer.Option(help="Only for a problem: the model (YAML) of its object.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write a commented problem, effect, sweep or problem with a robot that works as it is; nothing is overwritten."""
@@ -37,7 +37,7 @@ def new(
 
 def convert(
     source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML) or URDF.")],
-    target: Annotated[Path, typer.Argument(help="File to write; its ending says what.")],
+    target: Annotated[Path, typer.Argument(help="File to write; its suffix chooses the format.")],
     topic: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Topic or child frame of an MCAP file to read; default: all with poses."),

@@ -21,7 +21,7 @@ def show(
     live: Annotated[
         bool, typer.Option("--live", help="Serve the page to this machine's browsers until Ctrl-C.")
     ] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0 takes any.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0: any free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Write a self-contained page of a recording, a model or a plan; or serve it, made again when the file changes."""
@@ -29,7 +29,7 @@ def show(
     from micah_plan.view.live import remade_on_change
 
     if output is None and not live:
-        raise InputError("there is nowhere to show the page", remedy="name a file with -o, or serve it with --live")
+        raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")
     check_outputs((file,), (Output("-o", output, PAGE),))
     with progress_bar(as_json) as progress:
         current = remade_on_change(file, lambda: _page_of(file, progress))
@@ -47,7 +47,7 @@ def show(
 def _serve(
     page: Callable[[], str], port: int, as_json: bool, summary: dict[str, str | int], output: Path | None
 ) -> None:
-    """Serve a page until the user has seen enough."""
+    """Serve a page until Ctrl-C."""
     from micah_plan.view.live import PageServer
 
     with PageServer(page, port) as server:
@@ -57,7 +57,7 @@ def _serve(
         if not as_json:
             print_lines(lines)
         sys.stdout.flush()  # a program that started this waits for the address
-        with suppress(KeyboardInterrupt):  # how one leaves
+        with suppress(KeyboardInterrupt):  # the way to end it
             server.serve_forever()
 
 

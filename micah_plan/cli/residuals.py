@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 
 def predict(
-    model: Annotated[Path, typer.Argument(help="Model, or the problem or plan of which the runs are (YAML, JSON).")],
+    model: Annotated[Path, typer.Argument(help="Model, or the problem or plan that was executed (YAML, JSON).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
     as_learned: Annotated[
-        bool, typer.Option("--actions-as-learned", help="Read actions as those of the model's demonstration were.")
+        bool, typer.Option("--actions-as-learned", help="Read actions as in the demonstration of the model.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data.
 
-    The model of a held object is made of its problem, so runs of it are predicted by the problem or a plan.
+    A held object has no model file of its own: give the problem or a plan instead.
     """
     from micah_plan import workflow
     from micah_plan.cli.reports.predicted import predicted, print_predicted
@@ -59,7 +59,7 @@ def calibrate(
     model: Annotated[Path, typer.Argument(help="Model (YAML).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
     output: OutputPath,
-    report: Annotated[Path | None, typer.Option(help="Write what was compared and found as a page.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the comparison and the effects as a page.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 def sweep(
     file: Annotated[Path, typer.Argument(metavar="SWEEP", help="Sweep (YAML): problems, values to try, seeds.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Table to write (.csv or .parquet); its journal lies beside.")
+        Path | None, typer.Option("-o", "--output", help="Table to write (.csv or .parquet), with a journal beside it.")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to use instead, e.g. tcp://10.0.0.1:8786.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the sweep and count its cases only.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only check the sweep and count its cases.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""

@@ -33,7 +33,7 @@ _SIDE = 1.5
 
 @dataclass(frozen=True)
 class _Effect:
-    """An effect in words; `ambiguity` is empty if the recording tells it from all others."""
+    """An effect in words; `ambiguity` is empty if no other effect explains the recording as well."""
 
     name: str
     sentences: str
@@ -111,8 +111,8 @@ def _effect(found: FoundEffect) -> _Effect:
     if found.since is not None:
         run, time = found.since
         sentences.append(f"It is seen from {quantity(time, 's')} into run {run}.")
-    tied = f"This recording cannot tell it from {', '.join(found.tied)}. To tell: {found.experiment}."
-    return _Effect(found.effect.name, " ".join(sentences), found.source, tied if found.tied else "")
+    others = f"This recording does not distinguish it from {', '.join(found.tied)}. To do so: {found.experiment}."
+    return _Effect(found.effect.name, " ".join(sentences), found.source, others if found.tied else "")
 
 
 def _errors(found: Calibration) -> Table:

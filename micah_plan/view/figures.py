@@ -112,7 +112,7 @@ def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]
 
 
 def executed_configurations(problem: Problem, runs: Recording) -> list[Floats]:
-    """(T, n) configurations [rad or m] of every run: the true ones if the recording tells them, else the measured."""
+    """(T, n) configurations [rad or m] of every run: the true ones if the recording has them, else the measured."""
     names = [_TRUE_COLUMN.format(coordinate.name) for coordinate in problem.automaton.coordinates]
     if any(name not in runs.extra for name in names):
         return [track.x.copy() for track in tracks(problem.automaton, runs)]
@@ -181,7 +181,7 @@ def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None
             axes.axhline(value, color=GOAL, lw=0.8, zorder=1)
     labelled = False
     for mark in thresholds(problem.automaton):
-        if mark.coordinate == coordinate and mark.target != COLLIDED:  # one side of a box says little alone
+        if mark.coordinate == coordinate and mark.target != COLLIDED:  # one side of a box alone does not end a mode
             axes.axhline(mark.value, color=GUARD, lw=1.1, ls="--", label="" if labelled else "guard", zorder=2)
             labelled = True
 

@@ -34,7 +34,7 @@ FLOOR = -10.0
 
 _IMPOSSIBLE = -1e6
 _REPLACED = 2.0
-"""Traced rows this many of their distances around a start that is known to the row say the same, less exactly."""
+"""Around a start with a posterior over single rows, traced rows up to so many of their distances away are left out."""
 _NEARLY_A_TURN = 0.9 * np.pi
 
 
@@ -46,7 +46,7 @@ class Stretch:
         colored: the segment with its colour and name.
         rows: (k,) its rows.
         measured: (k,) configuration by the closest joint that moves, or displacement from the run's first row [m].
-        interval: rows (both inclusive) between which it starts with 95 % probability; None if not known.
+        interval: rows (both inclusive) between which it starts with 95 % probability; None if not estimated.
     """
 
     colored: ColoredSegment
@@ -95,9 +95,9 @@ class LearnedRun:
         quantity, unit: what `measured` counts: ``"configuration"`` or ``"displacement"``, in rad, m, "rad or m".
         evidence_rows, evidence: (k,) rows and the models; empty if not traced.
         changepoints: where a segment may start; empty if not traced.
-        counts: probabilities of 0, 1, 2, ... changepoints; empty if not known.
+        counts: probabilities of 0, 1, 2, ... changepoints; empty if not estimated.
         channel: how the actions move the part.
-        assessed: whether learning said how sure it is.
+        assessed: whether learning estimated probabilities.
     """
 
     edge: KinematicEdge
@@ -196,7 +196,7 @@ def _traced(
 
 
 def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[Stretch]) -> tuple[ChangeBar, ...]:
-    """Bars of the traced rows; where a start is known to the row, the finer bars of its posterior in their place."""
+    """Bars of the traced rows; around a start with a posterior over single rows, the finer bars of that."""
     apart, fine = _apart(traced), _apart(rows)
     widths = np.gradient(traced.astype(float)) if len(traced) > 1 else np.ones(len(traced))
     bars = [ChangeBar(*map(float, bar)) for bar in zip(traced, posterior, widths, strict=True)]

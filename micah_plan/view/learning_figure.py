@@ -1,7 +1,7 @@
 """The figure of what learning found: per part and run the track with its joints, and beside it, over the rows, the
 configuration, the evidence for each model and the posterior of the changepoints.
 
-Sizes are in inches: panels are placed by hand, so that every block looks alike whatever it holds.
+Sizes are in inches: panels have fixed places, so that every block looks the same whatever it shows.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Block:
 def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -> Figure:
     """Per part and run: the track by segment with its joints, configuration, evidence, posteriors, and words.
 
-    What learning did not say (evidence over time, posteriors, the action channel) has no panel. Without a graph:
+    What learning did not estimate (evidence over time, posteriors, the action channel) has no panel. Without a graph:
     the track and its coordinates.
 
     Args:

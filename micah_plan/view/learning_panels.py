@@ -129,8 +129,8 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
             mec=INK if wrong else stretch.colored.color, zorder=3,
         )  # fmt: skip
         if stretch.segment.joint.kind == "rigid" and learned.quantity == "configuration" and len(stretch.rows):
-            held = stretch.segment.configuration_start
-            axes.plot(stretch.rows[[0, -1]], [held, held], color=INK, lw=1.2, zorder=4)
+            resting = stretch.segment.configuration_start
+            axes.plot(stretch.rows[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
     axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)
     axes.margins(y=0.1)
     first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)

@@ -90,14 +90,14 @@ def misfit_words(segment: Segment) -> str:
 
 
 def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
-    """How the recorded actions move the part, with one standard deviation; empty if nobody asked."""
+    """How the recorded actions move the part, with one standard deviation; empty if it was not estimated."""
     if not learned.assessed:
         return ""
     if not recorded:
         return "actions: none recorded"
     channel = learned.channel
     if channel is None:
-        return "actions: they say nothing about the motion"
+        return "actions: they do not explain the motion"
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
     delay = f"{with_spread(abs(channel.delay), std['delay'], 's')} {'after' if channel.delay >= 0 else 'before'} it"
     if abs(channel.delay) < std["delay"]:

@@ -19,7 +19,7 @@ LOOPBACK = "127.0.0.1"
 
 
 class PageServer(ThreadingTCPServer):
-    """Serves one page at ``/``, on the loopback address and on no other.
+    """Serves one page at ``/``, on the loopback address only.
 
     Not an `http.server.HTTPServer`: that asks the name service for the machine's name.
 
@@ -28,7 +28,7 @@ class PageServer(ThreadingTCPServer):
         port: 0 takes any that is free.
 
     Raises:
-        InputError: if the port cannot be had.
+        InputError: if the port cannot be used.
     """
 
     allow_reuse_address = True
@@ -40,8 +40,8 @@ class PageServer(ThreadingTCPServer):
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
-            problem = f"port {port} of {LOOPBACK} cannot be had: {error.strerror}"
-            raise InputError(problem, remedy="choose another --port; 0 takes one that is free") from None
+            problem = f"port {port} of {LOOPBACK} cannot be used: {error.strerror}"
+            raise InputError(problem, remedy="choose another --port; 0 takes a free one") from None
 
     @property
     def port(self) -> int:
@@ -54,7 +54,7 @@ class PageServer(ThreadingTCPServer):
         return f"http://{LOOPBACK}:{self.port}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """What a browser that goes away in the middle of the page leaves behind is no error of ours."""
+        """A browser that closes the connection in the middle of the page is no error."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 

@@ -106,7 +106,7 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
 
 
 def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved | None = None) -> None:
-    """The moving parts, animated (where `moved` says, if given), and the parts that nothing moves."""
+    """The moving parts, animated (along `moved`, if given), and the fixed parts."""
     animate_bodies(scene, automaton, keys, moved)
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)

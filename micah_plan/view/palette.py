@@ -1,4 +1,4 @@
-"""The colours of pages and figures: one palette, told apart with every common colour-vision deficiency.
+"""The colours of pages and figures: one palette, distinguishable with every common colour-vision deficiency.
 
 Source: Okabe and Ito, "Color Universal Design", 2008.
 """
@@ -21,7 +21,7 @@ CATEGORIES = (SKY, VERMILLION, PINK, OLIVE, SLATE)
 """Segments and modes, in their order of appearance; none is a colour that means something else below."""
 
 MISFIT = "#F0C808"
-"""What fits no joint: yellow, hatched where an area can be, so that nobody takes it for one more joint."""
+"""What fits no joint: yellow, hatched where an area can be, so that it is not taken for one more joint."""
 
 BELIEF = BLUE
 EXECUTED = ORANGE

@@ -97,7 +97,7 @@ def _belief(chart: _Steps, k: float) -> Svg:
 
 
 def _guards(problem: Problem, coordinate: int) -> list[float]:
-    """Where the coordinate alone makes the mode change; one side of a box says little alone."""
+    """Where the coordinate alone makes the mode change; not where it is one side of a box."""
     return [g.value for g in thresholds(problem.automaton) if g.coordinate == coordinate and g.target != COLLIDED]
 
 

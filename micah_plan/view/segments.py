@@ -44,18 +44,18 @@ def colored_segments(graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]
     found: list[ColoredSegment] = []
     joints = 0
     for edge in edges:
-        known: list[tuple[Joint, str]] = []
-        held = [c for s in edge.segments for c in s.configuration_range]
+        earlier: list[tuple[Joint, str]] = []
+        visited = [c for s in edge.segments for c in s.configuration_range]
         for segment in edge.segments:
             name: str = segment.joint.kind
             color = MISFIT
             if is_misfit(segment):
                 name = NO_JOINT
             else:
-                same = [shade for joint, shade in known if _same_joint(joint, segment.joint, float(np.ptp(held)))]
+                same = [shade for joint, shade in earlier if _same_joint(joint, segment.joint, float(np.ptp(visited)))]
                 color = same[0] if same else category(joints)
                 if not same:
-                    known.append((segment.joint, color))
+                    earlier.append((segment.joint, color))
                     joints += 1
             label = f"{name}, rows {segment.start} to {segment.end}"
             label = f"{edge.child}: {label}" if len(edges) > 1 else label
@@ -64,7 +64,7 @@ def colored_segments(graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]
 
 
 def is_misfit(segment: Segment) -> bool:
-    """Whether learning says that no single joint explains the segment."""
+    """Whether no single joint explains the segment."""
     return segment.certainty is not None and segment.certainty.misfit is not None
 
 

@@ -138,7 +138,7 @@ class Panel:
 
 
 def drawing(width: float, height: float, parts: Sequence[str], label: str) -> Svg:
-    """The SVG around its parts; `label` says what it shows to those who do not see it."""
+    """The SVG around its parts; `label` describes it to screen readers."""
     box = f"0 0 {width:.0f} {height:.0f}"
     return element("svg", Svg("".join(parts)), kind="chart", viewBox=box, role="img", aria_label=label)
 

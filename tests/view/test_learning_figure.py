@@ -227,7 +227,7 @@ def test_certainty_without_a_trace_still_shows_what_it_has() -> None:
     bare = dataclasses.replace(edge.certainty, trace=None, channel=None, changepoint_counts=())
     segments = (edge.segments[0], dataclasses.replace(edge.segments[1], certainty=SegmentCertainty(None, ())))
     figure = learning_figure(recording, KinematicGraph((dataclasses.replace(edge, segments=segments, certainty=bare),)))
-    assert "they say nothing about the motion" in words(figure)
+    assert "they do not explain the motion" in words(figure)
     assert not any(axes.get_ylabel().startswith("evidence") for axes in figure.axes)
 
 

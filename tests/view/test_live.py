@@ -112,7 +112,7 @@ def test_what_is_no_request_harms_nobody(server: PageServer, capsys: pytest.Capt
 
 
 def test_a_port_that_is_taken_is_bad_input(server: PageServer) -> None:
-    with pytest.raises(InputError, match=r"port \d+ of 127\.0\.0\.1 cannot be had.*--port"):
+    with pytest.raises(InputError, match=r"port \d+ of 127\.0\.0\.1 cannot be used.*--port"):
         PageServer(str, server.port)
 
 

@@ -85,7 +85,7 @@ def print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], fil
     """Verdict, effects and errors of a calibration."""
     out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}", markup=False)
     if summary["effects"]:
-        shown = table("effect", "parameters", "evidence \\[nats]", "not told from")
+        shown = table("effect", "parameters", "evidence \\[nats]", "or instead")
         for effect in summary["effects"]:
             units = effect["units"]
             values = [f"{name} {quantity(value, units[name])}" for name, value in effect["parameters"].items()]

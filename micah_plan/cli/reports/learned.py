@@ -18,7 +18,7 @@ from micah_plan.view.learning_words import channel_turn
 if TYPE_CHECKING:
     from micah_plan.workflow import Learned
 
-_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "start\n95 %")
+_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
 _NARROW = ("joint", "rows", "sure")
 _SUREST = 0.999  # a recording is never surer than ">99 %", whatever is left of the odds in floating point
 
@@ -36,15 +36,15 @@ def joint_parameters(joint: Joint) -> dict[str, Any]:
 
 
 def learned(result: Learned, seed: int) -> dict[str, Any]:
-    """Keys of `learn`: what is said of the edge (of each, in `edges`, if there are several parts), seconds, seed.
+    """Keys of `learn`: segments, changepoints and actions of the part (in `edges` for several parts), seconds, seed.
 
-    Attributes of certainty that nobody worked out are null.
+    What was not estimated is null.
     """
     edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
     found = {"edges": edges} if len(edges) > 1 else _edge(result.graph.edges[0])
     modes = [] if result.automaton is None else list(result.automaton.mode_names)
-    told = {"reason": result.reason, "warnings": list(result.warnings)}
-    return {**found, "modes": modes, **told, "seconds": result.seconds, "seed": seed}
+    outcome = {"modes": modes, "reason": result.reason, "warnings": list(result.warnings)}
+    return {**found, **outcome, "seconds": result.seconds, "seed": seed}
 
 
 def _edge(edge: KinematicEdge) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def _passed(segment: Segment) -> str:
 
 
 def _start(segment: Segment) -> str:
-    """The rows at one of which a segment starts, with 95 % probability; empty where nothing tells."""
+    """The rows at one of which a segment starts, with 95 % probability; empty if not estimated."""
     if segment.certainty is None or segment.certainty.start is None:
         return ""
     first, last = segment.certainty.start.interval()
