@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,25 +30,31 @@ def circle(center: Floats, normal: Floats, radius: float) -> Floats:
     return np.asarray(center + radius * (np.cos(angle) * across + np.sin(angle) * np.cross(normal, across)))
 
 
-def draw_joint(
-    scene: Scene,
-    path: str,
-    joint: Joint,
-    limits: tuple[float, float],
-    color: str,
-    size: float,
-    point: Floats | None = None,
-    thickness: float = 1.0,
-) -> None:
+@dataclass(frozen=True, eq=False)
+class JointLook:
+    """How a joint is drawn.
+
+    Attributes:
+        color: of its path.
+        size: of the object [m]; thicknesses follow it.
+        thickness: of the path, relative to the usual.
+        point: (3,) of the part whose path is drawn, in its frame [m]; None: its origin.
+    """
+
+    color: str
+    size: float
+    thickness: float = 1.0
+    point: Floats | None = None
+
+
+def draw_joint(scene: Scene, path: str, joint: Joint, limits: tuple[float, float], look: JointLook) -> None:
     """A joint in the frame of its parent: an axis with an arrow, and an arc, a line or (rigid) a ring.
 
     Args:
         limits: configurations between which it moves [rad or m].
-        size: of the object [m]; thicknesses follow it.
-        point: the point of the part whose path is drawn, in its frame [m]; None: its origin.
-        thickness: of the path, relative to the usual.
     """
-    curve = joint_curve(joint, *limits, point)
+    size, thickness, color = look.size, look.thickness, look.color
+    curve = joint_curve(joint, *limits, look.point)
     axis = joint_axis(joint, 1.1 * size if joint.kind == "prismatic" else 1.25 * size)
     scene.reserve(curve)
     if axis is None:

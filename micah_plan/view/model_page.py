@@ -12,6 +12,7 @@ from micah_plan.automaton.part_poses import part_poses
 from micah_plan.quantities import interval, plain, quantity
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import (
+    JointLook,
     draw_frame,
     draw_ground,
     draw_joint,
@@ -127,8 +128,8 @@ def draw_mode_joints(
         point = handle_in_part(automaton, link.child)
         for order, mode in enumerate(automaton.modes):
             limits = coordinate_range(automaton, mode, link.coordinate)[:2]
-            joint = mode.joints[number]
-            draw_joint(scene, f"{path}/{slug(mode.name, order)}", joint, limits, colors[mode.name], size, point)
+            joint, look = mode.joints[number], JointLook(colors[mode.name], size, point=point)
+            draw_joint(scene, f"{path}/{slug(mode.name, order)}", joint, limits, look)
     animate_attached(scene, automaton, keys, paths, moved)
 
 

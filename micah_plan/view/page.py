@@ -20,7 +20,7 @@ from micah_plan.view.svg import Svg
 if TYPE_CHECKING:
     from micah_plan.view.scene import Scene
 
-Status = Literal["good", "bad", "fair", "plain"]
+Status = Literal["good", "fair", "bad"]
 
 _ASSETS = Path(__file__).parent / "assets"
 _NO_BREAK = "\N{NO-BREAK SPACE}"

@@ -10,7 +10,7 @@ from micah_plan.automaton.joint import radius
 from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
-from micah_plan.view.drawing import draw_frame, draw_ground, draw_joint
+from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import learned_runs
 from micah_plan.view.learning_charts import learning_charts
 from micah_plan.view.learning_words import NO_FIT, misfit_words
@@ -90,7 +90,7 @@ def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float
 def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: ColoredSegment, size: float) -> None:
     """The joint in the frame of its parent, which stands where it was measured at the segment's first row."""
     segment = colored.segment
-    draw_joint(scene, path, segment.joint, segment.configuration_range, INK, size, thickness=0.5)
+    draw_joint(scene, path, segment.joint, segment.configuration_range, JointLook(INK, size, thickness=0.5))
     if segment.joint.kind in ("revolute", "screw"):
         scene.mesh(f"{path}/center", beads(np.array([segment.joint.center]), 0.03 * size), INK)
     scene.place(path, parent_pose(recording, colored))
