@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth
-from micah_plan.recording.checks import NORM_TOLERANCE
-from micah_plan.recording.columns import LARGEST
+from micah_plan.recording.checks import LARGEST, NORM_TOLERANCE
 from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
 
