@@ -84,7 +84,7 @@ def calibration_page(found: Calibration, title: str) -> str:
         parameters=_parameters(found),
         effects=tuple(map(_effect, found.effects)),
         errors=_errors(found),
-        unexplained=f"Of the error that could be explained, {percent(found.unexplained_fraction, 0)} is not.",
+        unexplained=f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be explained.",
         coordinates=tuple(map(_coordinate, found.traces)),
         experiment=f"{_capital(found.experiment)}.",
     )

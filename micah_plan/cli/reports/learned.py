@@ -168,7 +168,7 @@ def _start(segment: Segment) -> str:
 
 
 def channel_line(channel: ActionChannel) -> str:
-    """The line on the action channel, with one standard deviation each; it fits 80 columns."""
+    """The line on the action channel, with one standard deviation each."""
     *_, gain, delay = _stds(channel.covariance)
     made, late = with_spread(channel.gain, gain, ""), with_spread(channel.delay, delay, "s")
     turned = in_degrees(*channel_turn(channel))
