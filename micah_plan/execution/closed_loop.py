@@ -22,6 +22,7 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import command, configuration
 from micah_plan.execution.scoring import lasting_probability, true_state
 from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import ArmTrajectory, Trajectory
@@ -38,8 +39,9 @@ class TrialResult:
 
     Attributes:
         recording: the log; `learn` and `predict` accept it.
-        success: whether the state at the end lies in the goal set: the true one or, where nobody knows it, the believed
-            one with the problem's confidence. False where the machine failed.
+        success: whether the state at the end lies in the goal set, and no state on the way broke a constraint on the
+            path: the true ones or, where nobody knows them, the believed ones, at the end with the problem's
+            confidence. False where the machine failed.
         believed: whether that and the final values are what the belief says, since the plant has no referee.
         reason: one sentence.
         final_error: largest distance of a constrained coordinate from its target at the end [rad or m].
@@ -114,6 +116,8 @@ class Episode:
         self._beliefs: list[HybridBelief] = []
         self._confidence = 0.0
         self._truth: Truth | None = None
+        self._path = PathRecord(problem, 1)
+        self._commanded: Floats | None = None
 
     @property
     def prior(self) -> HybridBelief:
@@ -147,13 +151,17 @@ class Episode:
         self._beliefs.append(belief)
         self._truth = truth
         self._confidence = lasting_probability(self.automaton, self._problem.goal, belief)
-        plain = self._problem.automaton
-        true_x = None if truth is None else true_state(plain, truth)[1]
+        plain, mode = self._problem.automaton, belief.most_likely
+        true = None if truth is None else true_state(plain, truth)
+        true_x = None if true is None else true[1]
+        if self._commanded is not None:
+            arrived = plain.mode_index(true[0]) if true is not None else mode
+            x = belief.means[mode, : plain.n] if true_x is None else true_x
+            self._path.add(np.array([arrived]), x[None], self._commanded[None], belief.factors[[mode]])
         if self._has_ended(belief):
             self._log.add(measurement, belief, true_x, None)
             return None
-        u = self._pilot.input(belief, measurement.joints)
-        mode = belief.most_likely
+        u = self._commanded = self._pilot.input(belief, measurement.joints)
         order = command(plain, plain.modes[mode].name, belief.means[mode, : plain.n], u)
         self._log.add(measurement, belief, true_x, order.origin)
         return replace(order, posture=self._pilot.posture)
@@ -171,6 +179,7 @@ class Episode:
         if self._truth is not None:
             mode, x = true_state(problem.automaton, self._truth)
             reached, incident = goal.contains(mode, x), self._truth.incident
+        reached = reached and not self._path.is_broken.any()
         if failure:
             reason = f"the machine failed in step {len(self._beliefs)}: {failure}"
         elif reached:
@@ -218,7 +227,7 @@ class Episode:
         return f"the {steps} allowed steps ended with probability {self._confidence:.3f} of the goal{refused}"
 
     def _misses(self, mode: str, x: Floats) -> list[str]:
-        """In which respects a state is not in the goal set, the true one or the believed one."""
+        """In which respects a state is not in the goal set, the true one or the believed one; and what was broken."""
         automaton, goal = self._problem.automaton, self._problem.goal
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
         misses = []
@@ -229,7 +238,7 @@ class Episode:
                 misses.append(f"{name} {is_} {away} from its target (tolerance {quantity(tolerance, unit)})")
         if not goal.admits(mode):
             misses.append(f"the {true} mode is {mode}, not {' or '.join(goal.modes)}")
-        return misses
+        return [*misses, *self._path.sentences()]
 
 
 def execute(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:

@@ -65,6 +65,11 @@ class PathRecord:
         broken = [worst < -ROUNDING for worst in self.worst.values()]
         return np.any(broken, axis=0) if broken else np.zeros(self.count, dtype=bool)
 
+    def sentences(self) -> list[str]:
+        """What was broken, and by how much at worst."""
+        worst = [(name, unit, -float(margin.min())) for (name, unit), margin in self.worst.items()]
+        return [f"'{name}' was broken by {quantity(by, unit)}" for name, unit, by in worst if by > ROUNDING]
+
     def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
         """(share that broke it, finding) per constraint that roll-outs break, for a plan through these modes."""
         found, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence

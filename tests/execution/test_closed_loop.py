@@ -16,6 +16,7 @@ from micah_plan.execution.pilot import Replanning
 from micah_plan.recording.csv_file import read_csv, write_csv
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.task.goal import Goal
+from micah_plan.task.path import PathConstraint, Require, path_function, unregister
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
@@ -256,3 +257,23 @@ def test_where_no_new_plan_leads_on_it_stops_and_says_so():
     assert not result.success
     assert result.steps < 100
     assert "believed swinging: off the plan" in result.reason
+
+
+def test_an_execution_that_breaks_a_constraint_on_the_path_fails_and_names_it():
+    def asking(largest):
+        return replace(PULL, constraints=(PathConstraint("slowly", (("largest", largest),)),))
+
+    @path_function
+    def slowly(ops, step, *, largest):
+        return [Require("slowly", largest - ops.abs(step.u["drawer"]), step.unit["drawer"])]
+
+    try:
+        most = max(abs(u) for u in pulling().inputs[:, 0])
+        kept = run(asking(2.0 * most), pulling())
+        broken = run(asking(0.5 * most), pulling())
+    finally:
+        unregister("slowly")
+    assert kept.success, kept.reason
+    assert not broken.success
+    assert "of the goal, but 'slowly' was broken by" in broken.reason
+    assert broken.final_error == kept.final_error
