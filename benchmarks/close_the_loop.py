@@ -20,8 +20,8 @@ import numpy as np
 
 from micah_plan import workflow
 from micah_plan.automaton.hybrid import Noise
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import load_model
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant

@@ -27,7 +27,7 @@ from objects import DOOR_OPEN, drawer, microwave  # noqa: E402
 from saving import add_json, save_json  # noqa: E402
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
-from micah_plan.documents.model_file import load_model  # noqa: E402
+from micah_plan.documents.model import load_model  # noqa: E402
 from micah_plan.execution.mujoco_plant import MujocoPlant  # noqa: E402
 from micah_plan.execution.physical_parameters import PhysicalParameters  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402

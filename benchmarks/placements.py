@@ -26,8 +26,8 @@ from typing import Any
 
 from saving import add_json, save_json
 
-from micah_plan.documents.plan_file import StoredPlan, load_plan, write_plan
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.plan import StoredPlan, load_plan, write_plan
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import PlantKind, run_trials
 from micah_plan.task.problem import Problem
 from micah_plan.workflow import execute, solve

@@ -33,7 +33,7 @@ from processor_clock import time_by_processor
 from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.scoring import goal_probability
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.explain import explain

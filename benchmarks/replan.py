@@ -22,7 +22,7 @@ from processor_clock import time_by_processor
 from resolves import beside
 from saving import add_json, save_json
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning import pomdp_hd
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.tightening import Verifier, verified_plan

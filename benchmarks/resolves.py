@@ -22,7 +22,7 @@ import numpy as np
 from planning_growth import cabinet_problem
 from saving import add_json, save_json
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import limits_of

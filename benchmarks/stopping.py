@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.trials import TrialStatistics, run_trials
 from micah_plan.planning.pomdp_hd import replan

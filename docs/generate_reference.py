@@ -1,6 +1,6 @@
 """MkDocs hook: pages on the YAML files and on the command line, made from their definitions whenever the site is built.
 
-The tables come from the JSON Schemas of `micah_plan.documents.schema`, the examples are files that the project ships,
+The tables come from the JSON Schemas of `micah_plan.documents.kind`, the examples are files that the project ships,
 the help texts are what the commands print. Nothing of it is stored, so it cannot go stale. Without MkDocs,
 `python docs/generate_reference.py FOLDER` writes the same pages into a folder.
 """
@@ -18,7 +18,7 @@ from typing import Any
 from typer.testing import CliRunner
 
 from micah_plan.cli import app
-from micah_plan.documents.schema import schema
+from micah_plan.documents.kind import schema
 from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.execution.physical_parameters import PhysicalParameters
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from micah_plan import workflow
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import TrialStatistics, run_trials
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

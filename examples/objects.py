@@ -26,7 +26,7 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import Region, above, below, box, input_below
-from micah_plan.documents.parts_file import load_parts
+from micah_plan.documents.parts import load_parts
 
 DOOR_OPEN = 1.2
 """Angle between the open door, where demonstrations start, and the shut one [rad]."""

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.documents.model_file import model_text, usable_model
+from micah_plan.documents.model import model_text, usable_model
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command, Measurement, PlantError
 from micah_plan.task.problem import Problem

@@ -6,14 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from micah_plan.documents.kind import FileKind, kind_of
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.parts_file import load_parts
-from micah_plan.documents.plan_file import load_plan
-from micah_plan.documents.problem_file import load_problem
-from micah_plan.documents.sweep_file import load_sweep
 from micah_plan.errors import InputError
-from micah_plan.recording.read import read_recording
-from micah_plan.recording.suspicion import suspicions
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +38,31 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
-    """Warnings about a file that can be used."""
+    """Warnings about a file that can be used. Readers are imported where they are used: a file waits for its own."""
     if kind == "recording":
+        from micah_plan.recording.read import read_recording
+        from micah_plan.recording.suspicion import suspicions
+
         return suspicions(read_recording(file))
     if kind == "model":
+        from micah_plan.documents.model import load_model
+
         load_model(file)
     elif kind == "parts":
+        from micah_plan.documents.parts import load_parts
+
         load_parts(file)
     elif kind == "plan":
+        from micah_plan.documents.plan import load_plan
+
         load_plan(file)
     elif kind == "sweep":
+        from micah_plan.documents.sweep import load_sweep
+
         load_sweep(file)
     else:
+        from micah_plan.documents.problem import load_problem
+
         robot = load_problem(file).robot
         if robot is not None:
             from micah_plan.robot.load_arm import load_arm

@@ -12,7 +12,7 @@ import pytest
 from micah_plan import cli, workflow
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.documents.model_file import dump_model, load_model
+from micah_plan.documents.model import dump_model, load_model
 from micah_plan.recording.read import read_recording
 
 

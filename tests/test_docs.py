@@ -16,7 +16,7 @@ from types import ModuleType
 
 import pytest
 
-from micah_plan.documents.schema import schema
+from micah_plan.documents.kind import schema
 from micah_plan.learn.settings import LearnSettings
 
 ROOT = Path(__file__).resolve().parents[1]

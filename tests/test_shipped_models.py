@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from micah_plan import workflow
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.parts_file import load_parts
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import load_model
+from micah_plan.documents.parts import load_parts
+from micah_plan.documents.problem import load_problem
 
 OBJECTS = ("microwave", "drawer", "cabinet", "stapler", "box")
 PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))

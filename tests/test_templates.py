@@ -18,9 +18,9 @@ from micah_plan.automaton.effects.conformance import check_form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
 from micah_plan.cli.console import title_of
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.problem_file import load_problem
-from micah_plan.documents.sweep_file import load_sweep
+from micah_plan.documents.model import load_model
+from micah_plan.documents.problem import load_problem
+from micah_plan.documents.sweep import load_sweep
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 from micah_plan.sweep.run import run_sweep

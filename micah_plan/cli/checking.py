@@ -36,8 +36,8 @@ def diff(
     as_json: JsonFlag = False,
 ) -> None:
     """List what differs between two models, such as what calibration added or what two recordings led to."""
+    from micah_plan.documents.model import load_model
     from micah_plan.documents.model_difference import differences
-    from micah_plan.documents.model_file import load_model
 
     found = differences(load_model(before), load_model(after))
     summary = {"differences": [{"place": d.place, "before": d.before, "after": d.after} for d in found]}

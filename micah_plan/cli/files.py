@@ -72,7 +72,7 @@ def schema(
     ] = None,
 ) -> None:
     """Print the JSON Schema of a file, with which editors complete, explain and check it."""
-    from micah_plan.documents.schema import schema as described
+    from micah_plan.documents.kind import schema as described
     from micah_plan.files import replace_file
 
     check_outputs((), (Output("-o", output, PLAN),))

@@ -37,8 +37,8 @@ def learn(
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
     from micah_plan.cli.reports import learned as reports
-    from micah_plan.documents.model_file import dump_model
-    from micah_plan.documents.parts_file import load_parts
+    from micah_plan.documents.model import dump_model
+    from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_file
     from micah_plan.learn.settings import FEWEST_ROWS
 

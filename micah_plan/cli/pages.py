@@ -70,12 +70,12 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
 
     kind = _kind_of(file)
     if kind == "model":
-        from micah_plan.documents.model_file import load_model
+        from micah_plan.documents.model import load_model
         from micah_plan.view.model_page import model_page
 
         return model_page(load_model(file), title=title_of(file))
     if kind == "plan":
-        from micah_plan.documents.plan_file import load_plan
+        from micah_plan.documents.plan import load_plan
         from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)

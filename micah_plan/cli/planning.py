@@ -49,8 +49,8 @@ def solve(
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
     from micah_plan.cli.reports.planned import print_solved, solved
-    from micah_plan.documents.plan_file import timings_path, write_plan, write_timings
-    from micah_plan.documents.problem_file import load_problem
+    from micah_plan.documents.plan import timings_path, write_plan, write_timings
+    from micah_plan.documents.problem import load_problem
     from micah_plan.files import replace_file
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
@@ -84,7 +84,7 @@ def explain(
 ) -> None:
     """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
     from micah_plan.cli.reports.planned import explained
-    from micah_plan.documents.plan_file import load_plan
+    from micah_plan.documents.plan import load_plan
     from micah_plan.planning.explain import explain as explanation_of
 
     stored = load_plan(plan)
@@ -112,7 +112,7 @@ def execute(
     from micah_plan import workflow
     from micah_plan.cli.own_plant import named_plant
     from micah_plan.cli.reports.executed import executed, print_executed
-    from micah_plan.documents.plan_file import load_plan, require_executable
+    from micah_plan.documents.plan import load_plan, require_executable
     from micah_plan.recording.read import write_recording
 
     check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))

@@ -45,9 +45,9 @@ def predict(
 def _automaton_of(path: Path) -> HybridAutomaton:
     """The model in a file, or that of the problem in it."""
     from micah_plan.documents.kind import kind_of
-    from micah_plan.documents.model_file import load_model
-    from micah_plan.documents.plan_file import load_plan
-    from micah_plan.documents.problem_file import load_problem
+    from micah_plan.documents.model import load_model
+    from micah_plan.documents.plan import load_plan
+    from micah_plan.documents.problem import load_problem
 
     kind = kind_of(path)
     if kind == "problem":
@@ -65,8 +65,8 @@ def calibrate(
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
     from micah_plan import workflow
     from micah_plan.cli.reports.calibrated import calibrated, print_calibrated
+    from micah_plan.documents.model import dump_model, load_model
     from micah_plan.documents.model_difference import differences
-    from micah_plan.documents.model_file import dump_model, load_model
 
     check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
     automaton = load_model(model)

@@ -31,7 +31,7 @@ def sweep(
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
     from micah_plan.cli.reports.swept import counted, print_counted, print_swept, swept
-    from micah_plan.documents.sweep_file import load_sweep
+    from micah_plan.documents.sweep import load_sweep
     from micah_plan.sweep.journal import journal_path, read_journal
     from micah_plan.sweep.run import check_sweep_outputs, run_on
 

@@ -16,9 +16,14 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
-from micah_plan.automaton.region import HalfSpace
-from micah_plan.documents.located import choices
+from pydantic import Field, PlainValidator
+from pydantic_core import PydanticCustomError
+
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.documents.layout import checked_name
+from micah_plan.documents.located import Located, choices
 from micah_plan.errors import InputError, shown
 
 INPUT = "input"
@@ -246,3 +251,57 @@ def _comparison(half_space: HalfSpace, variables: Variables, number: Callable[[f
     left = _sum(a, b, variables, number)
     operator = ("<" if upper else ">") + ("" if strict else "=")
     return f"{left} {operator} {number(c + 0.0)}"
+
+
+def _half_space_entry(value: Any) -> tuple[str, str | None]:
+    """(text, name or None) of ``door >= 1.2`` or ``latched: door >= 1.2``."""
+    if isinstance(value, str):
+        return value, None
+    if isinstance(value, dict) and len(value) == 1:
+        ((name, text),) = value.items()
+        if isinstance(name, str) and isinstance(text, str):
+            return text, checked_name(name)
+    raise PydanticCustomError("half_space", "expected a half-space such as 'door >= 1.2' or 'name: door >= 1.2'")
+
+
+def _expression(value: Any) -> str:
+    """The text of an expression, which may be a bare number in the file."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        return repr(float(value))
+    raise PydanticCustomError("expression", "expected an expression such as 1.2 or 'door + 0.1'")
+
+
+Expression = Annotated[str, PlainValidator(_expression, json_schema_input_type=str | float)]
+HalfSpaceEntry = Annotated[
+    Any, PlainValidator(_half_space_entry, json_schema_input_type=str | Annotated[dict[str, str], Field(max_length=1)])
+]
+RegionEntries = list[HalfSpaceEntry]
+
+
+def affine_of(text: str, names: Variables, located: Located) -> Affine:
+    """The affine expression that an entry holds; `expressions.affine_text` writes it."""
+    with located.locating_errors():
+        return parse_affine(text, names)
+
+
+def region_of(entries: Sequence[tuple[str, str | None]], names: Variables, located: Located) -> Region:
+    """The region that a list of half-spaces describes."""
+    half_spaces = []
+    for i, (text, name) in enumerate(entries):
+        with located.at(i).locating_errors():
+            half_spaces.append(parse_half_space(text, names, name))
+    return Region(tuple(half_spaces))
+
+
+def region_data(region: Region, names: Variables) -> list[str | dict[str, str]]:
+    """The entries of a region, which `region_of` reads back; names only where they are not the canonical ones."""
+    entries: list[str | dict[str, str]] = []
+    for half_space in region.half_spaces:
+        if (len(half_space.a), len(half_space.b)) != (len(names.coordinates), len(names.inputs)):
+            raise InputError(f"automaton: half-space '{half_space.name}' has weights of another state or input size")
+        text = half_space_text(half_space, names)
+        own_name = half_space.name not in ("", canonical_name(half_space, names))
+        entries.append({half_space.name: text} if own_name else text)
+    return entries

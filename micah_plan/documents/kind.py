@@ -1,16 +1,20 @@
-"""What kind of file a path names: YAML files say it in their key `format`, the others by their ending."""
+"""The kinds of file: what a path names, and the JSON Schema of each kind for editors and other programs.
+
+YAML files say in their key `format` what they are, other files by their ending.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal
 
+from micah_plan.documents.layout import Document
 from micah_plan.documents.located import choices
-from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
-from micah_plan.files import read_bytes
+from micah_plan.documents.yaml_lines import read_yaml_file
+from micah_plan.errors import InputError, shown
 
-YamlKind = Literal["model", "parts", "problem", "sweep"]
 FileKind = Literal["model", "parts", "problem", "sweep", "plan", "recording"]
+_YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "sweep")
 
 
 def kind_of(path: str | Path) -> FileKind:
@@ -24,13 +28,40 @@ def kind_of(path: str | Path) -> FileKind:
         return "plan"
     if suffix not in {".yaml", ".yml"}:
         return "recording"
-    located = read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
-    kinds: tuple[YamlKind, ...] = get_args(YamlKind)
-    formats = [f"micah-plan/{kind}/1" for kind in kinds]
+    located = read_yaml_file(path)
+    formats = [f"micah-plan/{kind}/1" for kind in _YAML_KINDS]
     if "format" not in located.data:
-        raise located.error((), "missing key 'format'", f"say what the file is: one of {', '.join(formats)}")
+        raise located.error("missing key 'format'", f"say what the file is: one of {', '.join(formats)}")
     stated = str(located.data["format"])
-    for kind in kinds:
+    for kind in _YAML_KINDS:
         if stated.startswith(f"micah-plan/{kind}/"):
             return kind
-    raise located.error(("format",), f"unknown format {stated[:60]!r}", choices(stated, formats))
+    raise located.at("format").error(f"unknown format {stated[:60]!r}", choices(stated, formats))
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of a file.
+
+    Args:
+        kind: ``"model"``, ``"parts"``, ``"problem"``, ``"sweep"`` or ``"plan"``.
+
+    Raises:
+        InputError: for another kind.
+    """
+    from micah_plan.documents.model import ModelDocument
+    from micah_plan.documents.parts import PartsDocument
+    from micah_plan.documents.plan import PlanDocument
+    from micah_plan.documents.problem import ProblemDocument
+    from micah_plan.documents.sweep import SweepDocument
+
+    layouts: dict[str, type[Document]] = {
+        "model": ModelDocument,
+        "parts": PartsDocument,
+        "problem": ProblemDocument,
+        "sweep": SweepDocument,
+        "plan": PlanDocument,
+    }
+    if kind not in layouts:
+        raise InputError(f"unknown kind of file {shown(kind)}", remedy=f"choose one of {', '.join(layouts)}")
+    generated = layouts[kind].model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **generated, "title": f"micah-plan {kind} file"}

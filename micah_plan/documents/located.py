@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from micah_plan.errors import InputError, shown
@@ -16,7 +18,7 @@ _LONGEST_LIST = 200
 
 @dataclass(frozen=True)
 class Located:
-    """What a file holds.
+    """What a file holds, or what stands at one place of it.
 
     Attributes:
         data: dicts, lists, strings, numbers, booleans and None.
@@ -30,26 +32,101 @@ class Located:
     places: Mapping[KeyPath, tuple[int, int]] = field(default_factory=dict)
     prefix: KeyPath = ()
 
-    def place(self, path: Iterable[str | int]) -> tuple[int, int] | None:
+    def at(self, *path: str | int) -> Located:
+        """What stands at a key path below this place; None where the file leaves it out."""
+        data = self.data
+        for key in path:
+            try:
+                data = data[key]
+            except (LookupError, TypeError):
+                data = None
+        return Located(data, self.source, self.places, (*self.prefix, *path))
+
+    def place(self, path: Iterable[str | int] = ()) -> tuple[int, int] | None:
         """Line and column of a key path, or of what comes closest above it; None if there are no lines."""
         full = (*self.prefix, *path)
         return next((self.places[full[:i]] for i in range(len(full), -1, -1) if full[:i] in self.places), None)
 
-    def where(self, path: Iterable[str | int]) -> str:
+    def where(self, path: Iterable[str | int] = ()) -> str:
         """The line, column and key of a key path, as messages write them."""
         path = tuple(path)
         place, full = self.place(path), (*self.prefix, *path)
         at = [] if place is None else [line_and_column(place)]
         return ", ".join(at + ([f"key '{dotted(full)}'"] if full else []))
 
-    def error(self, path: Iterable[str | int], problem: str, remedy: str | None = None) -> InputError:
-        """An error about the value at a key path, to be raised."""
-        path = tuple(path)
-        return InputError(problem, source=self.source, where=self.where(path), remedy=remedy, position=self.place(path))
+    def error(self, problem: str, remedy: str | None = None) -> InputError:
+        """An error about the value at this place, to be raised."""
+        return InputError(problem, source=self.source, where=self.where(), remedy=remedy, position=self.place())
 
-    def unknown(self, path: Iterable[str | int], what: str, name: str, allowed: Iterable[str]) -> InputError:
+    @contextmanager
+    def locating_errors(self) -> Iterator[None]:
+        """Let InputErrors that are raised within say this place."""
+        try:
+            yield
+        except InputError as error:
+            raise self.error(error.problem, error.remedy) from None
+
+    def unknown(self, what: str, name: str, allowed: Iterable[str]) -> InputError:
         """An error about a name that does not exist, with the names that do and the nearest of them."""
-        return self.error(path, f"unknown {what} {shown(name)}", remedy=choices(name, allowed))
+        return self.error(f"unknown {what} {shown(name)}", choices(name, allowed))
+
+    def number(self, name: str, names: Iterable[str], what: str) -> int:
+        """Number of a name among those that exist.
+
+        Raises:
+            InputError: if it is none of them.
+        """
+        known = list(names)
+        if name not in known:
+            raise self.unknown(what, name, known)
+        return known.index(name)
+
+    def in_order(self, values: Mapping[str, float], names: Sequence[str], what: str) -> tuple[float, ...]:
+        """The values in the order of the names, each of which must be there once.
+
+        Raises:
+            InputError: for an unknown or a missing name.
+        """
+        for name in values:
+            self.at(name).number(name, names, what)
+        missing = [name for name in names if name not in values]
+        if missing:
+            raise self.error(f"missing value of {what} {', '.join(map(repr, missing))}", "give every one a value")
+        return tuple(values[name] for name in names)
+
+
+def overridden(located: Located, key: str, value: Any) -> Located:
+    """The data with another value at a dotted key such as ``start.std.door`` or ``goal.modes.0``.
+
+    Keys that are not there are added (a layout that does not know them says so when it is validated); entries of lists
+    must be there.
+
+    Raises:
+        InputError: if there is a plain value on the way.
+    """
+    data = copy.deepcopy(located.data)
+    current, path = data, list[str | int]()
+    names = key.split(".")
+    for depth, name in enumerate(names):
+        entry: str | int = name
+        if isinstance(current, list):
+            entry = _entry(located, key, name, len(current))
+        elif not isinstance(current, dict):
+            raise InputError(f"cannot override {shown(key)}: '{names[depth - 1]}' has no keys", source=located.source)
+        path.append(entry)
+        if depth == len(names) - 1:
+            current[entry] = copy.deepcopy(value)
+        else:
+            current = current.setdefault(name, {}) if isinstance(current, dict) else current[entry]
+    places = {place: at for place, at in located.places.items() if place[: len(path)] != tuple(path)}
+    return replace(located, data=data, places=places)
+
+
+def _entry(located: Located, key: str, name: str, length: int) -> int:
+    if name.isascii() and name.isdigit() and int(name[:9]) < length:
+        return int(name)
+    problem = f"cannot override {shown(key)}: expected one of the {length} entries, found {shown(name)}"
+    raise InputError(problem, source=located.source, remedy="count from 0, or give the whole list")
 
 
 def line_and_column(place: tuple[int, int]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.model_data import model_data
+from micah_plan.documents.model import model_data
 
 _MISSING = object()
 

@@ -39,9 +39,9 @@ def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> 
     state = ", ".join(f"{item.name} = {short_number(value)} {item.unit}" for item, value in values)
     if start.mode is not None:
         remedy = f"start there in {' or '.join(allowed)}" if allowed else _invariants(automaton, [start.mode])
-        raise located.error(("start", "mode"), f"mode '{start.mode}' does not allow the start {state}", remedy)
+        raise located.at("start", "mode").error(f"mode '{start.mode}' does not allow the start {state}", remedy)
     problem = f"the start {state} lies in no mode's invariant"
-    raise located.error(("start", "mean"), problem, _invariants(automaton, names))
+    raise located.at("start", "mean").error(problem, _invariants(automaton, names))
 
 
 def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
@@ -57,7 +57,7 @@ def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
 
 def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> None:
     if not goal.target and not goal.modes:
-        raise located.error(("goal",), "the goal is empty", "give a target, modes to end in, or both")
+        raise located.at("goal").error("the goal is empty", "give a target, modes to end in, or both")
     modes = [mode for mode in automaton.modes if goal.admits(mode.name)]
     for index, value, tolerance in goal.target:
         name, unit = automaton.coordinates[index].name, automaton.coordinates[index].unit
@@ -68,7 +68,7 @@ def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> Non
             of = f"mode {' or '.join(goal.modes)}" if goal.modes else "the object"
             problem = f"expected a value that {of} can reach, {_written(ranges)} {unit}, found {short_number(value)}"
             remedy = f"the nearest possible value is {short_number(nearest)} {unit}"
-            raise located.error(("goal", "target", name, "value"), problem, remedy)
+            raise located.at("goal", "target", name, "value").error(problem, remedy)
 
 
 def _nearest(value: float, ranges: Sequence[Interval]) -> float:

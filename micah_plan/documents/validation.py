@@ -8,8 +8,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from micah_plan.documents.fields import Document
-from micah_plan.documents.key_paths import document_at
+from micah_plan.documents.layout import Document, is_document, kind_at
 from micah_plan.documents.located import KeyPath, Located, choices, nearest
 from micah_plan.errors import InputError, shown, together
 
@@ -58,9 +57,9 @@ def check_format(located: Located, document: type[Document]) -> None:
     data = located.data
     if not isinstance(data, dict):
         remedy = f"a {kind} file is a mapping of keys to values and says 'format: {expected}'"
-        raise located.error((), f"expected a {kind}, found {_found(data)}", remedy)
+        raise located.error(f"expected a {kind}, found {_found(data)}", remedy)
     if "format" not in data:
-        raise located.error((), "missing key 'format'", f"a {kind} file says 'format: {expected}'")
+        raise located.error("missing key 'format'", f"a {kind} file says 'format: {expected}'")
     found = data["format"]
     if found == expected:
         return
@@ -72,7 +71,7 @@ def check_format(located: Located, document: type[Document]) -> None:
             problem, remedy = f"expected a {kind} file, found a {shown(words[1])[1:-1]} file", f"give a {kind} file"
         else:
             remedy = "use the version of micah-plan that wrote it, or write the file anew"
-    raise located.error(("format",), problem, remedy)
+    raise located.at("format").error(problem, remedy)
 
 
 def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
@@ -81,7 +80,7 @@ def _violations(located: Located, document: type[Document], details: list[ErrorD
         line, column = located.place(_path(detail)) or (0, 0)
         return detail["type"] == "missing", line, column
 
-    return [located.error(_path(detail), *_explained(detail, document)) for detail in sorted(details, key=order)]
+    return [located.at(*_path(detail)).error(*_explained(detail, document)) for detail in sorted(details, key=order)]
 
 
 def _path(detail: ErrorDetails) -> KeyPath:
@@ -92,8 +91,9 @@ def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str
     """What is wrong, and the remedy."""
     kind, path, context = detail["type"], _path(detail), detail.get("ctx") or {}
     if kind == "extra_forbidden":
-        owner = document_at(document, path[:-1])
-        return f"unknown key {shown(path[-1])}", choices(str(path[-1]), owner.model_fields if owner else ())
+        owner = kind_at(document, path[:-1])
+        keys = owner.model_fields if is_document(owner) else ()
+        return f"unknown key {shown(path[-1])}", choices(str(path[-1]), keys)
     if kind == "missing":
         if isinstance(path[-1], int):
             return "too few entries, this one is missing", "complete the list"

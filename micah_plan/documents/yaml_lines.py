@@ -10,27 +10,17 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentEndEvent,
-    DocumentStartEvent,
-    Event,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-    StreamStartEvent,
-)
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from micah_plan.documents.located import KeyPath, Located, line_and_column
 from micah_plan.errors import InputError, shown
+from micah_plan.files import read_bytes
 
 LARGEST_TEXT_BYTES = 4 * 1024 * 1024
 MOST_VALUES = 100_000
@@ -55,6 +45,15 @@ _SPECIAL: Mapping[str, bool | float | None] = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
+
+
+def read_yaml_file(path: str | Path) -> Located:
+    """As `read_yaml`, of a file.
+
+    Raises:
+        InputError: also if the file cannot be read.
+    """
+    return read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
 
 
 def read_yaml(content: bytes, source: str) -> Located:
@@ -119,7 +118,7 @@ def _decoded(content: bytes, source: str) -> str:
     return text
 
 
-def _events(text: str, source: str) -> Iterator[Event]:
+def _events(text: str, source: str) -> Iterator[events.Event]:
     """The parser's events that are allowed, bounded in number."""
     for count, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
         problem = _forbidden(event)
@@ -136,66 +135,66 @@ def _error(source: str, place: tuple[int, int] | None, problem: str, remedy: str
     return InputError(problem, source=source, where=where, remedy=remedy, position=place)
 
 
-def _forbidden(event: Event) -> str | None:
-    if isinstance(event, AliasEvent):
+def _forbidden(event: events.Event) -> str | None:
+    if isinstance(event, events.AliasEvent):
         return f"aliases are not allowed, found {shown('*' + event.anchor)}"
     anchor = getattr(event, "anchor", None)
     if anchor is not None:
         return f"anchors are not allowed, found {shown('&' + anchor)}"
-    if isinstance(event, DocumentStartEvent) and (event.version or event.tags):
+    if isinstance(event, events.DocumentStartEvent) and (event.version or event.tags):
         return "directives (%YAML, %TAG) are not allowed"
-    tag = None if isinstance(event, DocumentStartEvent) else getattr(event, "tag", None)
+    tag = None if isinstance(event, events.DocumentStartEvent) else getattr(event, "tag", None)
     return None if tag is None else f"tags are not allowed, found {shown(str(tag))}"
 
 
 class _Reader:
     """Builds data from events; one recursive descent of bounded depth."""
 
-    def __init__(self, events: Iterator[Event], source: str) -> None:
-        self._events = events
+    def __init__(self, parsed: Iterator[events.Event], source: str) -> None:
+        self._events = parsed
         self._source = source
         self._places: dict[KeyPath, tuple[int, int]] = {}
 
     def document(self) -> Located:
         event = self._next()
-        if not isinstance(event, DocumentStartEvent):
+        if not isinstance(event, events.DocumentStartEvent):
             raise InputError("expected keys and values, found nothing", source=self._source, remedy="is it empty?")
         first = self._next()
-        if not isinstance(first, MappingStartEvent):
-            found = "a list" if isinstance(first, SequenceStartEvent) else "a single value"
+        if not isinstance(first, events.MappingStartEvent):
+            found = "a list" if isinstance(first, events.SequenceStartEvent) else "a single value"
             remedy = "start it with 'format: ...'"
             raise self._error(first, f"expected a mapping of keys to values, found {found}", remedy)
         self._places[()] = _place(first.start_mark)
         data = self._value(first, ())
-        if not isinstance(self._next(), DocumentEndEvent):
+        if not isinstance(self._next(), events.DocumentEndEvent):
             raise self._error(first, "expected one document")
         for event in self._events:
-            if isinstance(event, DocumentStartEvent):
+            if isinstance(event, events.DocumentStartEvent):
                 raise self._error(event, "expected one document, found a second", "put it into a file of its own")
         return Located(data, self._source, self._places)
 
-    def _next(self) -> Event:
+    def _next(self) -> events.Event:
         event = next(self._events)
-        return next(self._events) if isinstance(event, StreamStartEvent) else event
+        return next(self._events) if isinstance(event, events.StreamStartEvent) else event
 
-    def _error(self, event: Event, problem: str, remedy: str | None = None) -> InputError:
+    def _error(self, event: events.Event, problem: str, remedy: str | None = None) -> InputError:
         return _error(self._source, _place(event.start_mark), problem, remedy)
 
-    def _value(self, event: Event, path: KeyPath) -> Any:
+    def _value(self, event: events.Event, path: KeyPath) -> Any:
         if len(path) > DEEPEST:
             raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
-        if isinstance(event, ScalarEvent):
+        if isinstance(event, events.ScalarEvent):
             return _scalar(event)
-        if isinstance(event, SequenceStartEvent):
+        if isinstance(event, events.SequenceStartEvent):
             items: list[Any] = []
-            while not isinstance(event := self._next(), SequenceEndEvent):
+            while not isinstance(event := self._next(), events.SequenceEndEvent):
                 here = (*path, len(items))
                 self._places[here] = _place(event.start_mark)
                 items.append(self._value(event, here))
             return items
         entries: dict[str, Any] = {}
-        while not isinstance(key := self._next(), MappingEndEvent):
-            if not isinstance(key, ScalarEvent):
+        while not isinstance(key := self._next(), events.MappingEndEvent):
+            if not isinstance(key, events.ScalarEvent):
                 raise self._error(key, "expected a name as key, found a list or mapping", "quote braces and brackets")
             here = (*path, key.value)
             if key.value in entries:
@@ -211,7 +210,7 @@ def _place(mark: Any) -> tuple[int, int]:
     return mark.line + 1, mark.column + 1
 
 
-def _scalar(event: ScalarEvent) -> Any:
+def _scalar(event: events.ScalarEvent) -> Any:
     text: str = event.value
     if not event.implicit[0]:  # quoted
         return text

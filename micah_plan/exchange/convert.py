@@ -10,8 +10,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal
 
-from micah_plan.documents.model_file import dump_model, load_model
-from micah_plan.documents.plan_file import StoredPlan, load_plan, require_executable
+from micah_plan.documents.model import dump_model, load_model
+from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text

@@ -10,7 +10,7 @@ from pathlib import Path
 from time import perf_counter
 
 from micah_plan import workflow
-from micah_plan.documents.problem_file import ProblemReader
+from micah_plan.documents.problem import ProblemReader
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 from micah_plan.files import read_bytes
 from micah_plan.sweep.result import CaseResult, CaseRun, Outcome

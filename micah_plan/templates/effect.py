@@ -16,7 +16,7 @@ from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter,
 from micah_plan.automaton.effects.registry import register
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate
-from micah_plan.documents.model_file import load_model
+from micah_plan.documents.model import load_model
 
 
 @final

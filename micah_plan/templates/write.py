@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.schema import schema
+from micah_plan.documents.kind import schema
+from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError, shown
 from micah_plan.files import replace_file
 from micah_plan.templates.first_problem import first_problem

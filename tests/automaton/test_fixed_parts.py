@@ -14,7 +14,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import measuring_links, tracks
-from micah_plan.documents.model_file import dump_model, load_model
+from micah_plan.documents.model import dump_model, load_model
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 

@@ -9,7 +9,7 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.split import with_split
 from micah_plan.automaton.transition import step
-from micah_plan.documents.model_file import dump_model, load_model
+from micah_plan.documents.model import dump_model, load_model
 from micah_plan.errors import InputError
 
 

@@ -14,7 +14,7 @@ from micah_plan.automaton.region import Region
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.task.problem import Problem
 

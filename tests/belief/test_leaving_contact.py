@@ -12,7 +12,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as scalar
 from micah_plan.belief.batch import filter as batch
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.documents.model_file import load_model
+from micah_plan.documents.model import load_model
 
 MODES = ("free", "wall_x", "wall_y", "corner")
 LEAVING = {

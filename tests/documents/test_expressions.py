@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from attempts import attempt
 from hypothesis import given
 from hypothesis import strategies as st
-from spec_attempt import attempt
 
 from micah_plan.automaton.region import HalfSpace, above, below, input_above, input_below
 from micah_plan.documents.expressions import (

@@ -8,8 +8,8 @@ import pytest
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.documents.model import load_model
 from micah_plan.documents.model_difference import differences
-from micah_plan.documents.model_file import load_model
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from spec_attempt import told
+from attempts import told
 
 from micah_plan.automaton.hybrid import Part, Primitive
-from micah_plan.documents.parts_file import load_parts
+from micah_plan.documents.parts import load_parts
 
 TEXT = """\
 format: micah-plan/parts/1

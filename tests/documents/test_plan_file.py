@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from any_automaton import automata
+from attempts import attempt, told
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from spec_attempt import attempt, told
-from spec_automata import automata
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.plan_file import (
+from micah_plan.documents.plan import (
     StoredPlan,
     load_plan,
     plan_text,

@@ -6,15 +6,15 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+from attempts import attempt, told
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from spec_attempt import attempt, told
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.automaton.region import Region, above, box
-from micah_plan.documents.model_file import dump_model
-from micah_plan.documents.problem_document import PlannerDocument, PlantDocument
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import dump_model
+from micah_plan.documents.planner import PlannerDocument, PlantDocument
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.held_parameters import HeldParameters
 from micah_plan.execution.physical_parameters import PhysicalParameters

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from spec_attempt import told
+from attempts import told
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
-from micah_plan.documents.model_file import dump_model
-from micah_plan.documents.plan_file import load_plan, plan_text, write_plan
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import dump_model
+from micah_plan.documents.plan import load_plan, plan_text, write_plan
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.scene.body import Body, Hull
 from micah_plan.scene.robot_description import Grasp, RobotDescription

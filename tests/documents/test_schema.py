@@ -12,7 +12,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from micah_plan.documents.schema import schema
+from micah_plan.documents.kind import schema
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from attempts import attempt, told
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from spec_attempt import attempt, told
 
 from micah_plan.documents import yaml_lines
 from micah_plan.documents.located import Located

@@ -20,7 +20,7 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict
-from micah_plan.documents.model_file import model_text, usable_model
+from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import compile_automaton
 from micah_plan.symbolic.effects import CasadiOperations

@@ -212,8 +212,8 @@ def _refused_or_read(content: bytes) -> None:
 
 def test_a_plan_becomes_a_trajectory_that_another_reader_reads(tmp_path: Path) -> None:
     from micah_plan import workflow
-    from micah_plan.documents.plan_file import write_plan
-    from micah_plan.documents.problem_file import load_problem
+    from micah_plan.documents.plan import write_plan
+    from micah_plan.documents.problem import load_problem
     from micah_plan.exchange.convert import convert
     from micah_plan.templates.write import write_template
 

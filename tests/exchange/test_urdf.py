@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, screw
 from micah_plan.automaton.kinematics import forward
-from micah_plan.documents.model_file import load_model, model_text
+from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
 from micah_plan.exchange.urdf_read import load_urdf
@@ -112,7 +112,7 @@ def test_an_arm_is_a_model_too() -> None:
 
 
 def load_model_text(text: str) -> HybridAutomaton:
-    from micah_plan.documents.model_file import usable_model
+    from micah_plan.documents.model import usable_model
 
     return usable_model(text.encode(), "m.yaml")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.pilot import Pilot, Replanning
 from micah_plan.execution.plant import Command

@@ -10,7 +10,7 @@ from execution_objects import SHUT, arm, door, drawer
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.conformance import check_plant

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.follower import PlanFollower
 from micah_plan.task.plan import Trajectory
 

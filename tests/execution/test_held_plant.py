@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
 from micah_plan.planning.pomdp_hd import plan, replan

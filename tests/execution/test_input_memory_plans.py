@@ -12,8 +12,8 @@ from micah_plan import workflow
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.tracks import displacements
-from micah_plan.documents.plan_file import load_plan, write_plan
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.plan import load_plan, write_plan
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.pilot import Replanning

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from micah_plan import workflow
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco_plant import MujocoPlant

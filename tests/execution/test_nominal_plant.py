@@ -10,7 +10,7 @@ from execution_objects import SHUT, arm, door, drawer, worm
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
-from micah_plan.documents.model_file import load_model
+from micah_plan.documents.model import load_model
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command, configuration

@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.conformance import check_plant
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command, PlantError

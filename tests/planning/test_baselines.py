@@ -13,7 +13,7 @@ from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_pr
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.cli import main
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.baselines.mixture import mixture_step
 from micah_plan.planning.baselines.open_loop import nominal_trajectory
 from micah_plan.planning.cost import cost_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.workflow import solve
 

@@ -11,7 +11,7 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimen
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.region import above
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.explain import explain
 from micah_plan.planning.findings import finding_of
 from micah_plan.planning.pomdp_hd import plan

@@ -11,7 +11,7 @@ from planning_examples import planar_problem, with_settings
 from scipy.sparse import csr_array
 
 from micah_plan.belief import gaussian
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import Chances, draw_chances, roll_out

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.pomdp_hd import plan
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"

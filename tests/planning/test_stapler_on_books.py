@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from micah_plan.automaton.transition import simulate
-from micah_plan.documents.model_file import dump_model, load_model
-from micah_plan.documents.plan_file import load_plan, write_plan
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import dump_model, load_model
+from micah_plan.documents.plan import load_plan, write_plan
+from micah_plan.documents.problem import load_problem
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan

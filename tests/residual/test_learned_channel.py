@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan import workflow
 from micah_plan.automaton.learned_channel import with_learned_channel
-from micah_plan.documents.model_file import load_model
+from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.prediction import rmse

@@ -12,7 +12,7 @@ import pytest
 from robot_examples import ARM7
 
 from micah_plan.automaton.kinematics import forward
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning import pomdp_hd
 from micah_plan.planning.explain import explain

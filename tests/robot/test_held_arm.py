@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.robot.along_plan import arm_along, problem_clearance
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.scene.body import corners

@@ -10,7 +10,7 @@ from sweep_examples import ROOT, Inline
 from typer.testing import CliRunner, Result
 
 from micah_plan.cli.application import app
-from micah_plan.documents.sweep_file import load_sweep
+from micah_plan.documents.sweep import load_sweep
 from micah_plan.errors import InputError
 from micah_plan.sweep.run import run_sweep
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from sweep_examples import ROOT, SMALL
 
-from micah_plan.documents.located import Located
-from micah_plan.documents.overrides import overridden
-from micah_plan.documents.problem_file import ProblemReader, load_problem
-from micah_plan.documents.sweep_file import load_sweep, sweep_of
+from micah_plan.documents.located import Located, overridden
+from micah_plan.documents.problem import ProblemReader, load_problem
+from micah_plan.documents.sweep import load_sweep, sweep_of
 from micah_plan.errors import InputError
 
 

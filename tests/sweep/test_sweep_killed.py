@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 from sweep_examples import ROOT, Inline
 
-from micah_plan.documents.sweep_document import SWEEP_FORMAT
-from micah_plan.documents.sweep_file import load_sweep, sweep_of
+from micah_plan.documents.sweep import SWEEP_FORMAT, load_sweep, sweep_of
 from micah_plan.sweep.result import results_table
 from micah_plan.sweep.run import run_sweep
 from micah_plan.sweep.solve_case import solve_case
@@ -205,7 +204,7 @@ def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: 
 
 def test_a_script_whose_workers_cannot_start_is_told_so(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
     script = f"""
-from micah_plan.documents.sweep_file import load_sweep
+from micah_plan.documents.sweep import load_sweep
 from micah_plan.sweep.run import run_sweep
 run_sweep(load_sweep({str(undisturbed[0])!r}), "r.csv", workers=1)
 """

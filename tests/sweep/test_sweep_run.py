@@ -13,8 +13,8 @@ import pytest
 from sweep_examples import ROOT, SMALL, Inline
 
 from micah_plan import workflow
-from micah_plan.documents.problem_file import load_problem
-from micah_plan.documents.sweep_file import sweep_of
+from micah_plan.documents.problem import load_problem
+from micah_plan.documents.sweep import sweep_of
 from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.sweep import solve_case as worker
 from micah_plan.sweep.run import SweepStoppedError, run_sweep

@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan import workflow
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.task.plan import Plan
 from micah_plan.view.calibration_page import calibration_page
 from micah_plan.view.live import PageServer

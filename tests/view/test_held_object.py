@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.drawing import fixed_shapes, object_size, shown_links

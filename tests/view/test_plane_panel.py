@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 
-from micah_plan.documents.model_file import load_model
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.model import load_model
+from micah_plan.documents.problem import load_problem
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.figures import belief_figure, is_plane, plot_plane

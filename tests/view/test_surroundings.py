@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from micah_plan.scene.body import Body, Hull
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem

@@ -21,14 +21,13 @@ import numpy as np
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.contacts.collision import collision_regions
 from micah_plan.automaton.contacts.learned_joint import Latch, LearnedJoint, learned_joint
-from micah_plan.automaton.contacts.task import Face, Grip, HandNoise, Surroundings
+from micah_plan.automaton.contacts.task import COLLIDED, Face, Grip, HandNoise, Surroundings
 from micah_plan.automaton.contacts.task_joints import AXES, links_of, mode_joints, parts_of
 from micah_plan.automaton.contacts.touch import TouchPiece, resting_height, touch_pieces
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset, Tie
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box
 
 FREE = "free"
-COLLIDED = "collided"
 _N, _M, _JOINT = 4, 3, 3
 _HAND_FREE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 _STILL = ((0.0, 0.0, 0.0),) * 4

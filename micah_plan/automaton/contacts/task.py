@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import Vector3
 
+# Name of the mode of an object that has hit something.
+COLLIDED = "collided"
+
 
 @dataclass(frozen=True)
 class HeldPart:

@@ -1,4 +1,4 @@
-"""Sweep files (`problems/sweeps/*.yaml`): `load_sweep`."""
+"""Sweep files (`problems/sweeps/*.yaml`): many problems, with values to try in them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,42 @@ import json
 from collections.abc import Mapping, Sequence
 from math import log10, prod
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from micah_plan.documents.key_paths import allows, dotted_paths
-from micah_plan.documents.located import KeyPath, Located, nearest
-from micah_plan.documents.problem_document import ProblemDocument
-from micah_plan.documents.problem_file import ProblemReader
-from micah_plan.documents.sweep_document import SweepDocument
+from pydantic import Field
+
+from micah_plan.documents.layout import Document, Line, Name, doc, dotted_paths, kind_at
+from micah_plan.documents.located import Located, nearest
+from micah_plan.documents.problem import ProblemDocument, ProblemReader
 from micah_plan.documents.validation import validated
-from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
+from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import InputError
-from micah_plan.files import read_bytes
-from micah_plan.task.plants import DEFAULT_PLANT
+from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES, PlantName
 from micah_plan.task.problem import Problem
 from micah_plan.task.sweep import MOST_CASES, Digests, Sweep, SweptProblem
+
+SWEEP_FORMAT = "micah-plan/sweep/1"
+
+
+class ExecuteDocument(Document):
+    plant: PlantName = doc(f"Where plans are executed; {SENTENCES}.", DEFAULT_PLANT)
+    trials: Annotated[int, Field(ge=1, le=10_000)] = doc("Seeded trials of every plan.", 10)
+
+
+class SweepDocument(Document):
+    """Solve problems with every combination of values and every seed, and put the results into one table."""
+
+    format: Literal["micah-plan/sweep/1"] = doc("Format and version of this file.")
+    problems: Annotated[list[Line], Field(min_length=1, max_length=1000)] = doc("Problem files, relative to this file.")
+    seeds: Annotated[int, Field(ge=1, le=1_000_000)] = doc("How many seeds.", 1)
+    first_seed: Annotated[int, Field(ge=0, le=1_000_000_000)] = doc("The first of them.", 0)
+    grid: dict[Name, Annotated[list[Any], Field(min_length=1)]] = doc(
+        "Values to try instead of a problem's own, by dotted key of the problem file, e.g. `start.std.door: [0.02, "
+        "0.05]`; every combination is a case.",
+        dict,
+        max_length=50,
+    )
+    execute: ExecuteDocument | None = doc("Execution of every plan; default: none.", None)
 
 
 def load_sweep(path: str | Path) -> Sweep:
@@ -32,7 +54,7 @@ def load_sweep(path: str | Path) -> Sweep:
     Raises:
         InputError: if the sweep, a problem or a value cannot be used; one line names the place in the sweep file.
     """
-    return _sweep(read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path)), Path(path).parent)
+    return _sweep(read_yaml_file(path), Path(path).parent)
 
 
 def sweep_of(data: Mapping[str, Any], folder: str | Path = ".") -> Sweep:
@@ -51,7 +73,7 @@ def _sweep(located: Located, folder: Path) -> Sweep:
         lists = [f"{len(values)}" for values in document.grid.values()]
         shown = " x ".join([f"{len(document.problems)} problem(s)", *lists[:8], *["..."][: len(lists[8:])]])
         problem = f"expected at most {MOST_CASES:,} cases, found {_count(size)} ({shown} x {document.seeds} seeds)"
-        raise located.error((), problem, "take fewer values or seeds, or make several sweeps of it")
+        raise located.error(problem, "take fewer values or seeds, or make several sweeps of it")
     _check_grid(document, located)
     problems = tuple(_problem(document, number, located, folder) for number in range(len(document.problems)))
     return Sweep(
@@ -70,28 +92,28 @@ def _count(size: int) -> str:
 
 def _check_grid(document: SweepDocument, located: Located) -> None:
     """Raise an InputError where two cases would be the same, or no problem could have a value."""
-    _check_distinct(document.problems, "problem", ("problems",), located)
+    _check_distinct(document.problems, "problem", located.at("problems"))
     keys = [key.split(".") for key in document.grid]
     for key, values in document.grid.items():
         names = key.split(".")
         if names[0] == "format":
-            raise located.error(("grid", key), "the format is no value to vary", "take it out")
-        if not allows(ProblemDocument, names):
+            raise located.at("grid", key).error("the format is no value to vary", "take it out")
+        if kind_at(ProblemDocument, names) is None:
             near = nearest(key, dotted_paths(ProblemDocument))
             remedy = "see the page on the problem file" if near is None else f"did you mean '{near}'?"
-            raise located.error(("grid", key), "no problem has this key", remedy)
+            raise located.at("grid", key).error("no problem has this key", remedy)
         for other in keys:
             if len(other) < len(names) and names[: len(other)] == other:
                 problem = f"lies within {'.'.join(other)}, which the grid varies too"
-                raise located.error(("grid", key), problem, "vary one of them")
-        _check_distinct([json.dumps(value, sort_keys=True) for value in values], "value", ("grid", key), located)
+                raise located.at("grid", key).error(problem, "vary one of them")
+        _check_distinct([json.dumps(value, sort_keys=True) for value in values], "value", located.at("grid", key))
 
 
-def _check_distinct(texts: Sequence[str], what: str, path: KeyPath, located: Located) -> None:
+def _check_distinct(texts: Sequence[str], what: str, located: Located) -> None:
     seen = set()
     for number, text in enumerate(texts):
         if text in seen:
-            raise located.error((*path, number), f"the same {what} twice", "keep one of them")
+            raise located.at(number).error(f"the same {what} twice", "keep one of them")
         seen.add(text)
 
 
@@ -103,7 +125,7 @@ def _problem(document: SweepDocument, number: int, located: Located, folder: Pat
         digests = _digests(reader.load())
     except InputError as error:
         within = "" if error.where is None else f", {error.where}"
-        raise located.error(("problems", number), f"{path}{within}: {error.problem}", error.remedy) from None
+        raise located.at("problems", number).error(f"{path}{within}: {error.problem}", error.remedy) from None
     others = {}
     for key, values in document.grid.items():
         for i, value in enumerate(values):
@@ -111,7 +133,7 @@ def _problem(document: SweepDocument, number: int, located: Located, folder: Pat
                 found = _digests(reader.describe({key: value}))
             except InputError as error:
                 said = f"{name}: {error.problem}"
-                raise located.error(("grid", key, i), said, error.remedy) from None
+                raise located.at("grid", key, i).error(said, error.remedy) from None
             others[key, i] = {role: digest for role, digest in found.items() if digests.get(role) != digest}
     changed = {place: digest for place, digest in others.items() if digest}
     return SweptProblem(name, path.resolve(), digests, changed)

@@ -1,0 +1,353 @@
+"""Plan files (JSON): a plan with the problem that it solves.
+
+A plan file holds all that executing, viewing and explaining the plan needs. Times are not in it but beside it, so that
+the same problem and seed give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AliasChoices
+
+from micah_plan import __version__
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.input_memory import with_memory_states
+from micah_plan.documents.layout import (
+    Count,
+    Document,
+    Line,
+    Lines,
+    Listed,
+    Name,
+    Names,
+    NonNegative,
+    Probability,
+    doc,
+    plain,
+)
+from micah_plan.documents.located import Located
+from micah_plan.documents.model import automaton_of, model_data
+from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
+from micah_plan.documents.validation import check_format, validated
+from micah_plan.errors import InputError
+from micah_plan.files import read_bytes, replace_file
+from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, Trajectory
+from micah_plan.task.problem import Problem
+
+PLAN_FORMAT = "micah-plan/plan/1"
+LARGEST_PLAN_BYTES = 64 * 1024 * 1024
+_DEEPEST = 40
+_AGAIN = "solve the problem again"
+
+
+SomeNames = Annotated[tuple[Name, ...], Listed(1)]
+Interval = Annotated[tuple[Probability, ...], Listed(2, 2)]
+
+
+class CandidateDocument(Document):
+    modes: Names = doc("Mode sequence.")
+    search_cost: float = doc("Cost of its cheapest roadmap path.")
+    cost: float | None = doc("Optimised cost; null if the optimisation failed.")
+    message: str = doc("What became of it.")
+
+
+class FindingDocument(Document):
+    level: Level = doc("Where it was found.")
+    sentence: str = doc("What is wrong.")
+    remedy: str = doc("The nearest change that could help.")
+    modes: Names = doc("The mode sequence that it is about; empty: all.")
+    mode: str = doc("The mode in it; may be empty.")
+    knot: Count | None = doc("The knot in it.")
+    constraint: str = doc("What does not hold.")
+    amount: float | None = doc("By how much [unit].")
+    room: float | None = doc("What there is [unit].")
+    need: float | None = doc("What is needed [unit].")
+    unit: str = doc("Of the three.")
+
+
+class TrajectoryDocument(Document):
+    modes: SomeNames = doc("(K) mode at each knot.")
+    means: list[list[float]] = doc("(K, n) of the belief [rad or m].")
+    factors: list[list[list[float]]] = doc("(K, n, n) lower Cholesky factors of its covariance.")
+    inputs: list[list[float]] = doc("(K-1, m) from knot to knot [rad or m].")
+    gains: list[list[list[float]]] = doc("(K-1, m, n) feedback gains.")
+    is_transition: list[bool] = doc("(K-1) whether the step is a transition.")
+
+
+class ArmDocument(Document):
+    joints: SomeNames = doc("(J) names, from the root to the tool.")
+    positions: list[list[float]] = doc("(K, J) at the knots, straight lines in between [rad or m].")
+    manipulability: list[NonNegative] = doc("(K) Yoshikawa's measure; 0 at singularities.")
+    clearance: Annotated[tuple[float | None, ...], Listed()] = doc(
+        "(K) smallest distance at each knot [m]; null: nothing to meet."
+    )
+    least_clearance: float | None = doc("Smallest distance at and between all knots [m].")
+    closest_pair: Lines = doc("The two that come so close.")
+    closest_knot: Count = doc("The knot at or after which they do.")
+    deviation: NonNegative = doc("How far the tool strays between knots from a straight line [m].")
+
+
+class PlanDocument(Document):
+    """A plan with the whole problem that it solves, so that it can be executed and shown without other files."""
+
+    format: Literal["micah-plan/plan/1"] = doc("Format and version of this file.")
+    version: Line = doc("Version of micah_plan that wrote it.")
+    digest: str = doc("SHA-256 of everything else in this file.")
+    outcome: Outcome = doc("solved, no_plan or not_verified.")
+    reason: str = doc("One sentence.")
+    mode_sequence: Names = doc("Modes visited, in order.")
+    cost: float | None = doc("Total cost of the trajectory.")
+    goal_error: NonNegative | None = doc("Largest predicted distance from the goal [rad or m].")
+    goal_std: NonNegative | None = doc("Largest predicted std at the goal [rad or m].")
+    success_probability: Probability | None = doc("Share of roll-outs that ended in the goal set.")
+    success_interval: Interval | None = doc("95 % interval of the probability of success, given that share.", None)
+    verification_trials: Count = doc("Number of roll-outs.")
+    seed: int = doc("Seed of search and verification.")
+    candidates: list[CandidateDocument] = doc("Mode sequences tried, cheapest search cost first.")
+    findings: list[FindingDocument] = doc(
+        "What stands in the way; of a solved plan, what it keeps only in part.",
+        list,
+        validation_alias=AliasChoices("findings", "obstacles"),
+    )
+    warnings: Lines = doc("What of the model the plan leaves out.", tuple)
+    trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
+    arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
+    problem_file: Line = doc("Name of the problem file that was solved; empty if made in Python.")
+    digests: dict[Name, Line] = doc("SHA-256 of the input files, by role.")
+    problem: dict[str, Any] = doc("The problem, laid out as a problem file.")
+    model: dict[str, Any] = doc("Its model with the noise planned with, laid out as a model file.")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPlan:
+    """A plan as read from a file, with the problem that it was made for.
+
+    Attributes:
+        plan: without timings.
+        problem: with its automaton; its `source` is the problem file's name without the folder.
+        version: of the micah_plan that wrote the file.
+        source: the plan file.
+    """
+
+    plan: Plan
+    problem: Problem
+    version: str
+    source: str
+
+    @property
+    def automaton(self) -> HybridAutomaton:
+        return self.problem.automaton
+
+
+def plan_text(plan: Plan, problem: Problem) -> str:
+    """The text of a plan file.
+
+    Raises:
+        InputError: if a number of the plan is not finite, its sizes disagree, or the model cannot be written.
+    """
+    data = _plan_data(plan, problem)
+    _check_numbers(data, "plan")
+    data["digest"] = _digest(data)
+    stored = _stored(Located(data, "plan"))
+    if replace(stored.problem, source=problem.source) != problem:
+        raise InputError("plan: the problem cannot be written exactly", remedy="name each coordinate of the goal once")
+    lines = (f"{json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def write_plan(plan: Plan, problem: Problem, path: str | Path) -> None:
+    """Write a plan file, at once or not at all.
+
+    Raises:
+        InputError: as for `plan_text`, and if the file cannot be written.
+    """
+    replace_file(path, plan_text(plan, problem).encode())
+
+
+def timings_path(path: str | Path) -> Path:
+    """Where the times of a plan file are kept: ``PLAN.timings.json`` beside ``PLAN.json``."""
+    return Path(path).with_suffix(".timings.json")
+
+
+def write_timings(plan: Plan, path: str | Path) -> None:
+    """Write the plan's times [s] by stage beside the plan file at `path`.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    replace_file(timings_path(path), (json.dumps(dict(plan.timings), indent=2) + "\n").encode())
+
+
+def load_plan(path: str | Path) -> StoredPlan:
+    """The plan and problem that a file holds; a plan of any outcome can be read.
+
+    Raises:
+        InputError: if the file is no plan, was changed after it was written, or does not agree with itself.
+    """
+    content, source = read_bytes(path, LARGEST_PLAN_BYTES), str(path)
+    located = Located(_parsed(content, source), source)
+    check_format(located, PlanDocument)
+    if located.data.get("digest") != _digest(located.data):
+        problem = "the content does not match its digest: it was changed or damaged after it was written"
+        raise InputError(problem, source=source, where="key 'digest'", remedy=_AGAIN)
+    return _stored(located)
+
+
+def require_executable(stored: StoredPlan) -> Trajectory:
+    """The trajectory of a plan that solves its problem.
+
+    Raises:
+        InputError: if the plan has another outcome.
+    """
+    plan = stored.plan
+    if plan.outcome != "solved" or plan.trajectory is None:
+        problem = f"plan has outcome {plan.outcome}: {plan.reason}"
+        raise InputError(problem, source=stored.source or None, remedy="only a solved plan can be executed")
+    return plan.trajectory
+
+
+def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
+    """The data of a plan file without its digest, which `_stored` reads back."""
+    own = {
+        "format": PLAN_FORMAT,
+        "version": __version__,
+        "digest": "",
+        "mode_sequence": plan.mode_sequence,
+        "problem_file": Path(problem.source).name,
+        "digests": problem.digests,
+        "problem": problem_data(problem, "model"),
+        "model": model_data(problem.automaton),
+    }
+    return plain(PlanDocument, vars(plan) | own, keep={"success_interval", "findings"})
+
+
+def _stored(located: Located) -> StoredPlan:
+    document = validated(located, PlanDocument)
+    automaton = automaton_of(located.at("model"))
+    stated = located.at("problem")
+    problem = problem_of(validated(stated, ProblemDocument), automaton, stated, Path(located.source).parent)
+    problem = replace(problem, source=document.problem_file, digests=document.digests)
+    trajectory = arm = None
+    if document.trajectory is not None:
+        trajectory = _trajectory_of(document.trajectory, automaton, located.at("trajectory"))
+    if (trajectory is None) == (document.outcome != "no_plan"):
+        found = "no trajectory" if trajectory is None else "a trajectory"
+        raise located.at("trajectory").error(f"outcome {document.outcome} with {found}", _AGAIN)
+    if trajectory is not None and document.arm is not None:
+        arm = _arm_of(document.arm, len(trajectory.modes), located.at("arm"))
+    parts = {
+        "candidates": tuple(Candidate(**dict(item)) for item in document.candidates),
+        "findings": tuple(Finding(**dict(item)) for item in document.findings),
+        "trajectory": trajectory,
+        "arm": arm,
+    }
+    own = {field.name for field in fields(Plan)}
+    plan = Plan(**{key: value for key, value in document if key in own} | parts)
+    if plan.mode_sequence != document.mode_sequence:
+        raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)
+    return StoredPlan(plan, problem, document.version, located.source)
+
+
+def _trajectory_of(document: TrajectoryDocument, automaton: HybridAutomaton, located: Located) -> Trajectory:
+    """The belief trajectory that an entry describes; `layout.plain` writes it."""
+    knots, n, m = len(document.modes), automaton.n, automaton.m
+    if document.means and len(document.means[0]) != n:
+        n = with_memory_states(automaton).n
+    for i, name in enumerate(document.modes):
+        located.at("modes", i).number(name, automaton.mode_names, "mode")
+
+    def array(key: str, *shape: int) -> NDArray[np.float64]:
+        value = getattr(document, key)
+        try:
+            result = np.array(value, dtype=np.float64).reshape(shape if not value else np.shape(value))
+        except ValueError:
+            raise located.at(key).error(f"expected shape {shape}, found ragged rows", _AGAIN) from None
+        if result.shape != shape:
+            raise located.at(key).error(f"expected shape {shape}, found {result.shape}", _AGAIN)
+        return result
+
+    return Trajectory(
+        modes=document.modes,
+        means=array("means", knots, n),
+        factors=array("factors", knots, n, n),
+        inputs=array("inputs", knots - 1, m),
+        gains=array("gains", knots - 1, m, n),
+        is_transition=array("is_transition", knots - 1).astype(bool),
+    )
+
+
+def _arm_of(document: ArmDocument, knots: int, located: Located) -> ArmTrajectory:
+    """The arm's trajectory that an entry describes; `layout.plain` writes it.
+
+    Args:
+        knots: of the belief trajectory.
+
+    Raises:
+        InputError: if a length disagrees with the joints or the knots.
+    """
+    width = len(document.joints)
+    for key in ("positions", "manipulability", "clearance"):
+        if len(getattr(document, key)) != knots:
+            problem = f"expected {knots} knots, found {len(getattr(document, key))}"
+            raise located.at(key).error(problem, _AGAIN)
+    for i, row in enumerate(document.positions):
+        if len(row) != width:
+            raise located.at("positions", i).error(f"expected {width} joints, found {len(row)}", _AGAIN)
+    if document.closest_knot >= knots or len(document.closest_pair) not in (0, 2):
+        raise located.error("its closest pair and knot are none of the plan", _AGAIN)
+    arrays = {
+        "positions": np.array(document.positions, dtype=float).reshape(knots, width),
+        "manipulability": np.array(document.manipulability, dtype=float),
+    }
+    return ArmTrajectory(**dict(document) | arrays)
+
+
+def _check_numbers(data: Any, path: str) -> None:
+    """JSON has no NaN: say which number it would have been."""
+    if isinstance(data, float) and not np.isfinite(data):
+        raise InputError(f"{path} is not finite: {data}", remedy="report this as a bug of the planner")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        _check_numbers(value, f"{path}.{key}")
+
+
+def _digest(data: dict[str, Any]) -> str:
+    """SHA-256 of the content in a fixed formatting, without the digest itself; the order of keys counts."""
+    content = {key: value for key, value in data.items() if key != "digest"}
+    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+
+
+def _parsed(content: bytes, source: str) -> Any:
+    try:
+        data = json.loads(content.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise InputError("expected a plan (JSON), found bytes that are no text", source=source, remedy=_AGAIN) from None
+    except json.JSONDecodeError as error:
+        where, problem = f"line {error.lineno}", f"not valid JSON, damaged or cut short: {error.msg}"
+        raise InputError(problem, source=source, where=where, remedy=_AGAIN) from None
+    except (RecursionError, ValueError):  # ValueError: an integer of thousands of digits
+        raise InputError("not a plan: nested too deep or a number too long", source=source, remedy=_AGAIN) from None
+    if _depth(data) > _DEEPEST:
+        raise InputError("not a plan: nested too deep", source=source, remedy=_AGAIN)
+    return data
+
+
+def _depth(data: Any) -> int:
+    """Levels of nesting, counted without recursion."""
+    depth, level = 0, [data]
+    while level:
+        depth += 1
+        level = [
+            child
+            for item in level
+            if isinstance(item, dict | list)
+            for child in (item.values() if isinstance(item, dict) else item)
+        ]
+    return depth

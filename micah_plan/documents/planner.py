@@ -1,0 +1,120 @@
+"""Settings of the planner and physical parameters: `planner`, `confidence` and `plant` of a problem file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from micah_plan.documents.layout import Document, Name, NonNegative, Positive, doc
+from micah_plan.documents.located import Located
+from micah_plan.task.settings import Method, PlannerSettings
+
+Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class PlannerDocument(Document):
+    method: Method = doc(
+        "The planner: POMDP-HD, or a baseline to compare it with; all are verified alike.", PlannerSettings.method
+    )
+    samples_per_mode: Count = doc("Roadmap states per mode of the high-level search.", PlannerSettings.samples_per_mode)
+    candidates: Count = doc("How many of the cheapest mode sequences are optimised.", PlannerSettings.candidates)
+    revisits: Annotated[int, Field(ge=0, le=10)] = doc(
+        "How many times a mode sequence may come back to a mode that it has been in, e.g. to leave a wall.",
+        PlannerSettings.revisits,
+    )
+    max_step: dict[Name, Positive] | None = doc(
+        "Largest input per step, by input [rad or m]; default: from the model.", None
+    )
+    max_knots: Annotated[int, Field(ge=2, le=100_000)] = doc(
+        "Upper limit of knots over the whole plan.", PlannerSettings.max_knots
+    )
+    weight_goal: NonNegative = doc(
+        "Weight of the final squared goal error over the squared tolerance.", PlannerSettings.weight_goal
+    )
+    weight_covariance: NonNegative = doc(
+        "Weight of the final variance over the squared tolerance.", PlannerSettings.weight_covariance
+    )
+    weight_effort: NonNegative = doc(
+        "Weight of the squared inputs over the squared largest step.", PlannerSettings.weight_effort
+    )
+    time_limit_s: Positive = doc("Wall-clock limit of each optimisation [s].", PlannerSettings.time_limit_s)
+    solve_time_limit_s: Positive = doc(
+        "Wall-clock limit of search, optimisations, verification and the arm together [s].",
+        PlannerSettings.solve_time_limit_s,
+    )
+    verification_trials: Count = doc("Roll-outs that check a plan.", PlannerSettings.verification_trials)
+    tightening_rounds: Annotated[int, Field(ge=0, le=100)] = doc(
+        "How often a plan that roll-outs fail too often is made anew with more room.", PlannerSettings.tightening_rounds
+    )
+    replan_every: Annotated[int, Field(ge=0, le=100_000)] = doc(
+        "Steps after which execution plans anew from its belief; 0: only where the belief leaves the plan.",
+        PlannerSettings.replan_every,
+    )
+
+
+class PlantDocument(Document):
+    """Standing objects know the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
+
+    mass: Positive | None = doc("Of each moving part, or of each part held [kg].", None)
+    damping: NonNegative | None = doc("Viscous resistance at the handle [N s/m].", None)
+    friction: NonNegative | None = doc("Dry friction at the handle [N].", None)
+    latch_force: NonNegative | None = doc("Pull at the handle that opens a latch [N].", None)
+    latch_capture: NonNegative | None = doc(
+        "Distance of the handle from the latched position within which the latch catches [m]; of the joint of a held "
+        "object [rad or m].",
+        None,
+    )
+    stiffness: Positive | None = doc("Of the hand [N/m]; with a robot that of its joints.", None)
+    max_force: Positive | None = doc("Largest force of the hand [N].", None)
+    control_period: Positive | None = doc("Duration of one control step [s].", None)
+    motion_share: Annotated[float, Field(gt=0, le=1)] | None = doc(
+        "Share of the control step in which the hand's target moves.", None
+    )
+    gravity: NonNegative | None = doc("Acceleration along -z of the base frame [m/s^2].", None)
+    position_noise: NonNegative | None = doc("White tracker noise per axis, std [m].", None)
+    rotation_noise: NonNegative | None = doc("White tracker noise per axis, std [rad].", None)
+    position_wander: NonNegative | None = doc("Slowly wandering tracker error, std [m].", None)
+    rotation_wander: NonNegative | None = doc("Slowly wandering tracker error, std [rad].", None)
+    wander_time: Positive | None = doc("Correlation time of the wander [s].", None)
+    contact_friction: NonNegative | None = doc("Coefficient, of a held object and the scene.", None)
+    spread: Annotated[float, Field(ge=0, le=1)] | None = doc(
+        "Share by which mass and friction of a held object vary from trial to trial.", None
+    )
+    joint_friction: NonNegative | None = doc("Dry friction of a held object's joint [N m or N].", None)
+    joint_damping: NonNegative | None = doc("Damping of a held object's joint [N m s/rad or N s/m].", None)
+    pivot_stiffness: NonNegative | None = doc("Of the part held, where it turns in the hand [N m/rad].", None)
+    pivot_damping: NonNegative | None = doc("Its damping there [N m s/rad].", None)
+    joint_deflection: Positive | None = doc(
+        "Error at which a joint of the robot pushes with all its effort [rad or m].", None
+    )
+    joint_effort: Positive | None = doc("Of the robot's joints whose file states none [N m or N].", None)
+    rotor_inertia: NonNegative | None = doc("Of the robot's motors, as the joints feel it [kg m^2 or kg].", None)
+
+
+def settings_of(
+    document: PlannerDocument, confidence: float, inputs: Sequence[str], located: Located
+) -> PlannerSettings:
+    """The settings of a problem.
+
+    Args:
+        document: the entry `planner`.
+        confidence: the entry beside it.
+        inputs: names of the model's inputs.
+    """
+    max_step = document.max_step
+    steps = None if max_step is None else located.at("max_step").in_order(max_step, inputs, "input")
+    return PlannerSettings(**dict(document) | {"confidence": confidence, "max_step": steps})
+
+
+def settings_data(settings: PlannerSettings, inputs: Sequence[str]) -> dict[str, Any]:
+    """The entries `confidence` and `planner` with every setting written out, which `settings_of` reads back."""
+    planner = dict(vars(settings))
+    confidence = planner.pop("confidence")
+    if settings.max_step is None:
+        del planner["max_step"]
+    else:
+        planner["max_step"] = dict(zip(inputs, settings.max_step, strict=True))
+    return {"confidence": confidence, "planner": planner}
