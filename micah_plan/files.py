@@ -4,7 +4,6 @@ that a file names, which must not lead out of its folder."""
 from __future__ import annotations
 
 import os
-import secrets
 import stat
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -93,7 +92,7 @@ def replace_file(path: str | Path, data: bytes) -> None:
         if target.exists() and not target.is_file() and not target.is_dir():
             target.write_bytes(data)  # a pipe or device such as /dev/stdout must never be replaced
             return
-        temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+        temporary = target.with_name(f".{os.urandom(8).hex()}.tmp")
         try:
             with temporary.open("xb") as file:
                 file.write(data)

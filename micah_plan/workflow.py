@@ -17,25 +17,23 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from micah_plan import __version__
-from micah_plan.automaton.graph import KinematicGraph
-from micah_plan.automaton.hybrid import HybridAutomaton, Part
-from micah_plan.automaton.input_memory import left_out
-from micah_plan.automaton.learned_channel import with_learned_channel
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
-from micah_plan.recording.value import Recording
-from micah_plan.task.deadline import Deadline, TimeLimitError
-from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.plants import DEFAULT_PLANT
-from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Method as PlanningMethod
 
 if TYPE_CHECKING:
+    from micah_plan.automaton.graph import KinematicGraph
+    from micah_plan.automaton.hybrid import HybridAutomaton, Part
     from micah_plan.execution.plant import Plant, PlantMaker
     from micah_plan.execution.trials import Keep, TrialStatistics
+    from micah_plan.recording.value import Recording
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
     from micah_plan.robot.tool_path import ArmFailure
+    from micah_plan.task.deadline import Deadline
+    from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
+    from micah_plan.task.problem import Problem
+    from micah_plan.task.settings import Method as PlanningMethod
 
 Method = Literal["act-champ", "champ"]
 Progress = Callable[[str, float], None]
@@ -138,7 +136,9 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
+    from micah_plan.automaton.input_memory import left_out
     from micah_plan.planning.tightening import verified_plan
+    from micah_plan.task.deadline import Deadline
 
     deadline = Deadline(problem.settings.solve_time_limit_s)
     method = problem.settings.method
@@ -154,6 +154,8 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Pl
     if problem.robot is None or plan.trajectory is None:
         return plan
     from micah_plan.robot.along_plan import arm_along
+    from micah_plan.task.deadline import TimeLimitError
+    from micah_plan.task.plan import ArmTrajectory, Finding
 
     begin, says = time.perf_counter(), "the arm cannot follow the plan: "
     arm: ArmTrajectory | Finding
@@ -172,6 +174,8 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Pl
 
 
 def _arm_finding(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Finding:
+    from micah_plan.task.plan import Finding
+
     return Finding(
         level="arm",
         sentence=arm.sentence,
@@ -234,6 +238,8 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
     Raises:
         InputError: if learning found nothing about the actions.
     """
+    from micah_plan.automaton.learned_channel import with_learned_channel
+
     steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
     return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
 

@@ -36,10 +36,13 @@ class Interrupted(MicahError):  # noqa: N818 - it is no mistake
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """Progress of long work: called with a message and the fraction done; shown on a terminal unless quiet."""
+    if quiet or not err.is_terminal:
+        yield lambda *_: None
+        return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True, disable=quiet or not err.is_terminal) as bars:
+    with Progress(*columns, console=err, transient=True) as bars:
         task = bars.add_task("starting", total=1.0)
         yield lambda message, fraction: bars.update(task, description=message, completed=fraction)
 

@@ -9,13 +9,15 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -98,6 +100,8 @@ class Recording:
 
     def poses(self) -> RigidTransform:
         """(n,) poses of the parts in the base frame; identity orientation where none was measured."""
+        from scipy.spatial.transform import RigidTransform, Rotation
+
         rotation = Rotation.identity(len(self)) if self.quaternion is None else Rotation.from_quat(self.quaternion)
         return RigidTransform.from_components(self.position, rotation)
 

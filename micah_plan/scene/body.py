@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +61,8 @@ class Body:
 
 def transform(position: Vector3, quaternion: Quaternion) -> RigidTransform:
     """The pose (single) with a position [m] and an orientation, scalar last."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
     return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-
-from scipy.spatial.transform import RigidTransform
+from typing import TYPE_CHECKING
 
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.scene.body import transform
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.special import ndtri
-
 Method = Literal["pomdp-hd", "direct", "rrt"]
 
 
@@ -54,4 +52,6 @@ class PlannerSettings:
     @property
     def sigmas(self) -> float:
         """How many standard deviations of room the confidence asks for at a boundary: k with Φ(k) = confidence."""
+        from scipy.special import ndtri
+
         return float(ndtri(self.confidence))

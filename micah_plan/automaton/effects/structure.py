@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.joint import Joint, rigid
-from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
 
@@ -81,6 +80,8 @@ def _moving(automaton: HybridAutomaton, link: int) -> Joint:
 def _held(moving: Joint, at: float, before: Joint) -> Joint:
     if moving.kind == "rigid":
         return replace(before, held=at)
+    from micah_plan.automaton.kinematics import forward
+
     pose = forward(moving, at)[0]
     return rigid(pose.translation, pose.rotation.as_quat(), at)
 
