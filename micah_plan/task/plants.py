@@ -29,7 +29,7 @@ BUILT_IN: Mapping[str, BuiltInPlant] = {
     "mujoco": BuiltInPlant("micah_plan.execution.in_mujoco:in_mujoco", "independent physics"),
 }
 DEFAULT_PLANT = "nominal"
-SENTENCES = ", ".join(f"{name}: {plant.sentence}" for name, plant in BUILT_IN.items())
+SENTENCES = "; ".join(f"{name}: {plant.sentence}" for name, plant in BUILT_IN.items())
 
 if TYPE_CHECKING:
     PlantName = str
