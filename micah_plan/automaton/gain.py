@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
+from micah_plan.automaton.lifted import mapped
 
 Floats = NDArray[np.float64]
 
@@ -114,7 +115,9 @@ def with_gains(automaton: HybridAutomaton, errors: Floats) -> HybridAutomaton:
     """
     if not errors.size:
         return automaton
-    scaled = [gain_factors(automaton, mode, errors)[:, None] * mode.B for mode in automaton.modes]
-    matrices = [tuple(tuple(map(float, row)) for row in rows) for rows in scaled]
-    modes = [replace(mode, input_matrix=rows) for mode, rows in zip(automaton.modes, matrices, strict=True)]
-    return replace(automaton, modes=tuple(modes))
+
+    def scaled(mode: Mode) -> Mode:
+        B = gain_factors(automaton, mode, errors)[:, None] * mode.B
+        return replace(mode, input_matrix=tuple(map(tuple, B.tolist())))
+
+    return mapped(automaton, scaled)

@@ -13,11 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Interval, Region
-from micah_plan.automaton.register import Register
 from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
@@ -87,7 +86,8 @@ class Pin:
     Being in such a mode is information: the coordinate is known to `std`. A state elsewhere is put at `value`.
 
     Attributes:
-        follows: another coordinate, never pinned, that adds to `value`; None: none (`boundary_states` has such pins).
+        follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
+            (`thresholds.with_boundary_states`). None: none.
     """
 
     coordinate: int
@@ -248,7 +248,8 @@ class HybridAutomaton:
         learned: what learning was sure of; empty for a model that was not learned.
         effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
             `modes` and `edges`, the others act in every step.
-        registers: the memories of effects that are states here (`memory_states`); empty: steps leave these effects out.
+        input_memories: what effects remember of inputs, where that is part of the state (`input_memory`); empty: steps
+            leave these effects out.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -262,7 +263,7 @@ class HybridAutomaton:
     provenance: Mapping[str, str] = field(default_factory=dict)
     learned: tuple[LearnedEdge, ...] = ()
     effects: tuple[Effect, ...] = ()
-    registers: tuple[Register, ...] = ()
+    input_memories: tuple[InputMemory, ...] = ()
 
     @property
     def n(self) -> int:

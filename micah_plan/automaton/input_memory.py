@@ -1,147 +1,200 @@
-"""An automaton whose effects with a memory have it in the state: what planner and filter need to plan with them.
+"""Effects that remember earlier inputs: as a channel that inputs pass through, and as coordinates of the state.
 
-The state is (x, m): m holds, for each such effect, the values that it remembers: the inputs of the last steps for a
-delay, the command that arrives for a lag, the place within the play for a backlash. Inputs are known, so m starts at
-rest, is known exactly, no noise moves it and no sensor shows it. A step of (x, m) is a step of x with the input that
-comes out of the memory (`passing.passed_on`). Everything else stays as it is; goals, guards and joints know x only.
+A delay remembers the inputs of the last steps, a lag the command that arrives, a backlash the place within the play.
+What comes out of a memory is the same formula (`EffectForm.remember`) wherever it is kept:
+
+- An `InputChannel` keeps it beside the state, for one run or many: plants, roll-outs and predictions send inputs
+  through it before they reach the automaton's step.
+- `with_memory_states` keeps it in the state (x, m): what planner and filter need to plan with it. Inputs are known, so
+  m starts at rest, is known exactly, no noise moves it and no sensor shows it. A step of (x, m) is a step of x with the
+  input that comes out of the memory (`passed_on`). Goals, guards and joints depend on x only.
+
+A memory changes from step to step, not within one: guards, resets and motion of a step see the input that comes out,
+and the memory takes its next values when the step ends.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from micah_plan.automaton.effects.form import Operations, Value
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
-from micah_plan.automaton.passing import at_rest
-from micah_plan.automaton.region import Region
-from micah_plan.automaton.register import Register
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton
+from micah_plan.automaton.lifted import lifted, restricted
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton over (x, m), made once; the automaton itself where nothing remembers or m is there already."""
     made: HybridAutomaton | None = automaton.derived.get("memory_states")
     if made is None:
-        registers = () if automaton.registers else _registers(automaton)
-        made = _extended(automaton, registers) if registers else automaton
+        made = automaton if automaton.input_memories else _with_states(automaton)
         automaton.derived["memory_states"] = made
     return made
 
 
 def without_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton over x, whose steps then leave the effects with a memory out."""
-    size = sum(register.size for register in automaton.registers)
-    return replace(_resized(automaton, automaton.n - size), registers=()) if size else automaton
+    """The automaton over x, whose steps then leave out the effects that remember."""
+    if not automaton.input_memories:
+        return automaton
+    return replace(restricted(automaton, own_size(automaton)), input_memories=())
+
+
+def own_size(automaton: HybridAutomaton) -> int:
+    """Number of coordinates that are no memory; they come first."""
+    return automaton.n - sum(memory.size for memory in automaton.input_memories)
 
 
 def memory_at_rest(automaton: HybridAutomaton) -> tuple[float, ...]:
     """(k,) the values of m before any input; empty where the automaton has none."""
-    return tuple(value for register in automaton.registers for value in at_rest(register))
+    return tuple(value for memory in automaton.input_memories for value in _at_rest(memory.effect))
 
 
-def remembering_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
-    """The input that an effect's memory is about, and the coordinate's command per unit of it.
+def passed_on(
+    ops: Operations, memories: Sequence[InputMemory], mode: str, x: Sequence[Value], u: Sequence[Value]
+) -> tuple[list[Value], dict[int, Value]]:
+    """What comes out of the memories in a step: the m inputs that reach the mode, and the memories' next values.
 
-    None where the memory cannot be a state: if the coordinate is not moved by one input of its own, in the same way
-    in every mode that moves it, or if a reset adds that input at once.
+    An effect that acts in other modes only keeps its memory up to date, without changing the input.
+
+    Args:
+        x, u: n states and m inputs: floats, arrays or CasADi expressions.
+
+    Returns:
+        the inputs, and the next values by number of their coordinate.
     """
-    i = automaton.index(effect.coordinate)
-    rows = {mode.input_matrix[i] for mode in automaton.modes if any(mode.input_matrix[i])}
-    if len(rows) != 1 or np.count_nonzero(next(iter(rows))) != 1:
-        return None
-    j = int(np.flatnonzero(next(iter(rows)))[0])
-    alone = all(not row[j] for mode in automaton.modes for k, row in enumerate(mode.input_matrix) if k != i)
-    added = any(edge.reset.B is not None and np.any(np.array(edge.reset.B)[:, j]) for edge in automaton.edges)
-    return (j, float(next(iter(rows))[j])) if alone and not added else None
+    passed, after = list(u), dict[int, Value]()
+    for own in memories:
+        out, kept = _through(ops, own, passed[own.input], tuple(x[own.coordinates]))
+        after |= dict(enumerate(kept, start=own.first))
+        if own.effect.acts_in(mode):
+            passed[own.input] = out
+    return passed, after
 
 
-def _registers(automaton: HybridAutomaton) -> tuple[Register, ...]:
-    found: list[Register] = []
-    first = automaton.n
-    for effect in automaton.effects:
-        given = remembering_input(automaton, effect) if form(effect.name).layer == "memory" else None
-        if given is not None:
-            size = len(form(effect.name).at_rest(effect.values))
-            found.append(Register(effect, *given, first, size))
-            first += size
-    return tuple(register for register in found if register.size)
+def passed_arrays(memories: Sequence[InputMemory], mode: str, x: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """The inputs (..., m) that reach the mode, and the states with the memories' next values, for x (..., n)."""
+    if not memories:
+        return u, x
+    passed, after = passed_on(np, memories, mode, np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))  # type: ignore[arg-type]
+    kept = np.array(x)
+    for i, value in after.items():
+        kept[..., i] = value
+    return np.stack([np.broadcast_to(value, np.shape(u)[:-1]) for value in passed], axis=-1), kept
 
 
-def _extended(automaton: HybridAutomaton, registers: tuple[Register, ...]) -> HybridAutomaton:
-    size = sum(register.size for register in registers)
-    names = [
-        Coordinate(f"{r.effect.coordinate} {r.effect.name} {k + 1}", automaton.inputs[r.input].unit)
-        for r in registers
-        for k in range(r.size)
-    ]
-    larger = _resized(automaton, automaton.n + size)
-    return replace(larger, coordinates=(*automaton.coordinates, *names), registers=registers)
+class InputChannel:
+    """The memory of one run, or of t runs side by side; without effects that remember it passes everything on.
 
+    An effect that acts in some modes only keeps its memory up to date in the others, without changing the input there.
+    """
 
-def _resized(automaton: HybridAutomaton, n: int) -> HybridAutomaton:
-    """The automaton over the first n coordinates, or with further ones that nothing moves, sees or asks for."""
-    noise = automaton.noise
-    light = None if noise.light is None else replace(noise.light, growth=_fit(noise.light.growth, n))
-    return replace(
-        automaton,
-        coordinates=automaton.coordinates[:n],
-        modes=tuple(_mode(mode, n, automaton.m) for mode in automaton.modes),
-        edges=tuple(_edge(edge, n) for edge in automaton.edges),
-        noise=Noise(_fit(noise.process_std, n), _fit(noise.observation_std, n, float("inf")), light),
-        init=tuple((name, _region(region, n)) for name, region in automaton.init),
-    )
+    def __init__(self, automaton: HybridAutomaton, memory: Mapping[Effect, Sequence[float]] | None = None) -> None:
+        """Args: the model, and what its effects remember; left out: they are at rest."""
+        self._memories = _memories(automaton, _strongest_input)
+        self._acts = [np.array([own.effect.acts_in(q) for q in automaton.mode_names]) for own in self._memories]
+        self._kept = [tuple((memory or {}).get(own.effect, _at_rest(own.effect))) for own in self._memories]
 
+    def pass_on(self, u: ArrayLike, mode: str | Ints = "") -> Floats:
+        """The input (..., m) that reaches the automaton when u (..., m) is commanded: one call per step.
 
-def _mode(mode: Mode, n: int, m: int) -> Mode:
-    rows = mode.input_matrix[:n]
-    return replace(
-        mode,
-        input_matrix=rows + ((0.0,) * m,) * (n - len(rows)),
-        invariant=_region(mode.invariant, n),
-        inputs=_region(mode.inputs, n),
-        ties=tuple(replace(tie, weights=_fit(tie.weights, n)) for tie in mode.ties),
-    )
-
-
-def _edge(edge: Edge, n: int) -> Edge:
-    reset = edge.reset
-    A = None
-    if reset.A is not None:
-        kept, A = reset.A[:n], np.eye(n)
-        A[: len(kept), : len(kept)] = [row[:n] for row in kept]
-    rows = () if reset.B is None else reset.B[:n]
-    B = None if reset.B is None else rows + ((0.0,) * len(rows[0]),) * (n - len(rows))
-    c = None if reset.c is None else _fit(reset.c, n)
-    reset = Reset(None if A is None else tuple(tuple(map(float, row)) for row in A), B, c)
-    return replace(edge, guard=_region(edge.guard, n), reset=reset)
-
-
-def _region(region: Region, n: int) -> Region:
-    return Region(tuple(replace(h, a=_fit(h.a, n)) for h in region.half_spaces))
-
-
-def _fit(values: tuple[float, ...], n: int, further: float = 0.0) -> tuple[float, ...]:
-    return values[:n] + (further,) * (n - len(values))
+        Args:
+            mode: name of the mode, or the index of each run's mode (t,).
+        """
+        passed = np.array(u, dtype=float)
+        for k, own in enumerate(self._memories):
+            sent = passed[..., own.input].copy()
+            out, self._kept[k] = _through(np, own, sent, self._kept[k])
+            acts = own.effect.acts_in(mode) if isinstance(mode, str) else self._acts[k][mode]
+            passed[..., own.input] = np.where(acts, out, sent)
+        return passed
 
 
 def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...]:
     """One line per effect that prediction and calibration know, and planner, filter and nominal plant do not.
 
     Args:
-        memory: whether those with a memory are left out even where it can be a state.
+        memory: whether those that remember are left out even where their memory can be a state.
     """
     carried = [automaton.coordinates[link.coordinate].name for link in automaton.links if link.parent != BASE]
-    told = []
+    lines = []
     for effect in automaton.effects:
         layer, why = form(effect.name).layer, ""
-        if layer == "memory" and (memory or remembering_input(automaton, effect) is None):
+        if layer == "memory" and (memory or _only_input(automaton, effect) is None):
             why = "it depends on earlier inputs"
         elif layer == "frame" and effect.coordinate in carried:
             why = "commands are given in the base frame"
         if why:
             named = f"the {effect.name} of {effect.coordinate}"
-            told.append(f"planner, filter and nominal plant leave out {named}: {why}")
-    return tuple(told)
+            lines.append(f"planner, filter and nominal plant leave out {named}: {why}")
+    return tuple(lines)
+
+
+def _through(ops: Operations, own: InputMemory, u: Value, kept: tuple[Value, ...]) -> tuple[Value, tuple[Value, ...]]:
+    """The input that comes out of one memory, and its next values."""
+    out, after = form(own.effect.name).remember(ops, own.scale * u, kept, own.effect.values)
+    return out / own.scale, after
+
+
+def _at_rest(effect: Effect) -> tuple[float, ...]:
+    return tuple(map(float, form(effect.name).at_rest(effect.values)))
+
+
+def _with_states(automaton: HybridAutomaton) -> HybridAutomaton:
+    memories = tuple(own for own in _memories(automaton, _only_input) if own.size)
+    if not memories:
+        return automaton
+    added = [
+        Coordinate(f"{own.effect.coordinate} {own.effect.name} {k + 1}", automaton.inputs[own.input].unit)
+        for own in memories
+        for k in range(own.size)
+    ]
+    return replace(lifted(automaton, added), input_memories=memories)
+
+
+def _memories(
+    automaton: HybridAutomaton, input_of: Callable[[HybridAutomaton, Effect], tuple[int, float] | None]
+) -> tuple[InputMemory, ...]:
+    """One for each effect that remembers and has an input, one after the other behind the automaton's coordinates."""
+    found: list[InputMemory] = []
+    first = automaton.n
+    for effect in automaton.effects:
+        given = input_of(automaton, effect) if form(effect.name).layer == "memory" else None
+        if given is not None:
+            found.append(InputMemory(effect, *given, first, len(_at_rest(effect))))
+            first += found[-1].size
+    return tuple(found)
+
+
+def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float]:
+    """The input that moves an effect's coordinate most in the first mode that does, and its command per unit of it."""
+    i = automaton.index(effect.coordinate)
+    mode = next((mode for mode in automaton.modes if mode.driven[i]), None)
+    if mode is None:
+        return i, 1.0
+    j = int(np.argmax(np.abs(mode.B[i])))
+    return j, float(mode.B[i, j])
+
+
+def _only_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
+    """The same where the memory can be a state; None where it cannot.
+
+    It can if the coordinate is moved by one input of its own, in the same way in every mode that moves it, and no reset
+    adds that input at once.
+    """
+    i = automaton.index(effect.coordinate)
+    j, scale = _strongest_input(automaton, effect)
+    moving = [mode.B[i] for mode in automaton.modes if mode.driven[i]]
+    if not moving or any(np.delete(mode.B[:, j], i).any() for mode in automaton.modes):
+        return None
+    alone = all(row[j] == scale and np.count_nonzero(row) == 1 for row in moving)
+    added = any(edge.reset.B is not None and any(row[j] for row in edge.reset.B) for edge in automaton.edges)
+    return (j, scale) if alone and not added else None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -72,6 +73,25 @@ class HalfSpace:
         weight = self.a[along[0]]
         return Bound(along[0], self.c / weight, weight > 0)
 
+    def moved(self, by: float) -> HalfSpace:
+        """The half-space with its threshold `by` larger."""
+        return replace(self, c=self.c + by)
+
+    def faces(self, other: HalfSpace) -> bool:
+        """Whether both are on the state alone and open in exactly opposite directions: one boundary from two sides."""
+        if self.on_input or other.on_input or not self.on_state or not other.on_state:
+            return False
+        a, b = np.array(self.a), np.array(other.a)
+        return bool(np.allclose(a / np.linalg.norm(a), -b / np.linalg.norm(b), rtol=0.0, atol=1e-9))
+
+    def leaves_out(self, other: HalfSpace) -> bool:
+        """Whether another that it faces lies outside of it, but for the boundary that they may share."""
+        return -other.c / float(np.linalg.norm(other.a)) <= self.c / float(np.linalg.norm(self.a)) + 1e-9
+
+    def meets(self, other: HalfSpace) -> bool:
+        """Whether both have one boundary and open to its two sides."""
+        return self.faces(other) and self.leaves_out(other) and other.leaves_out(self)
+
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
         return np.asarray(x @ np.array(self.a) + u @ np.array(self.b) - self.c)
@@ -136,6 +156,11 @@ class Region:
         strict = self._arrays[3]
         inside = np.where(strict, margins > -tolerance, margins >= -tolerance)
         return np.asarray(inside.all(axis=-1))
+
+    def mapped(self, change: Callable[[HalfSpace], HalfSpace]) -> Region:
+        """The region with each half-space replaced by what a function makes of it; itself if nothing changes."""
+        rows = tuple(map(change, self.half_spaces))
+        return self if all(map(operator.is_, rows, self.half_spaces)) else Region(rows)
 
     def intersection(self, other: Region) -> Region:
         return Region(self.half_spaces + tuple(h for h in other.half_spaces if h not in self.half_spaces))

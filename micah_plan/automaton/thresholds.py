@@ -1,23 +1,27 @@
-"""Thresholds that are known only so well: what the true object's may be.
+"""Thresholds that are known only so well: what the true object's may be, and where they are as a part of the state.
 
 An object has one threshold per boundary, the same at every passage and for both ways through it; `Edge.threshold_std`
-says how well the model knows it. So a draw moves a boundary as a whole: in all guards and invariants that it bounds,
-and with it the pins of the modes that are entered there. Joints stay as they are: where poses are drawn from a
-configuration, those of the moving joints count.
+says how well the model knows it. So a boundary moves as a whole: in all guards and invariants that it bounds, and with
+it the pins of the modes that are entered there. Joints stay as they are: where poses are drawn from a configuration,
+those of the moving joints count.
+
+`with_shifted_thresholds` moves b uncertain boundaries by known amounts s (b,). `with_boundary_states` makes s a part of
+the state (x, s) instead, which is what a filter needs to learn where they are: a half-space ``a'x >= c`` whose
+threshold grows by g for each unit of s_i becomes ``a'x - g s_i >= c``, and a pin at a boundary follows its coordinate.
+A step of (x, s) is exactly a step of x with the boundaries shifted by s.
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Container
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.lifted import lifted, mapped
+from micah_plan.automaton.region import HalfSpace
 
 Floats = NDArray[np.float64]
 
@@ -43,14 +47,25 @@ def threshold_stds(automaton: HybridAutomaton) -> Floats:
 
 def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAutomaton:
     """The automaton with its uncertain boundaries moved by (b,) amounts, in the order of `threshold_stds`."""
-    shifts = {boundary: float(shift) for boundary, shift in zip(boundary_stds(automaton), by, strict=True)}
-    guards = [_moved(edge.guard, shifts) for edge in automaton.edges]
-    edges = tuple(
-        edge if guard is edge.guard else replace(edge, guard=guard)
-        for edge, guard in zip(automaton.edges, guards, strict=True)
-    )
-    modes = tuple(_moved_mode(automaton, mode, shifts) for mode in automaton.modes)
-    return replace(automaton, modes=modes, edges=edges)
+    shifts = dict(zip(boundary_stds(automaton), map(float, by), strict=True))
+
+    def moved(half_space: HalfSpace, mode: Mode | None = None) -> HalfSpace:
+        growth = _growth(automaton, half_space, mode)
+        return half_space if growth is None else half_space.moved(growth[1] * shifts[growth[0]])
+
+    def moved_mode(mode: Mode) -> Mode:
+        at = _uncertain_pins(automaton, mode)
+        region = mode.invariant.mapped(lambda h: moved(h, mode))
+        if not at and region is mode.invariant:
+            return mode
+        pins = (replace(p, value=p.value + shifts[at[p]]) if p in at else p for p in mode.pins)
+        return replace(mode, invariant=region, pins=tuple(pins))
+
+    def moved_edge(edge: Edge) -> Edge:
+        guard = edge.guard.mapped(moved)
+        return edge if guard is edge.guard else replace(edge, guard=guard)
+
+    return mapped(automaton, moved_mode, moved_edge)
 
 
 def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) -> HybridAutomaton:
@@ -58,21 +73,83 @@ def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) 
 
     A pin at a boundary is known better by what its boundary is.
     """
-    moved, before = with_shifted_thresholds(automaton, by), boundary_stds(automaton)
+    before = boundary_stds(automaton)
     known = dict(zip(before, map(float, stds), strict=True))
-    edges = []
-    for old, new in zip(automaton.edges, moved.edges, strict=True):
-        at = [boundary_of(h)[0] for h in old.guard.half_spaces]
-        share = max((known[b] / before[b] for b in at if b in before), default=1.0)
-        edges.append(replace(new, threshold_std=old.threshold_std * share))
-    modes = []
-    for mode, new_mode in zip(automaton.modes, moved.modes, strict=True):
-        of_pin = boundaries_of_pins(automaton, mode)
-        gained = {i: before[b] ** 2 - known[b] ** 2 for i, b in of_pin.items() if b in before}
-        stds_now = (max(pin.std**2 - gained.get(pin.coordinate, 0.0), _SMALLEST_STD**2) ** 0.5 for pin in mode.pins)
-        pins = (replace(pin, std=std) for pin, std in zip(new_mode.pins, stds_now, strict=True))
-        modes.append(replace(new_mode, pins=tuple(pins)))
-    return replace(moved, modes=tuple(modes), edges=tuple(edges))
+    moved = with_shifted_thresholds(automaton, by)
+
+    def edge_std(edge: Edge) -> float:
+        at = [boundary_of(h)[0] for h in edge.guard.half_spaces]
+        return edge.threshold_std * max((known[b] / before[b] for b in at if b in before), default=1.0)
+
+    def pin_std(pin: Pin, at: Boundary | None) -> float:
+        gained = 0.0 if at is None else before[at] ** 2 - known[at] ** 2
+        return float(max(pin.std**2 - gained, _SMALLEST_STD**2) ** 0.5)
+
+    def better_mode(old: Mode, new: Mode) -> Mode:
+        at = _uncertain_pins(automaton, old)
+        pairs = zip(old.pins, new.pins, strict=True)
+        return replace(new, pins=tuple(replace(after, std=pin_std(pin, at.get(pin))) for pin, after in pairs))
+
+    return replace(
+        moved,
+        modes=tuple(map(better_mode, automaton.modes, moved.modes)),
+        edges=tuple(
+            replace(new, threshold_std=edge_std(old)) for old, new in zip(automaton.edges, moved.edges, strict=True)
+        ),
+    )
+
+
+def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
+    """The automaton over (x, s), made once; the automaton itself where all thresholds are certain."""
+    made: HybridAutomaton | None = automaton.derived.get("boundary_states")
+    if made is None:
+        made = _with_states(automaton) if boundary_stds(automaton) else automaton
+        automaton.derived["boundary_states"] = made
+    return made
+
+
+def _with_states(automaton: HybridAutomaton) -> HybridAutomaton:
+    stds = boundary_stds(automaton)
+    numbers = {boundary: automaton.n + i for i, boundary in enumerate(stds)}
+
+    def weights(half_space: HalfSpace, mode: Mode | None) -> list[float]:
+        growth = _growth(automaton, half_space, mode)
+        return [0.0 if growth is None or growth[0] != boundary else -growth[1] for boundary in stds]
+
+    def following(pin: Pin, at: Boundary) -> Pin:
+        # What is not known of its boundary is no longer its own.
+        rest = float(np.sqrt(max(0.0, pin.std**2 - stds[at] ** 2)))
+        return replace(pin, std=rest, follows=numbers[at])
+
+    def with_following_pins(mode: Mode) -> Mode:
+        at = _uncertain_pins(automaton, mode)
+        return replace(mode, pins=tuple(following(pin, at[pin]) if pin in at else pin for pin in mode.pins))
+
+    added = [Coordinate(f"boundary {i + 1}", "") for i in range(len(stds))]
+    whole = lifted(automaton, added, weights)
+    return mapped(whole, with_following_pins, lambda edge: replace(edge, threshold_std=0.0))
+
+
+def _growth(automaton: HybridAutomaton, half_space: HalfSpace, mode: Mode | None) -> tuple[Boundary, float] | None:
+    """The uncertain boundary that moves a half-space, and by how much its threshold then grows per unit.
+
+    That is its own boundary. A mode's invariant around a pinned coordinate moves with the boundary at which it is
+    pinned. None where nothing moves it.
+    """
+    uncertain = boundary_stds(automaton)
+    boundary, scale = boundary_of(half_space)
+    if boundary in uncertain:
+        return boundary, scale
+    if mode is None or half_space.bound is None:
+        return None
+    at = boundaries_of_pins(automaton, mode).get(half_space.bound.coordinate)
+    return None if at is None or at not in uncertain else (at, half_space.a[half_space.bound.coordinate])
+
+
+def _uncertain_pins(automaton: HybridAutomaton, mode: Mode) -> dict[Pin, Boundary]:
+    """The pins of a mode that are at an uncertain boundary."""
+    at, uncertain = boundaries_of_pins(automaton, mode), boundary_stds(automaton)
+    return {pin: at[pin.coordinate] for pin in mode.pins if at.get(pin.coordinate) in uncertain}
 
 
 def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
@@ -98,32 +175,6 @@ def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
     return tuple(round(value / scale, _DIGITS) + 0.0 for value in values), scale
 
 
-def _moved(region: Region, shifts: dict[Boundary, float]) -> Region:
-    """The region with its uncertain boundaries moved; itself if it has none."""
-    rows = []
-    for half_space in region.half_spaces:
-        boundary, scale = boundary_of(half_space)
-        known = boundary not in shifts
-        rows.append(half_space if known else replace(half_space, c=half_space.c + scale * shifts[boundary]))
-    return region if all(map(operator.is_, rows, region.half_spaces)) else Region(tuple(rows))
-
-
-def _moved_mode(automaton: HybridAutomaton, mode: Mode, shifts: dict[Boundary, float]) -> Mode:
-    """The mode with its boundaries moved, and its pins with the boundary at which it is entered."""
-    at = boundaries_of_pins(automaton, mode)
-    carried = {coordinate: shifts.get(boundary, 0.0) for coordinate, boundary in at.items()}
-    region = _moved(mode.invariant, shifts)
-    if not carried and region is mode.invariant:
-        return mode
-    pins = tuple(replace(pin, value=pin.value + carried.get(pin.coordinate, 0.0)) for pin in mode.pins)
-    rows = []
-    for before, after in zip(mode.invariant.half_spaces, region.half_spaces, strict=True):
-        held = held_coordinate(before, carried) if after == before else None
-        moved = after if held is None else replace(before, c=before.c + before.a[held] * carried[held])
-        rows.append(moved)
-    return replace(mode, invariant=Region(tuple(rows)), pins=pins)
-
-
 def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
     """The boundary, by coordinate, at which a mode holds it: that on the coordinate alone by which it was entered.
 
@@ -147,9 +198,3 @@ def _boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Bou
                 if first is not None and (edge.target == mode.name or pin.coordinate not in found):
                     found[pin.coordinate] = boundary_of(first)[0]
     return found
-
-
-def held_coordinate(half_space: HalfSpace, held: Container[int]) -> int | None:
-    """The held coordinate around which a half-space bounds a mode's range, though it does not end at its boundary."""
-    bound = half_space.bound
-    return bound.coordinate if bound is not None and bound.coordinate in held else None

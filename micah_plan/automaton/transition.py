@@ -34,8 +34,8 @@ over until the next instant with an event. A step has at most ``MOST_EVENTS`` ev
 in front of its own guard could go on for ever); then the state rests where it is and ``Step.complete`` is false.
 
 **Effects.** Those of the automaton that have no memory change d, which is taken at the state where the step starts or a
-mode is entered. Effects with a memory change the input: that of the automaton's registers here, at the start of the
-step; without registers they change the sequence of inputs before it gets here (`effects.channel`).
+mode is entered. Effects with a memory change the input: at the start of the step where the memory is part of the state;
+else they change the sequence of inputs before it gets here (`input_memory.InputChannel`).
 
 **Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
 clips.
@@ -60,7 +60,7 @@ from micah_plan.automaton.guard_table import (
     next_entry,
 )
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.passing import passed_on
+from micah_plan.automaton.input_memory import passed_on
 from micah_plan.errors import InputError, shown
 
 Floats = NDArray[np.float64]
@@ -209,10 +209,10 @@ def _advance(
     u: list[float],
     pushed: list[float] | None,
 ) -> tuple[ModeTable, list[float], list[Event], bool]:
-    """A whole step with what comes out of the registers, which take their next values at its end; see `travel`."""
-    if not automaton.registers:
+    """A whole step with the inputs that come out of memories, which take their next values at its end; see `travel`."""
+    if not automaton.input_memories:
         return travel(tables, table, x, u, pushed)
-    passed, after = passed_on(np, automaton.registers, table.name, x, u)
+    passed, after = passed_on(np, automaton.input_memories, table.name, x, u)
     end, final, events, complete = travel(tables, table, x, list(map(float, passed)), pushed)
     return end, [float(after.get(i, value)) for i, value in enumerate(final)], events, complete
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.facing import faces, is_beyond
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 
@@ -71,7 +70,7 @@ def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
         a = np.array(half_space.a)
         if half_space.on_input or not np.any(a @ source.B) or a[~target.free].any():
             continue
-        ends = any(faces(h, half_space) and is_beyond(h, half_space) for h in source.invariant.half_spaces)
+        ends = any(h.faces(half_space) and h.leaves_out(half_space) for h in source.invariant.half_spaces)
         if len(edge.guard.half_spaces) == 1 or ends or _returns(automaton, edge, half_space):
             return half_space
     return None
@@ -81,4 +80,4 @@ def _returns(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> b
     """Whether a transition leads back through the same boundary."""
     others = [e for e in automaton.edges if (e.source, e.target) == (edge.target, edge.source)]
     rows = [h for other in others for h in other.guard.half_spaces]
-    return any(faces(h, half_space) and is_beyond(h, half_space) and is_beyond(half_space, h) for h in rows)
+    return any(h.meets(half_space) for h in rows)

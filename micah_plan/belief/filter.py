@@ -15,10 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.passing import passed_arrays
-from micah_plan.automaton.thresholds import threshold_stds
+from micah_plan.automaton.input_memory import passed_arrays
+from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
 from micah_plan.belief import gaussian
 from micah_plan.belief.crossing import Piece, cross, whole_step
 from micah_plan.belief.hybrid_belief import HybridBelief, belief_of, joint_of
@@ -82,7 +81,7 @@ def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> H
         weight = float(belief.weights[index])
         if weight < NEGLIGIBLE:
             continue
-        passed, remembered = passed_arrays(whole.registers, mode.name, means[index], applied)
+        passed, remembered = passed_arrays(whole.input_memories, mode.name, means[index], applied)
         travelling = [whole_step(whole, mode.name, weight, means[index], factors[index], passed)]
         while travelling:
             arrived += _through_guards(whole, travelling.pop(), passed, travelling)
@@ -149,7 +148,7 @@ def _assembled(
 
     Args:
         automaton: over states and boundaries, of which the first n are states.
-        remembered: state with the registers' next values, which are known and the same in all modes.
+        remembered: state with the memories' next values, which are known and the same in all modes.
     """
     weights = np.zeros(len(automaton.modes))
     gaussians: dict[str, tuple[Floats, Floats]] = {}
@@ -165,9 +164,8 @@ def _assembled(
     ordered = [gaussians[mode.name] for mode in automaton.modes]
     means, factors = (np.stack([pair[i] for pair in ordered]) for i in (0, 1))
     if remembered is not None:
-        for register in automaton.registers:
-            memory = slice(register.first, register.first + register.size)
-            means[:, memory] = remembered[memory]
+        for memory in automaton.input_memories:
+            means[:, memory.coordinates] = remembered[memory.coordinates]
     return belief_of(weights / weights.sum(), means, factors, n)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.transition import Step, step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input
-from micah_plan.planning.input_memory import coasted, own_size
+from micah_plan.planning.input_memory import coasted
 from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem

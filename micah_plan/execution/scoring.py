@@ -40,7 +40,7 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
 def lasting_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
     """Probability of the goal now, and when all that was commanded has arrived: the smaller of both."""
     now = goal_probability(automaton, goal, belief)
-    if not automaton.registers:
+    if not automaton.input_memories:
         return now
     ends = [coasted(automaton, mode.name, mean) for mode, mean in zip(automaton.modes, belief.means, strict=True)]
     return min(now, goal_probability(automaton, goal, replace(belief, means=np.array(ends))))

@@ -63,7 +63,7 @@ def belief_lqr(
     for index, _, tolerance in problem.goal.target:
         goal[index, index] += in_steps(problem, problem.settings.weight_goal) / tolerance**2
     value = tracking + goal
-    if automaton.registers:  # what still arrives after the last knot counts too, else the last inputs are huge
+    if automaton.input_memories:  # what still arrives after the last knot counts too, else the last inputs are huge
         last = np.array(problem.start.mean) if around is None else around[0][-1]
         A = linear_step(automaton, modes[-1], last, limits.max_step, limits.max_step)[0]
         rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])

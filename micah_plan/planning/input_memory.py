@@ -1,7 +1,7 @@
 """A problem whose model remembers inputs: with the memory in its state, and without.
 
 Goals, starts and pages are about the model's own coordinates x. Planner, feedback and filter work on (x, m), see
-`automaton.memory_states`; a start is at rest. The search for mode sequences needs x only: how far the inputs of a mode
+`automaton.input_memory`; a start is at rest. The search for mode sequences needs x only: how far the inputs of a mode
 lead does not depend on when they arrive.
 """
 
@@ -14,8 +14,13 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.input_memory import memory_at_rest, with_memory_states, without_memory_states
-from micah_plan.automaton.passing import passed_arrays
+from micah_plan.automaton.input_memory import (
+    memory_at_rest,
+    own_size,
+    passed_arrays,
+    with_memory_states,
+    without_memory_states,
+)
 from micah_plan.planning.limits import motion_per_input
 from micah_plan.task.problem import Problem
 
@@ -46,16 +51,11 @@ def without_input_memory(problem: Problem) -> Problem:
     return replace(problem, automaton=plain, start=start)
 
 
-def own_size(automaton: HybridAutomaton) -> int:
-    """Number of coordinates that are no memory; they come first."""
-    return automaton.n - sum(register.size for register in automaton.registers)
-
-
 def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
     """Where states (..., n) come to rest in a mode if nothing more is commanded and no guard is in the way."""
     nothing = np.zeros((*x.shape[:-1], automaton.m))
-    for _ in range(_LONGEST if automaton.registers else 0):
-        given, kept = passed_arrays(automaton.registers, mode, x, nothing)
+    for _ in range(_LONGEST if automaton.input_memories else 0):
+        given, kept = passed_arrays(automaton.input_memories, mode, x, nothing)
         x = kept + displaced(automaton, automaton.mode(mode), kept, given)[0]
     return x
 
@@ -63,7 +63,7 @@ def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
 def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, int]:
     """Steps until half of the largest input is felt, and steps that its last part needs after it has ended."""
     felt, gone = 0, 0
-    if not automaton.registers:
+    if not automaton.input_memories:
         return felt, gone
     rest = np.zeros(automaton.n)
     rest[own_size(automaton) :] = memory_at_rest(automaton)
@@ -71,7 +71,7 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
         for u in (max_step, -max_step):
             x, arrived = rest, np.zeros((2, _LONGEST, automaton.m))
             for k in range(2 * _LONGEST):
-                given, x = passed_arrays(automaton.registers, mode.name, x, u if k < _LONGEST else 0.0 * u)
+                given, x = passed_arrays(automaton.input_memories, mode.name, x, u if k < _LONGEST else 0.0 * u)
                 arrived[divmod(k, _LONGEST)] = np.abs(given) / max_step
             felt = max(felt, *(int(np.argmax(column >= 0.5)) for column in arrived[0].T))
             gone = max(gone, int((arrived[1] > _MISSING).any(axis=1).sum()))
@@ -79,18 +79,18 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
 
 
 def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, largest: Floats) -> tuple[Floats, Floats]:
-    """A (n, n) and B (n, m) of a mode's step x⁺ near (x, u): of its flow, with what the registers make of the input.
+    """A (n, n) and B (n, m) of a mode's step x⁺ near (x, u): of its flow, with what the memories make of the input.
 
     Effects on the command change B by what they leave of the largest inputs (m,): where a dead zone or a saturation has
     no slope, larger corrections still count.
     """
     n, m = automaton.n, automaton.m
     B = motion_per_input(automaton, mode, largest)
-    if not automaton.registers:
+    if not automaton.input_memories:
         return np.eye(n), B
     steps = _DIFFERENCE * np.eye(n + m)
     around = np.concatenate([np.concatenate([x, u]) + steps, np.concatenate([x, u]) - steps])
-    given, kept = passed_arrays(automaton.registers, mode, around[:, :n], around[:, n:])
+    given, kept = passed_arrays(automaton.input_memories, mode, around[:, :n], around[:, n:])
     after = kept + given @ B.T
     slopes = (after[: n + m] - after[n + m :]).T / (2 * _DIFFERENCE)
     return slopes[:, :n], slopes[:, n:]

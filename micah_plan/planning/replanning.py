@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.thresholds import with_known_boundaries
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.planning.input_memory import own_size
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.gain import drawn_gains
+from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
@@ -91,7 +91,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     """
     known, problem = with_input_memory(problem), without_input_memory(problem)
     automaton, whole, limits = problem.automaton, known.automaton, limits_of(problem)
-    memory = {r.effect: known.start.mean[r.first : r.first + r.size] for r in whole.registers}
+    memory = {own.effect: known.start.mean[own.coordinates] for own in whole.input_memories}
     channel = InputChannel(automaton, memory)
     unseen = np.full((len(chances.starts), whole.n - automaton.n), np.nan)
     trials, everyone = len(chances.starts), np.arange(len(chances.starts))

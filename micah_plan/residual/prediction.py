@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.automaton.transition import step

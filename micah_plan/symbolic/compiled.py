@@ -2,7 +2,7 @@
 
 Inputs and outputs: x, mean (n, 1); u (m, 1); factor (n, n), structurally lower triangular: the lower Cholesky factor L
 of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton.
-u is what is commanded; guards and motion see what of it comes out of the automaton's registers.
+u is what is commanded; guards and motion see what of it comes out of the automaton's memories of inputs.
 
 Noise and pins: the process noise acts on the coordinates that a mode leaves free, so a pinned one gets none. That the
 mode pins it at a value is one piece of information (N(value, std²)), counted once, when the mode is entered
@@ -22,7 +22,7 @@ import numpy as np
 
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
-from micah_plan.automaton.passing import passed_on
+from micah_plan.automaton.input_memory import passed_on
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
@@ -216,11 +216,11 @@ def _compile_mode(automaton: HybridAutomaton, mode: Mode, s: _Symbols) -> Compil
 
 
 def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.SX, dict[int, ca.SX]]:
-    """The input (m, 1) that comes out of the automaton's registers in a mode, and their next values by index."""
-    if not automaton.registers:
+    """The input (m, 1) that comes out of the automaton's memories in a mode, and their next values by index."""
+    if not automaton.input_memories:
         return s.u, {}
     x, u = ([symbols[i] for i in range(symbols.numel())] for symbols in (s.x, s.u))
-    passed, after = passed_on(CasadiOperations(), automaton.registers, mode, x, u)
+    passed, after = passed_on(CasadiOperations(), automaton.input_memories, mode, x, u)
     return ca.SX(ca.vertcat(*passed)), after
 
 

@@ -10,9 +10,8 @@ from automaton_examples import cabinet, detent, door, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton, Reset
-from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states, with_shifted_thresholds
 from micah_plan.automaton.transition import step
 
 

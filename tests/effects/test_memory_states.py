@@ -7,21 +7,26 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from effect_devices import DeviceChannel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.channel import InputChannel
 from micah_plan.automaton.effects.form import EffectForm, Parameter
 from micah_plan.automaton.effects.registry import form, register, unregister
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Reset
-from micah_plan.automaton.input_memory import left_out, memory_at_rest, with_memory_states, without_memory_states
+from micah_plan.automaton.input_memory import (
+    InputChannel,
+    left_out,
+    memory_at_rest,
+    with_memory_states,
+    without_memory_states,
+)
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.passing import at_rest
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.belief.batch import filter as batch_filter
 from micah_plan.belief.filter import initial_belief, predict, update
@@ -62,7 +67,7 @@ def with_input_memory(automaton, *names):
 
 def twin(automaton, mode, x, inputs):
     """Modes and states, by sending every input through the devices."""
-    channel, modes, states = InputChannel(automaton), [mode], [np.array(x)]
+    channel, modes, states = DeviceChannel(automaton), [mode], [np.array(x)]
     for u in inputs:
         after = step(automaton, modes[-1], states[-1], channel.pass_on(u, modes[-1]))
         modes.append(after.mode)
@@ -145,23 +150,25 @@ def test_the_filter_knows_the_memory_exactly(door, name) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(name=st.sampled_from(sorted(EFFECTS)), inputs=INPUTS)
-def test_devices_and_forms_pass_on_the_same(door, name, inputs) -> None:
-    own, values = form(EFFECTS[name][0]), EFFECTS[name][1]
-    channel, memory = InputChannel(with_input_memory(door, name)), own.at_rest(values)
+def test_devices_forms_and_channels_pass_on_the_same(door, name, inputs) -> None:
+    own, values, automaton = form(EFFECTS[name][0]), EFFECTS[name][1], with_input_memory(door, name)
+    devices, channel, memory = DeviceChannel(automaton), InputChannel(automaton), own.at_rest(values)
     for u in inputs:
         out, memory = own.remember(np, u[0], memory, values)
-        assert channel.pass_on(u)[0] == pytest.approx(out, abs=1e-12)
+        assert out == pytest.approx(devices.pass_on(u)[0], abs=1e-12)
+        assert channel.pass_on(u)[0] == pytest.approx(out, abs=1e-15)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_channel_goes_on_from_what_is_remembered(door, name) -> None:
     automaton, inputs = with_input_memory(door, name), np.random.default_rng(4).normal(scale=0.05, size=(12, 1))
-    (register,) = with_memory_states(automaton).registers
-    first, memory = InputChannel(automaton), at_rest(register)
+    whole = with_memory_states(automaton)
+    (known,) = whole.input_memories
+    first, memory = InputChannel(automaton), memory_at_rest(whole)
     for u in inputs[:6]:
         first.pass_on(u)
-        _, memory = form(register.effect.name).remember(np, u[0], memory, register.effect.values)
-    second = InputChannel(automaton, {register.effect: memory})
+        _, memory = form(known.effect.name).remember(np, u[0], memory, known.effect.values)
+    second = InputChannel(automaton, {known.effect: memory})
     for u in inputs[6:]:
         np.testing.assert_allclose(second.pass_on(u), first.pass_on(u), atol=1e-14)
 
@@ -218,4 +225,4 @@ def test_only_what_cannot_be_a_state_is_left_out(door) -> None:
     pushed = replace(door, edges=(replace(edge, reset=push), *rest))
     (told,) = left_out(with_input_memory(pushed, "delay"))
     assert told == "planner, filter and nominal plant leave out the delay of door: it depends on earlier inputs"
-    assert with_memory_states(with_input_memory(pushed, "delay")).registers == ()
+    assert with_memory_states(with_input_memory(pushed, "delay")).input_memories == ()

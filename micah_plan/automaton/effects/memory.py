@@ -28,11 +28,13 @@ class Delay(EffectForm):
     def remember(
         self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values
     ) -> tuple[Value, tuple[Value, ...]]:
-        known = (v, *memory)
+        sent = (v, *memory)
+        # Of one delay only the whole steps before and after it count; many at once share the line.
+        ages = range(len(sent)) if np.ndim(p[0]) else range(int(p[0]), min(int(p[0]) + 2, len(sent)))
         late = 0.0 * v
-        for age, earlier in enumerate(known):
-            late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * earlier
-        return late, known[:-1]
+        for age in ages:
+            late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
+        return late, sent[:-1]
 
 
 @final

@@ -1,4 +1,4 @@
-"""An effect as a value: the name of a form, the coordinate that it acts on, and its parameters."""
+"""An effect as a value, and what it remembers as a part of an automaton's state."""
 
 from __future__ import annotations
 
@@ -33,3 +33,26 @@ class Effect:
     def acts_in(self, mode: str) -> bool:
         """Whether it acts in the mode of that name."""
         return not self.modes or mode in self.modes
+
+
+@dataclass(frozen=True)
+class InputMemory:
+    """What an effect remembers of one input: `size` values that follow one another in a state.
+
+    Attributes:
+        effect: acts on the input on its way to the modes.
+        input: number of that input.
+        scale: command of the effect's coordinate per unit of the input.
+        first, size: its values are the coordinates first to first + size - 1.
+    """
+
+    effect: Effect
+    input: int
+    scale: float
+    first: int
+    size: int
+
+    @property
+    def coordinates(self) -> slice:
+        """Where its values are in the state."""
+        return slice(self.first, self.first + self.size)

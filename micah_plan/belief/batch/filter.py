@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.boundary_states import with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.passing import passed_arrays
+from micah_plan.automaton.input_memory import passed_arrays
+from micah_plan.automaton.thresholds import with_boundary_states
 from micah_plan.belief.batch import gaussian
 from micah_plan.belief.batch.crossing import Pieces, cross, whole_step, widened
 from micah_plan.belief.batch.sliding import slid
@@ -74,7 +74,7 @@ def predict(automaton: HybridAutomaton, beliefs: BeliefBatch, u: Floats) -> Beli
         if owner.size:
             mean, factor = beliefs.joint_means[owner, index], beliefs.joint_factors[owner, index]
             passed, name = u.copy(), automaton.modes[index].name
-            passed[owner], remembered[owner] = passed_arrays(automaton.registers, name, mean, u[owner])
+            passed[owner], remembered[owner] = passed_arrays(automaton.input_memories, name, mean, u[owner])
             weights = beliefs.weights[owner, index]
             travelling.append((whole_step(automaton, index, owner, weights, mean, factor, passed[owner]), passed))
     while travelling:
@@ -132,16 +132,15 @@ def _through_guards(automaton: HybridAutomaton, pieces: Pieces, u: Floats, trave
 def _assembled(
     automaton: HybridAutomaton, before: BeliefBatch, arrived: list[list[Pieces]], remembered: Floats
 ) -> BeliefBatch:
-    """One Gaussian per belief and mode from its pieces; the registers' values (t, n + b) are known."""
+    """One Gaussian per belief and mode from its pieces; the memories' values (t, n + b) are known."""
     weights = np.zeros_like(before.weights)
     means, factors = np.zeros_like(before.joint_means), np.zeros_like(before.joint_factors)
     for index in range(len(automaton.modes)):
         if arrived[index]:
             owners, weight, mean, factor = _merged(arrived[index])
             weights[owners, index], means[owners, index], factors[owners, index] = weight, mean, factor
-    for register in automaton.registers:
-        own = slice(register.first, register.first + register.size)
-        means[:, :, own] = remembered[:, None, own]
+    for memory in automaton.input_memories:
+        means[:, :, memory.coordinates] = remembered[:, None, memory.coordinates]
     return BeliefBatch(weights / weights.sum(axis=1, keepdims=True), means, factors, before.n)
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.automaton.facing import faces, is_beyond
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.turning import turn_of
@@ -86,7 +85,7 @@ def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[Hal
     stds: dict[HalfSpace, float] = {}
     for edge in automaton.edges_from(mode.name):
         for guard in edge.guard.half_spaces if edge.threshold_std else ():
-            ends = [h for h in boundaries if faces(h, guard) and is_beyond(h, guard) and is_beyond(guard, h)]
+            ends = [h for h in boundaries if h.meets(guard)]
             for half_space in (guard, *ends):
                 stds[half_space] = max(stds.get(half_space, 0.0), edge.threshold_std)
     return stds
@@ -98,9 +97,9 @@ def _fixed_boundaries(
     """(boundary, sign, uncertain) of the invariant and clamps, without the boundary through which the phase leaves."""
     clamps = [edge.guard.half_spaces for edge in automaton.edges_from(mode.name) if edge.is_self_transition]
     ends = [rows[0] for rows in clamps if len(rows) == 1 and not rows[0].on_input]
-    rows = [h for h in mode.invariant.half_spaces if not h.on_input and not any(faces(h, g) for g in exits)]
-    inside = [(h, 1.0, not any(faces(h, end) for end in ends)) for h in rows]
-    free_ends = [end for end in ends if not any(faces(h, end) for h in mode.invariant.half_spaces)]
+    rows = [h for h in mode.invariant.half_spaces if not h.on_input and not any(h.faces(g) for g in exits)]
+    inside = [(h, 1.0, not any(h.faces(end) for end in ends)) for h in rows]
+    free_ends = [end for end in ends if not any(h.faces(end) for h in mode.invariant.half_spaces)]
     return inside + [(end, -1.0, False) for end in free_ends]
 
 
@@ -113,7 +112,7 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
             continue
         if not edge.guard.on_state:
             continue
-        outside = any(faces(h, g) and is_beyond(h, g) for h in mode.invariant.half_spaces for g in rows)
+        outside = any(h.faces(g) and h.leaves_out(g) for h in mode.invariant.half_spaces for g in rows)
         if not outside and not edge.guard.on_input:
             obstacles.append(rows)
     return obstacles

@@ -162,7 +162,7 @@ def _roll(
         B = motion_per_input(problem.automaton, name, limits.max_step)
         needed.append(_input_length(path, B, limits.max_step))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
-        if edge is not None and problem.automaton.registers and not mode.mode.B.any():
+        if edge is not None and problem.automaton.input_memories and not mode.mode.B.any():
             inputs[:] = _pull(problem.automaton, edge, limits)
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)

@@ -29,8 +29,8 @@ def factor_pattern(
     maps += [compiled.edges[index].belief_reset for index in dict.fromkeys(edges)]
     mean, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
     uncertain = np.ones(n)
-    for register in compiled.automaton.registers:
-        uncertain[register.first : register.first + register.size] = 0.0
+    for memory in compiled.automaton.input_memories:
+        uncertain[memory.coordinates] = 0.0
     pattern = ca.sparsify(ca.DM(np.diag(uncertain) + np.abs(np.tril(start)))).sparsity()
     for _ in range(n * n):
         grown = pattern

@@ -323,7 +323,7 @@ def _add_goal(nlp: Transcription) -> None:
     for _ in range(steps_of_memory(automaton, nlp.limits.max_step)[1]):
         settled = mode.step(settled, ca.DM.zeros(automaton.m))
     ends = [(mean, "")]
-    ends += [(settled, " when all commands have arrived")] if automaton.registers else []
+    ends += [(settled, " when all commands have arrived")] if automaton.input_memories else []
     for index, value, tolerance in problem.goal.target:
         coordinate = automaton.coordinates[index]
         for end, when in ends:

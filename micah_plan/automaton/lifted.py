@@ -1,0 +1,94 @@
+"""Operations on whole automata: change all modes or edges alike, enlarge the state by coordinates, take them out again.
+
+Memories of inputs and the places of uncertain boundaries are coordinates of a larger state (`input_memory`,
+`thresholds`). They stand behind the others. Neither inputs nor noise move them, no sensor shows them, and transitions
+keep them. Which half-spaces depend on them is for the caller to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
+from micah_plan.automaton.region import HalfSpace, Region
+
+Weights = Callable[[HalfSpace, Mode | None], Sequence[float]]
+"""(k,) of the added coordinates in a half-space of a mode's invariant or, where the mode is None, of a guard."""
+_T = TypeVar("_T")
+
+
+def mapped(
+    automaton: HybridAutomaton,
+    mode: Callable[[Mode], Mode] = lambda mode: mode,
+    edge: Callable[[Edge], Edge] = lambda edge: edge,
+) -> HybridAutomaton:
+    """The automaton with each of its modes and edges replaced by what a function makes of it."""
+    return replace(automaton, modes=tuple(map(mode, automaton.modes)), edges=tuple(map(edge, automaton.edges)))
+
+
+def lifted(automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Weights | None = None) -> HybridAutomaton:
+    """The automaton over (x, e), with k coordinates e added behind those of x as the module's docstring says.
+
+    Args:
+        added: (k,) the coordinates e.
+        weights: of e in invariants and guards; None: these depend on x alone.
+    """
+    return _resized(automaton, (*automaton.coordinates, *added), weights)
+
+
+def restricted(automaton: HybridAutomaton, n: int) -> HybridAutomaton:
+    """The automaton over its first n coordinates: the inverse of `lifted` without weights."""
+    return _resized(automaton, automaton.coordinates[:n])
+
+
+def _resized(
+    automaton: HybridAutomaton, coordinates: tuple[Coordinate, ...], weights: Weights | None = None
+) -> HybridAutomaton:
+    n, nothing, noise = len(coordinates), (0.0,) * automaton.m, automaton.noise
+
+    def plain(region: Region) -> Region:
+        return region.mapped(lambda h: replace(h, a=_fit(h.a, n, 0.0)))
+
+    def dependent(region: Region, mode: Mode | None = None) -> Region:
+        if weights is None:
+            return plain(region)
+        return region.mapped(lambda h: replace(h, a=(*h.a, *map(float, weights(h, mode)))))
+
+    def resized_mode(mode: Mode) -> Mode:
+        return replace(
+            mode,
+            input_matrix=_fit(mode.input_matrix, n, nothing),
+            invariant=dependent(mode.invariant, mode),
+            inputs=plain(mode.inputs),
+            ties=tuple(replace(tie, weights=_fit(tie.weights, n, 0.0)) for tie in mode.ties),
+        )
+
+    def resized_edge(edge: Edge) -> Edge:
+        return replace(edge, guard=dependent(edge.guard), reset=_resized_reset(edge.reset, n, nothing))
+
+    return replace(
+        mapped(automaton, resized_mode, resized_edge),
+        coordinates=coordinates,
+        noise=Noise(
+            _fit(noise.process_std, n, 0.0),
+            _fit(noise.observation_std, n, float("inf")),
+            None if noise.light is None else replace(noise.light, growth=_fit(noise.light.growth, n, 0.0)),
+        ),
+        init=tuple((name, plain(region)) for name, region in automaton.init),
+    )
+
+
+def _resized_reset(reset: Reset, n: int, nothing: tuple[float, ...]) -> Reset:
+    A = None
+    if reset.A is not None:
+        kept = tuple(_fit(row, n, 0.0) for row in reset.A[:n])
+        A = (*kept, *(tuple(float(i == k) for k in range(n)) for i in range(len(kept), n)))
+    B = None if reset.B is None else _fit(reset.B, n, nothing)
+    return Reset(A, B, None if reset.c is None else _fit(reset.c, n, 0.0))
+
+
+def _fit(values: tuple[_T, ...], n: int, further: _T) -> tuple[_T, ...]:
+    """The first n values, filled up to n with a further one."""
+    return values[:n] + (further,) * (n - len(values))

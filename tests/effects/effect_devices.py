@@ -1,0 +1,89 @@
+"""Effects with a memory as the devices that they are: an oracle that shares nothing with their formula."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+
+
+class Line:
+    """Commands on their way for a number of steps, the last ones first."""
+
+    def __init__(self, steps: float) -> None:
+        self._whole, self._part = math.floor(steps), steps % 1.0
+        self._sent: list[Any] = [0.0] * (self._whole + 2)
+
+    def send(self, v: Any) -> Any:
+        self._sent = [v, *self._sent[:-1]]
+        return (1.0 - self._part) * self._sent[self._whole] + self._part * self._sent[self._whole + 1]
+
+
+class FirstOrder:
+    """The fraction `kept` of what came out before, and for the rest what goes in."""
+
+    def __init__(self, time_constant: float) -> None:
+        self._kept = math.exp(-1.0 / time_constant) if time_constant > 0.0 else 0.0
+        self._out: Any = 0.0
+
+    def send(self, v: Any) -> Any:
+        self._out = self._kept * self._out + (1.0 - self._kept) * v
+        return self._out
+
+
+class Play:
+    """A part that stands still while the drive moves from one of its two stops to the other."""
+
+    def __init__(self, width: float, side: float) -> None:
+        self._width, self._part = width, 0.0
+        self._drive: Any = 0.5 * width * side
+
+    def send(self, v: Any) -> Any:
+        self._drive = self._drive + v
+        before = self._part
+        self._part = np.clip(before, self._drive - 0.5 * self._width, self._drive + 0.5 * self._width)
+        return self._part - before
+
+
+class ByForm:
+    """An effect that is not of the library, by its formula."""
+
+    def __init__(self, own: EffectForm, p: Sequence[float]) -> None:
+        self._own, self._p, self._memory = own, p, own.at_rest(p)
+
+    def send(self, v: Any) -> Any:
+        out, self._memory = self._own.remember(np, v, self._memory, self._p)
+        return out
+
+
+DEVICES = {"delay": Line, "lag": FirstOrder, "backlash": Play}
+
+
+def device(effect: Effect) -> Any:
+    """What an effect does to one command after the other."""
+    known = DEVICES.get(effect.name)
+    return ByForm(form(effect.name), effect.values) if known is None else known(*effect.values)
+
+
+class DeviceChannel:
+    """As `InputChannel` for one run of an object with one coordinate, moved by its input."""
+
+    def __init__(self, automaton: HybridAutomaton) -> None:
+        remembering = [effect for effect in automaton.effects if form(effect.name).layer == "memory"]
+        self._devices = [(effect, device(effect)) for effect in remembering]
+
+    def pass_on(self, u: ArrayLike, mode: str = "") -> NDArray[np.float64]:
+        """The input (1,) that reaches the automaton when u (1,) is commanded."""
+        passed = np.array(u, dtype=float)
+        for effect, own in self._devices:
+            out = own.send(passed[0])
+            passed[0] = out if effect.acts_in(mode) else passed[0]
+        return passed
