@@ -95,8 +95,7 @@ def learn(
     Raises:
         InputError: if the recording cannot be learned from.
     """
-    from micah_plan.automaton.build import build_automaton
-    from micah_plan.automaton.misfit import misfit_error
+    from micah_plan.automaton.build import build_automaton, misfit_error
     from micah_plan.learn.learn import learn_graph
     from micah_plan.learn.settings import LearnSettings
     from micah_plan.learn.small_motion import small_motions
@@ -238,7 +237,7 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
     Raises:
         InputError: if learning found nothing about the actions.
     """
-    from micah_plan.automaton.learned_channel import with_learned_channel
+    from micah_plan.automaton.effects.add import with_learned_channel
 
     steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
     return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))

@@ -14,7 +14,7 @@ import jsonschema
 import pytest
 
 from micah_plan import workflow
-from micah_plan.automaton.effects.conformance import check_form
+from micah_plan.automaton.effects.form import check_form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
 from micah_plan.cli.console import title_of

@@ -33,17 +33,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.learned import learned_edges
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
-from micah_plan.automaton.misfit import misfit_error
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
 from micah_plan.errors import InputError
+from micah_plan.quantities import quantity
 
 SMALLEST_STD = 1e-6
+# Digits of a stored probability: less says nothing, more only makes files long.
+_PROBABILITY_DIGITS = 6
+_MISFIT_REMEDY = (
+    "check that the part is stiff, moves in one way at a time and is tracked relative to what it is mounted on, or "
+    "leave these rows out"
+)
 
 
 def build_automaton(
@@ -100,7 +106,7 @@ def build_automaton(
         edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
         noise=noise or _noise_of(moving),
         provenance=dict(provenance or {}),
-        learned=learned_edges(graph),
+        learned=_learned_edges(graph),
     )
     check_automaton(automaton)
     return automaton
@@ -188,10 +194,7 @@ def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, releas
 def _clamp(source: str, model: LocalModel, upper: bool, i: int, n: int, name: str) -> Edge:
     end = model.upper if upper else model.lower
     guard = (above if upper else below)(i, end, n, n, strict=True, name=name)
-    keep = np.eye(n)
-    keep[i, i] = 0.0
-    offset = tuple(end if j == i else 0.0 for j in range(n))
-    return Edge(source, source, Region((guard,)), Reset(A=tuple(tuple(map(float, row)) for row in keep), c=offset))
+    return Edge(source, source, Region((guard,)), Reset.to({i: end}, n))
 
 
 def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]) -> str:
@@ -229,3 +232,67 @@ def _parts(graph: KinematicGraph, given: Sequence[Part]) -> tuple[Part, ...]:
     known = {part.name: part for part in given}
     found = tuple(known.get(name, Part(name)) for name in names if name != BASE or name in known)
     return found + tuple(part for part in given if part.name not in names)
+
+
+def misfit_error(graph: KinematicGraph) -> InputError | None:
+    """The refusal for the first rows that no single joint explains, to be raised; None if there are none.
+
+    Such rows are not skipped: the joints before and after them share one coordinate only through them, and a part that
+    moves off its joint once can do so again, in every mode of the automaton.
+    """
+    found = [
+        (segment, misfit, edge.child)
+        for edge in graph.edges
+        for segment in edge.segments
+        if (misfit := segment.misfit) is not None
+    ]
+    if not found:
+        return None
+    more = f" (and {len(found) - 1} more such stretch{'es' if len(found) > 2 else ''})" if len(found) > 1 else ""
+    return InputError(_misfit_sentence(*found[0]) + more, remedy=_MISFIT_REMEDY)
+
+
+def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:
+    distances = [(misfit.position, misfit.position_noise, "m")]
+    if misfit.rotation is not None and misfit.rotation_noise is not None:
+        distances.append((misfit.rotation, misfit.rotation_noise, "rad"))
+    missed = " and ".join(quantity(miss, unit, degrees=False) for miss, _, unit in distances)
+    noise = " and ".join(quantity(alone, unit, digits=2, degrees=False) for _, alone, unit in distances)
+    return (
+        f"no single-joint model fits rows {segment.start} to {segment.end} of part '{part}' (run {segment.run}): the "
+        f"best, {segment.joint.kind}, misses them by {missed} where the measurement alone would leave {noise}"
+    )
+
+
+def _learned_edges(graph: KinematicGraph) -> tuple[LearnedEdge, ...]:
+    """The edges of a graph that say how sure they are, with probabilities rounded to 6 decimals."""
+    return tuple(_learned_edge(edge) for edge in graph.edges if _has_certainty(edge))
+
+
+def _has_certainty(edge: KinematicEdge) -> bool:
+    return edge.certainty is not None or any(segment.certainty is not None for segment in edge.segments)
+
+
+def _learned_edge(edge: KinematicEdge) -> LearnedEdge:
+    segments = tuple(LearnedSegment(s.joint.kind, s.run, s.start, s.end, _rounded(s.certainty)) for s in edge.segments)
+    certainty = edge.certainty
+    if certainty is not None:
+        counts = tuple(tuple(map(_probability, run)) for run in certainty.changepoint_counts)
+        certainty = replace(certainty, changepoint_counts=counts, trace=None)
+    return LearnedEdge(edge.parent, edge.child, segments, certainty)
+
+
+def _rounded(certainty: SegmentCertainty | None) -> SegmentCertainty | None:
+    if certainty is None:
+        return None
+    start = certainty.start
+    if start is not None:
+        pairs = [(row, _probability(p)) for row, p in zip(start.rows, start.probabilities, strict=True)]
+        pairs = [pair for pair in pairs if pair[1] > 0]
+        start = RowPosterior(tuple(row for row, _ in pairs), tuple(p for _, p in pairs))
+    return replace(certainty, start=start, kinds=tuple((kind, _probability(p)) for kind, p in certainty.kinds))
+
+
+def _probability(value: float) -> float:
+    """Rounded, and without what arithmetic left outside of 0 to 1."""
+    return min(1.0, max(0.0, round(float(value), _PROBABILITY_DIGITS)))

@@ -1,5 +1,8 @@
 """How sure learning is: posteriors over changepoints and models, the action channel, and where no joint fits.
 
+Joints keep their own covariances (`joint.ParameterCovariance`), transitions the spread of their thresholds
+(`hybrid.Edge.threshold_std`); here is the rest, and what of it a model keeps (`LearnedEdge`).
+
 Sources: Fearnhead and Liu, JRSS B 2007 (posterior over changepoints); MICAH, section IV-A (actions).
 """
 
@@ -122,3 +125,36 @@ class SegmentCertainty:
     start: RowPosterior | None
     kinds: tuple[tuple[JointKind, float], ...]
     misfit: Misfit | None = None
+
+
+@dataclass(frozen=True)
+class LearnedSegment:
+    """A stretch of rows that a model was learned from.
+
+    Attributes:
+        kind: of the joint that governs it.
+        run: run that the rows belong to.
+        start, end: first and last row (inclusive), counted within the whole recording.
+        certainty: how sure its start and its kind are; None if that was not asked.
+    """
+
+    kind: JointKind
+    run: int
+    start: int
+    end: int
+    certainty: SegmentCertainty | None = None
+
+
+@dataclass(frozen=True)
+class LearnedEdge:
+    """What a recording said about how one part moves relative to another.
+
+    Attributes:
+        segments: in time order.
+        certainty: of the edge as a whole, without the trace; None if that was not asked.
+    """
+
+    parent: str
+    child: str
+    segments: tuple[LearnedSegment, ...]
+    certainty: EdgeCertainty | None = None

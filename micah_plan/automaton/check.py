@@ -1,4 +1,9 @@
-"""Validation of hybrid automata: what a model file or Python code can get wrong, each with one line that says where."""
+"""Validation of hybrid automata: what a model file or Python code can get wrong, each with one line that says where.
+
+Each part is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. There only what
+is certainly wrong is refused: sets are boxes (half-spaces that couple coordinates are left out, which makes the sets
+larger), and a std that the model states itself is granted.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,18 @@ from functools import partial
 
 import numpy as np
 
-from micah_plan.automaton.consistency import check_connected, check_entry, check_held, check_pin
 from micah_plan.automaton.effects.add import check_effect
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Tie
-from micah_plan.automaton.region import Region
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Tie
+from micah_plan.automaton.region import Interval, Region
 from micah_plan.errors import InputError, shown
 
 UNITS = ("rad", "m")
 _ROOM = 1e-9
+_PIN_ROOM = 1e-9
+_HELD_ROOM = 1e-6
+_ENTRY_ROOM = 1e-6
+_EVERYTHING = (-math.inf, math.inf)
 Place = tuple[str | int, ...]
 
 
@@ -50,15 +58,15 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
     for mode in automaton.modes:
         for pin in mode.pins:
             name = automaton.coordinates[pin.coordinate].name
-            yield ("modes", mode.name, "pins", name, "value"), partial(check_pin, automaton, mode, pin)
+            yield ("modes", mode.name, "pins", name, "value"), partial(_check_pin, automaton, mode, pin)
         for k, link in enumerate(automaton.links):
-            yield ("modes", mode.name, "joints", link.child, "held"), partial(check_held, automaton, mode, k)
+            yield ("modes", mode.name, "joints", link.child, "held"), partial(_check_held, automaton, mode, k)
     for i, effect in enumerate(automaton.effects):
         yield ("effects", i), partial(check_effect, automaton, effect)
     for i, edge in enumerate(automaton.edges):
-        yield ("edges", i, "guard"), partial(check_entry, automaton, edge)
+        yield ("edges", i, "guard"), partial(_check_entry, automaton, edge)
     for mode in automaton.modes:
-        yield ("modes", mode.name), partial(check_connected, automaton, mode)
+        yield ("modes", mode.name), partial(_check_connected, automaton, mode)
 
 
 def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
@@ -181,6 +189,98 @@ def _check_noise(automaton: HybridAutomaton) -> None:
         raise InputError(f"noise: a light must be at finite values of coordinates 0 to {n - 1}. Got {shown(light.at)}")
     if len(light.growth) != n or not all(math.isfinite(growth) and growth >= 0 for growth in light.growth):
         raise InputError(f"noise: growth of a light must be {n} finite numbers >= 0. Got {shown(list(light.growth))}")
+
+
+def _check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
+    """Refuse a pin further outside of its own mode's invariant than its std."""
+    low, high = mode.invariant.interval(pin.coordinate)
+    room = _PIN_ROOM * max(1.0, abs(pin.value)) + pin.std
+    if not low - room <= pin.value <= high + room:
+        coordinate = automaton.coordinates[pin.coordinate]
+        raise InputError(
+            f"mode {mode.name}: the pin of {coordinate.name}, {pin.value:.9g} {coordinate.unit}, lies outside of the "
+            f"mode's invariant {_text((low, high))}",
+            remedy="move the pin or the invariant",
+        )
+
+
+def _check_held(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
+    """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
+    joint, index = mode.joints[link], automaton.links[link].coordinate
+    for pin in mode.pins:
+        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.held - pin.value) <= _HELD_ROOM:
+            coordinate = automaton.coordinates[index]
+            raise InputError(
+                f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is held at {joint.held:.9g} "
+                f"{coordinate.unit}, but the pin of {coordinate.name} says {pin.value:.9g} {coordinate.unit}",
+                remedy="give both the same value",
+            )
+
+
+def _check_connected(automaton: HybridAutomaton, mode: Mode) -> None:
+    """Refuse a mode that no transition enters or leaves, where there are other modes."""
+    changes = [edge for edge in automaton.edges if not edge.is_self_transition]
+    if len(automaton.modes) > 1 and not any(mode.name in (edge.source, edge.target) for edge in changes):
+        raise InputError(
+            f"mode {mode.name} is not connected: no transition enters or leaves it",
+            remedy="add a transition or remove the mode",
+        )
+
+
+def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
+    """Refuse a change of mode that puts a coordinate outside of what the target's invariant allows for it."""
+    if edge.is_self_transition:
+        return
+    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
+    before = _leaving_box(automaton, source, edge)
+    if any(low > high for low, high in before):
+        return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
+    for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
+        allowed = target.invariant.interval(index)
+        room = _ENTRY_ROOM * max(1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v)))
+        room += sum(pin.std for mode in (source, target) for pin in mode.pins if pin.coordinate == index)
+        if low > allowed[1] + room or high < allowed[0] - room:
+            name = automaton.coordinates[index].name
+            raise InputError(
+                f"edge {edge.name}: enters mode {target.name} at {name} = {_text((low, high))}, outside of its "
+                f"invariant {_text(allowed)}",
+                remedy="move the guard or the invariant, or give a reset",
+            )
+
+
+def _leaving_box(automaton: HybridAutomaton, source: Mode, edge: Edge) -> list[Interval]:
+    """Per coordinate, where the state is when the edge is taken from within the source's invariant."""
+    box = [source.interval(i) for i in range(automaton.n)]
+    bounds = [half_space.bound for half_space in edge.guard.half_spaces]
+    for i, (low, high) in enumerate(box):
+        least, most = edge.guard.interval(i)
+        only = bounds[0] if len(bounds) == 1 else None
+        if only is not None and only.coordinate == i and source.driven[i]:
+            _, value, is_lower = only
+            if (low < value) if is_lower else (high > value):
+                # The motion comes from where the guard does not hold, so the edge is taken on the guard's boundary.
+                box[i] = (value, value)
+                continue
+        box[i] = (max(low, least), min(high, most))
+    return box
+
+
+def _after_reset(automaton: HybridAutomaton, edge: Edge, box: list[Interval]) -> list[Interval]:
+    """A box that holds the reset's image of a box; without limits where the input or an unlimited state counts."""
+    if edge.reset.is_identity:
+        return box
+    a, b, c = (matrix.tolist() for matrix in edge.reset.matrices(automaton.n, automaton.m))
+    image = []
+    for weights, inputs, offset in zip(a, b, c, strict=True):
+        ends = [sorted((w * low, w * high)) for w, (low, high) in zip(weights, box, strict=True) if w]
+        low, high = (offset + sum(end[k] for end in ends) for k in (0, 1))
+        image.append(_EVERYTHING if any(inputs) or math.isnan(low) or math.isnan(high) else (low, high))
+    return image
+
+
+def _text(interval: Interval) -> str:
+    low, high = interval
+    return f"{low:.9g}" if low == high else f"[{low:.9g}, {high:.9g}]"
 
 
 def _check_shape(matrix: Sequence[Sequence[float]], rows: int, columns: int, where: str) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
+from micah_plan.automaton.certainty import EdgeCertainty, Misfit, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 
 BASE = "base"
@@ -44,6 +44,11 @@ class Segment:
     log_evidence: float
     probability: float
     certainty: SegmentCertainty | None = None
+
+    @property
+    def misfit(self) -> Misfit | None:
+        """Why no single joint explains its rows; None if its joint does."""
+        return None if self.certainty is None else self.certainty.misfit
 
 
 @dataclass(frozen=True)

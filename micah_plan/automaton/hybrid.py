@@ -5,7 +5,7 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
-from micah_plan.automaton.learned import LearnedEdge
 from micah_plan.automaton.region import Interval, Region
 from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
@@ -122,6 +122,16 @@ class Reset:
     A: Matrix | None = None
     B: Matrix | None = None
     c: tuple[float, ...] | None = None
+
+    @staticmethod
+    def to(values: Mapping[int, float], n: int, ties: Sequence[Tie] = ()) -> Reset:
+        """Puts some of n coordinates at values, and others where ties say; the rest keep theirs."""
+        A, c = np.eye(n), np.zeros(n)
+        for i, value in values.items():
+            A[i], c[i] = 0.0, value
+        for tie in ties:
+            A[tie.coordinate], c[tie.coordinate] = tie.weights, tie.offset
+        return Reset(A=tuple(map(tuple, A.tolist())), c=tuple(c.tolist()))
 
     @property
     def is_identity(self) -> bool:
@@ -365,6 +375,11 @@ class HybridAutomaton:
             else:
                 merged.append((low, high))
         return merged
+
+    def moving_joint(self, link: int) -> Joint:
+        """The joint that measures a link's configuration: the first that is not rigid, over the modes in order."""
+        joints = [mode.joints[link] for mode in self.modes]
+        return next((joint for joint in joints if joint.kind != "rigid"), joints[0])
 
     def part(self, name: str) -> Part:
         """The part of that name, without shapes if the model describes none."""

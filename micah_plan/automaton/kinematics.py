@@ -1,4 +1,4 @@
-"""Kinematics of joints: f(c), its unique inverse, the Jacobian and the inverse Jacobian, vectorised over rows.
+"""Kinematics: f(c) of a joint, its unique inverse and Jacobians, vectorised over rows; where an automaton's parts are.
 
 Sources: MICAH, section IV-A, for f, f⁻¹, J and J⁻¹; Murray, Li and Sastry, ch. 2 and 3, for twists.
 
@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, revolute, rigid, screw
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, revolute, screw
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -220,7 +221,13 @@ def shifted(joint: Joint, offset: float) -> Joint:
     if joint.kind == "rigid":
         return replace(joint, held=joint.held - offset)
     pose = forward(joint, offset)[0]
-    moved = _rebuilt(joint, joint.axis, joint.center, pose)
+    position, quaternion = pose.translation, pose.rotation.as_quat()
+    if joint.kind == "prismatic":
+        moved = prismatic(joint.axis, position, quaternion)
+    elif joint.kind == "revolute":
+        moved = revolute(joint.axis, joint.center, position, quaternion)
+    else:
+        moved = screw(joint.axis, joint.center, joint.pitch, position, quaternion)
     kept = ("axis_1", "axis_2", "pitch") + (("center_1", "center_2") if joint.kind == "revolute" else ())
     return replace(moved, covariance=_marginal(joint.covariance, kept))
 
@@ -237,50 +244,18 @@ def reversed_direction(joint: Joint) -> Joint:
     return replace(joint, axis=_tuple3(-np.array(joint.axis)), covariance=covariance)
 
 
-def rebased(joint: Joint, transform: RigidTransform) -> Joint:
-    """The same joint seen from another base: f'(c) = transform ∘ f(c). Rotates the covariance along.
-
-    Args:
-        transform: pose of the old base in the new base (single).
-    """
-    axis = transform.rotation.apply(joint.axis)
-    moved = _rebuilt(joint, axis, transform.apply(joint.center), transform * origin(joint))
-    return replace(moved, covariance=_rotated(joint, axis, transform.rotation))
+def part_poses(automaton: HybridAutomaton, mode: Mode, x: Floats) -> dict[str, RigidTransform]:
+    """Pose of every linked part in the base frame at the state x (n,), by part name."""
+    return {name: poses[0] for name, poses in poses_of_states(automaton, mode, x[None]).items()}
 
 
-def _rebuilt(joint: Joint, axis: ArrayLike, point: ArrayLike, pose: RigidTransform) -> Joint:
-    position, quaternion = pose.translation, pose.rotation.as_quat()
-    if joint.kind == "rigid":
-        return rigid(position, quaternion, joint.held)
-    if joint.kind == "prismatic":
-        return prismatic(axis, position, quaternion)
-    if joint.kind == "revolute":
-        return revolute(axis, point, position, quaternion)
-    return screw(axis, point, joint.pitch, position, quaternion)
-
-
-def _rotated(joint: Joint, axis: Floats, rotation: Rotation) -> ParameterCovariance | None:
-    """The covariance in a rotated base; None if one of a pair or triple of parameters is missing."""
-    covariance = joint.covariance
-    if covariance is None:
-        return None
-    matrix = rotation.as_matrix()
-    blocks: dict[str, Floats] = {"pitch": np.eye(1), "rotation": matrix, "position": matrix}
-    if joint.kind != "rigid":
-        in_plane = axis_basis(axis) @ matrix @ axis_basis(joint.axis).T
-        blocks |= {"axis": in_plane, "center": in_plane}
-    names = covariance.names
-    change = np.zeros((len(names), len(names)))
-    for group, block in blocks.items():
-        members = [group] if group == "pitch" else [f"{group}_{i + 1}" for i in range(len(block))]
-        present = [name for name in members if name in names]
-        if not present:
-            continue
-        if len(present) != len(members):
-            return None
-        index = [names.index(name) for name in members]
-        change[np.ix_(index, index)] = block
-    return _covariance(names, change @ np.array(covariance.matrix) @ change.T)
+def poses_of_states(automaton: HybridAutomaton, mode: Mode, states: Floats) -> dict[str, RigidTransform]:
+    """(k,) poses of every linked part in the base frame at states (k, n), by part name."""
+    poses: dict[str, RigidTransform] = {}
+    for link, joint in zip(automaton.links, mode.joints, strict=True):
+        relative = forward(joint, states[:, link.coordinate])
+        poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
+    return poses
 
 
 def _marginal(covariance: ParameterCovariance | None, kept: tuple[str, ...]) -> ParameterCovariance | None:

@@ -45,12 +45,6 @@ class Track:
     action: Floats | None = None
 
 
-def moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
-    """The joint that measures a link's configuration: the first that is not rigid, over the modes in order."""
-    joints = [mode.joints[link] for mode in automaton.modes]
-    return next((joint for joint in joints if joint.kind != "rigid"), joints[0])
-
-
 def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
     """(number, link) that measures each coordinate: the first of those whose joint moves in most modes.
 
@@ -167,7 +161,7 @@ def _relative_actions(
         frame = ahead.get(link.parent)
         within = asked if frame is None else frame.inv().apply(asked)
         actions.append(within - seen.position[:-1])
-        joint, c = moving_joint(automaton, number), x[:-1, link.coordinate]
+        joint, c = automaton.moving_joint(number), x[:-1, link.coordinate]
         u = np.nan_to_num(inverse_jacobian(joint, c, actions[-1]))
         moved = forward(joint, c + u) * forward(joint, c).inv() * pose
         ahead[link.child] = moved if frame is None else frame * moved
@@ -179,7 +173,7 @@ def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Flo
     x = np.zeros((len(position), automaton.n))
     for number, link in measuring_links(automaton):
         rotation = None if quaternion is None else Rotation.from_quat(quaternion[:, number])
-        x[:, link.coordinate] = inverse(moving_joint(automaton, number), position[:, number], rotation)
+        x[:, link.coordinate] = inverse(automaton.moving_joint(number), position[:, number], rotation)
     return x
 
 
@@ -194,7 +188,7 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     """
     u = np.zeros((len(action), automaton.n))
     for number, link in measuring_links(automaton):
-        joint, c = moving_joint(automaton, number), x[: len(action), link.coordinate]
+        joint, c = automaton.moving_joint(number), x[: len(action), link.coordinate]
         meant = in_base_frame(automaton, link.coordinate, action[:, number])
         u[:, link.coordinate] = commanded(joint, c, meant)
     if automaton.m == automaton.n:

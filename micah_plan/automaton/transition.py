@@ -37,8 +37,7 @@ in front of its own guard could go on for ever); then the state rests where it i
 mode is entered. Effects with a memory change the input: at the start of the step where the memory is part of the state;
 else they change the sequence of inputs before it gets here (`input_memory.InputChannel`).
 
-**Inputs.** `step` takes u as it is, admissible or not: the plant does what it is told. `admissible` tells, `saturate`
-clips.
+**Inputs.** `step` takes u as it is, admissible (`Mode.inputs`) or not: the plant does what it is told.
 """
 
 from __future__ import annotations
@@ -168,37 +167,6 @@ def simulate(
         log.extend((k, event) for event in events)
         all_complete = all_complete and complete
     return Run(tuple(modes), np.array(states).reshape(len(states), automaton.n), tuple(log), all_complete)
-
-
-def admissible(automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike, tolerance: float = 0.0) -> bool:
-    """Whether u (m,) is in φ(q, x), the mode's admissible inputs at x (n,)."""
-    state, given = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
-    return bool(automaton.mode(mode).inputs.contains(state, given, tolerance))
-
-
-def saturate(automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike) -> Floats:
-    """u (m,) with each input clipped to φ(q, x), for sets that bound one input at a time (the bounds may depend on x).
-
-    Raises:
-        InputError: if a half-space couples several inputs or none, or the bounds leave no room.
-    """
-    state, clipped = np.asarray(x, dtype=float), np.array(u, dtype=float)
-    lower, upper = np.full(automaton.m, -np.inf), np.full(automaton.m, np.inf)
-    for half_space in automaton.mode(mode).inputs.half_spaces:
-        bounded = [j for j, weight in enumerate(half_space.b) if weight]
-        if len(bounded) != 1:
-            raise InputError(
-                f"mode {mode}: admissible inputs '{half_space.name}' must bound one input. Got weights {half_space.b}"
-            )
-        j = bounded[0]
-        bound = (half_space.c - float(state @ np.array(half_space.a))) / half_space.b[j]
-        if half_space.b[j] > 0:
-            lower[j] = max(lower[j], bound)
-        else:
-            upper[j] = min(upper[j], bound)
-    if (lower > upper).any():
-        raise InputError(f"mode {mode}: no input is admissible at x = {state.tolist()}")
-    return np.asarray(np.clip(clipped, lower, upper))
 
 
 def _advance(

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.motion import CoordinateMotion
-from micah_plan.automaton.gain import gain_factors, uncertain_gains
 from micah_plan.automaton.guard_table import TOLERANCE, Exit, ModeTable, Row, Terms, mode_tables
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode, Tie
+from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import travel
 
@@ -171,7 +171,7 @@ class TransitionBatch:
         Args:
             automaton: the model.
             shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
-            gains: (t, g) relative errors of its gains (`gain.drawn_gains`); None: they are the model's.
+            gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: they are the model's.
         """
         self._automaton = automaton
         self._names = [mode.name for mode in automaton.modes]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.gain import drawn_gains
 from micah_plan.automaton.input_memory import InputChannel
+from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update

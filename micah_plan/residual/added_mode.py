@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from micah_plan.automaton.effects.structure import range_of
+from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.split import with_split
 from micah_plan.automaton.tracks import Track

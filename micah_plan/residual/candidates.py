@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.automaton.effects.formulas import SMOOTH_BUMPS
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.residual.lane import Lane

@@ -20,7 +20,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
-from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
+from micah_plan.automaton.tracks import Track, measuring_links
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,7 +69,7 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
     """Changes of turning joints that predict held-out poses clearly better; the best one per coordinate."""
     found = []
     for number, link in measuring_links(automaton):
-        joint = moving_joint(automaton, number)
+        joint = automaton.moving_joint(number)
         if joint.kind not in ("revolute", "screw"):
             continue
         name = automaton.coordinates[link.coordinate].name
@@ -86,7 +86,7 @@ def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple
     """Root mean square distance of measured origins from their joints, and length of the lever arm or 1 [m, m/rad]."""
     squared, arms = 0.0, []
     for number, link in measuring_links(automaton):
-        joint = moving_joint(automaton, number)
+        joint = automaton.moving_joint(number)
         away, lever = [], []
         for track in tracks:
             c = track.x[:, link.coordinate]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import jacobian
-from micah_plan.automaton.tracks import moving_joint
 from micah_plan.residual.leftover import UNLIKELY, Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.prediction import RunPrediction
 
@@ -167,7 +166,7 @@ def _across(
         if found is None:
             return None
         x = np.concatenate([run.x[1:, i] for run in runs])
-        j = jacobian(moving_joint(automaton, number), x)[:, first : first + 3]
+        j = jacobian(automaton.moving_joint(number), x)[:, first : first + 3]
         lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((found.floor**2).sum())
         totals.append((size2, max(size2 - lever2 * one2[i], 0.0) + lever2 * roll2[i]))
     one, roll = np.sqrt(np.mean(totals, axis=0))

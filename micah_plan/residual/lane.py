@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.effects.structure import range_of
+from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.tracks import Track, measuring_links, moving_joint
+from micah_plan.automaton.tracks import Track, measuring_links
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -178,7 +178,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         mode=mode,
         run=np.array([track.run for track, *_ in kept]),
         action=np.nan_to_num(action) if vectors else None,
-        joint=moving_joint(automaton, link),
+        joint=automaton.moving_joint(link),
         lower=lower,
         upper=upper,
         release=release,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.contacts.task import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.part_poses import part_poses
+from micah_plan.automaton.kinematics import part_poses
 from micah_plan.scene.body import corners
 from micah_plan.scene.surroundings import faces_of
 from micah_plan.task.problem import Problem

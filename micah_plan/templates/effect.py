@@ -11,8 +11,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.conformance import check_form
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values, check_form
 from micah_plan.automaton.effects.registry import register
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate

@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import origin
-from micah_plan.automaton.tracks import moving_joint
 from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
@@ -98,7 +97,7 @@ def link_shapes(automaton: HybridAutomaton, link: int) -> tuple[Primitive, ...]:
     """
     if any(automaton.part(item.child).shapes for item in automaton.links):
         return automaton.part(automaton.links[link].child).shapes
-    return moving_shapes(moving_joint(automaton, link), reach(automaton, link))
+    return moving_shapes(automaton.moving_joint(link), reach(automaton, link))
 
 
 def shown_links(automaton: HybridAutomaton) -> list[tuple[int, Link]]:
@@ -113,14 +112,14 @@ def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
     if shapes:
         return shapes
     carried = (i for i, link in shown_links(automaton) if link.parent not in children)
-    return tuple(s for i in carried for s in base_shapes(moving_joint(automaton, i), reach(automaton, i)))
+    return tuple(s for i in carried for s in base_shapes(automaton.moving_joint(i), reach(automaton, i)))
 
 
 def reach(automaton: HybridAutomaton, link: int) -> float:
     """How far the part of a link moves over all modes [m]: the longest distance between two of its positions."""
     number = automaton.links[link].coordinate
     limits = [coordinate_range(automaton, mode, number)[:2] for mode in automaton.modes]
-    joint = moving_joint(automaton, link)
+    joint = automaton.moving_joint(link)
     path = joint_curve(joint, min(lo for lo, _ in limits), max(hi for _, hi in limits))
     return float(np.linalg.norm(path[:, None] - path[None], axis=-1).max())
 
@@ -129,7 +128,7 @@ def object_size(automaton: HybridAutomaton) -> float:
     """A length to scale symbols by [m]: the farthest that a part lies from its axis or moves."""
     sizes = [0.02]
     for number, _ in shown_links(automaton):
-        joint = moving_joint(automaton, number)
+        joint = automaton.moving_joint(number)
         if joint.kind in ("revolute", "screw"):
             sizes.append(float(np.linalg.norm(np.array(joint.position) - joint.center)))
         elif joint.kind == "prismatic":

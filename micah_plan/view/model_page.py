@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
-from micah_plan.automaton.part_poses import part_poses
+from micah_plan.automaton.kinematics import part_poses
 from micah_plan.quantities import interval, plain, quantity
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import (

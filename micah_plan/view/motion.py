@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.part_poses import part_poses, poses_of_states
+from micah_plan.automaton.kinematics import part_poses, poses_of_states
 from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
 from micah_plan.view.keyframes import Keyframes
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian

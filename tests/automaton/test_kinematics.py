@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rebased_joints import rebased
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.joint import (
@@ -25,7 +26,6 @@ from micah_plan.automaton.kinematics import (
     jacobian,
     origin,
     placements,
-    rebased,
     reversed_direction,
     shifted,
     twist,

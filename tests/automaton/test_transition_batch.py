@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.automaton.gain import drawn_gains, uncertain_gains, with_gains
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import without_memory_states
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.step_noise import drawn_gains, uncertain_gains, with_gains
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch

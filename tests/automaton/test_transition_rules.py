@@ -10,8 +10,9 @@ from automaton_examples import cabinet, door, guard, plain, two_rails
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Pin, Reset
 from micah_plan.automaton.region import Region, input_box
-from micah_plan.automaton.transition import MOST_EVENTS, admissible, saturate, simulate, step
+from micah_plan.automaton.transition import MOST_EVENTS, simulate, step
 from micah_plan.errors import InputError
+from micah_plan.planning.limits import limited_input
 
 ONE = [[1.0]]
 PLANE = [[1.0, 0.0], [0.0, 1.0]]
@@ -259,28 +260,26 @@ class TestInputs:
 
     @pytest.mark.parametrize(("u", "inside"), [(0.2, True), (-0.1, True), (0.21, False), (-0.11, False)])
     def test_admissible(self, u: float, inside: bool) -> None:
-        assert admissible(self.limited(), "prismatic_1", [0.0], [u]) is inside
-        assert admissible(self.limited(), "prismatic_1", [0.0], [u], tolerance=0.02)
+        admissible = self.limited().mode("prismatic_1").inputs
+        assert admissible.contains(np.zeros(1), np.array([u])) == inside
+        assert admissible.contains(np.zeros(1), np.array([u]), tolerance=0.02)
 
     @pytest.mark.parametrize(("u", "clipped"), [(0.5, 0.2), (-0.5, -0.1), (0.05, 0.05)])
-    def test_saturate(self, u: float, clipped: float) -> None:
-        assert saturate(self.limited(), "prismatic_1", [0.0], [u]) == pytest.approx([clipped])
-        assert saturate(two_rails(), "prismatic_1", [0.0], [u]) == pytest.approx([u])
+    def test_a_planner_cuts_what_is_not(self, u: float, clipped: float) -> None:
+        largest = np.array([1.0])
+        assert limited_input(self.limited().modes[0], np.zeros(1), np.array([u]), largest) == pytest.approx([clipped])
+        assert limited_input(two_rails().modes[0], np.zeros(1), np.array([u]), largest) == pytest.approx([u])
 
-    def test_saturate_with_a_bound_that_depends_on_the_state(self) -> None:
-        """u <= 1 - x: slower towards the end."""
-        automaton = plain({"a": ONE}, [])
-        mode = replace(automaton.modes[0], inputs=guard(([-1], [-2], -1.0)))
-        assert saturate(replace(automaton, modes=(mode,)), "a", [0.4], [0.9]) == pytest.approx([0.3])
+    def test_a_bound_may_depend_on_the_state(self) -> None:
+        """u <= (1 - x) / 2: slower towards the end."""
+        mode = replace(plain({"a": ONE}, []).modes[0], inputs=guard(([-1], [-2], -1.0)))
+        assert limited_input(mode, np.array([0.4]), np.array([0.9]), np.array([1.0])) == pytest.approx([0.3])
 
-    def test_saturate_refuses_what_it_cannot_clip(self) -> None:
-        automaton = plain({"a": PLANE}, [])
-        coupled = replace(automaton.modes[0], inputs=guard(([0, 0], [1, 1], 0.0)))
-        with pytest.raises(InputError, match="must bound one input"):
-            saturate(replace(automaton, modes=(coupled,)), "a", [0, 0], [0, 0])
-        none = replace(automaton.modes[0], inputs=guard(([0, 0], [1, 0], 1.0), ([0, 0], [-1, 0], 0.0)))
-        with pytest.raises(InputError, match="no input is admissible"):
-            saturate(replace(automaton, modes=(none,)), "a", [0, 0], [0, 0])
+    def test_inputs_that_are_bounded_together_change_as_little_as_possible(self) -> None:
+        coupled = replace(plain({"a": PLANE}, []).modes[0], inputs=guard(([0, 0], [1, 1], 0.0)))
+        cut = limited_input(coupled, np.zeros(2), np.array([-0.3, 0.1]), np.ones(2))
+        assert cut == pytest.approx([-0.2, 0.2])
+        assert coupled.inputs.contains(np.zeros(2), cut, tolerance=1e-12)
 
     @pytest.mark.parametrize(
         ("mode", "x", "u", "disturbance", "message"),
@@ -310,7 +309,7 @@ class TestInputs:
 
 
 def test_regions_without_half_spaces_admit_everything() -> None:
-    assert admissible(plain({"a": ONE}, []), "a", [0.0], [1e9])
+    assert plain({"a": ONE}, []).mode("a").inputs.contains(np.zeros(1), np.array([1e9]))
     assert Region().is_everything
 
 

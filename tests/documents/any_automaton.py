@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import (
+    ActionChannel,
+    EdgeCertainty,
+    LearnedEdge,
+    LearnedSegment,
+    RowPosterior,
+    SegmentCertainty,
+)
 from micah_plan.automaton.hybrid import (
     Coordinate,
     Edge,
@@ -19,7 +26,6 @@ from micah_plan.automaton.hybrid import (
     Reset,
 )
 from micah_plan.automaton.joint import JOINT_KINDS, Joint, ParameterCovariance, prismatic, revolute, rigid, screw
-from micah_plan.automaton.learned import LearnedEdge, LearnedSegment
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
 

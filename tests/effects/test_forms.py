@@ -9,8 +9,7 @@ import pytest
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.conformance import check_form
-from micah_plan.automaton.effects.form import EffectForm, Parameter
+from micah_plan.automaton.effects.form import EffectForm, Parameter, check_form
 from micah_plan.automaton.effects.registry import form, forms, register, unregister
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment

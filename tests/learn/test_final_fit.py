@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planted import AXIS, JOINTS, TRAVEL
+from rebased_joints import rebased
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid, screw
-from micah_plan.automaton.kinematics import forward, inverse, rebased, shifted
+from micah_plan.automaton.kinematics import forward, inverse, shifted
 from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
 from micah_plan.learn.joints.helix import NUMBERS, chart_slopes, helix_of
 from micah_plan.learn.joints.likelihood import fit_likelihood, seen_with

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from micah_plan import workflow
-from micah_plan.automaton.learned_channel import with_learned_channel
+from micah_plan.automaton.effects.add import with_learned_channel
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording

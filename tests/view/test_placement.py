@@ -7,8 +7,7 @@ import pytest
 from view_objects import HINGE, OPEN_AT, cabinet, door
 
 from micah_plan.automaton.hybrid import Edge
-from micah_plan.automaton.kinematics import forward, jacobian
-from micah_plan.automaton.part_poses import part_poses
+from micah_plan.automaton.kinematics import forward, jacobian, part_poses
 from micah_plan.automaton.region import HalfSpace, Region, above
 from micah_plan.view.drawing import base_shapes, moving_shapes, shape_corners
 from micah_plan.view.placement import (

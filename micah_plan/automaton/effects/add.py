@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from micah_plan.automaton.effects.formulas import LONGEST_DELAY
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -44,3 +45,33 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
         if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper):
             bounds = f"{parameter.lower:g} to {parameter.upper:g}"
             raise InputError(f"effect {effect.name}: {parameter.name} must be finite, {bounds}. Got {value}")
+
+
+def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:
+    """The automaton for recordings whose actions are like those that it was learned from.
+
+    Learning found what stands between a demonstration's actions and the motion. That channel belongs to the recording,
+    not to the object: another hand, or this project's own logs, give their actions in another way. So a model does not
+    have it, and prediction takes it only where it is asked to.
+
+    Args:
+        automaton: with what learning was sure of.
+        period: time from row to row [s] of such a recording.
+
+    Raises:
+        InputError: if learning found no channel: the model was not learned, or without actions.
+    """
+    found: list[Effect] = []
+    for edge in automaton.learned:
+        channel = None if edge.certainty is None else edge.certainty.channel
+        links = [link for link in automaton.links if (link.parent, link.child) == (edge.parent, edge.child)]
+        if channel is None or not links:
+            continue
+        name = automaton.coordinates[links[0].coordinate].name
+        turn = tuple((f"rotation_{k + 1}", value) for k, value in enumerate(channel.frame_rotation))
+        steps = min(max(channel.delay, 0.0) / period, float(LONGEST_DELAY))  # motion before its action: no effect
+        found += [Effect("frame_rotation", name, turn), Effect("gain", name, (("gain", channel.gain),))]
+        found += [Effect("delay", name, (("steps", steps),))]
+    if not found:
+        raise InputError("the model holds no action channel", remedy="learn it from a recording with actions")
+    return with_effect(automaton, *found)

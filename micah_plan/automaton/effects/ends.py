@@ -1,13 +1,20 @@
-"""Effects on where motion ends and begins. An automaton takes them in by moving its guards."""
+"""Effects on where motion ends and begins. An automaton takes them in by moving its guards, and what they bound."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.structure import with_end, with_release, with_shifted_end
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.effects.geometry import rigid_at
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.lifted import mapped
+from micah_plan.automaton.region import HalfSpace, Region, above, below
+from micah_plan.errors import InputError
+
+_SAME = 1e-6
 
 
 @final
@@ -25,7 +32,11 @@ class Limit(EffectForm):
         return low, high
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return with_end(automaton, coordinate, p[0], p[1] > 0)
+        """Its own end moved there, or new clamps where it has none."""
+        end = range_of(automaton, coordinate)[p[1] > 0]
+        if math.isfinite(end):
+            return _with_end_moved(automaton, coordinate, end, p[0])
+        return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
 
 @final
@@ -41,7 +52,11 @@ class GuardShift(EffectForm):
         return ops.where(p[1] < 0, lower + p[0], lower), ops.where(p[1] > 0, upper + p[0], upper)
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return with_shifted_end(automaton, coordinate, p[0], p[1] > 0)
+        end = range_of(automaton, coordinate)[p[1] > 0]
+        if not math.isfinite(end):
+            name, side = automaton.coordinates[coordinate].name, "upper" if p[1] > 0 else "lower"
+            raise InputError(f"the range of {name} has no {side} end to shift")
+        return _with_end_moved(automaton, coordinate, end, end + p[0])
 
 
 @final
@@ -57,4 +72,73 @@ class GuardHysteresis(EffectForm):
         return p[0]
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return with_release(automaton, coordinate, p[0])
+        def half_space(h: HalfSpace) -> HalfSpace:
+            return h if h.on_state or not h.b[coordinate] else h.moved(p[0] * abs(h.b[coordinate]))
+
+        def edge(own: Edge) -> Edge:
+            pinned = not automaton.mode(own.source).free[coordinate]
+            return replace(own, guard=own.guard.mapped(half_space)) if pinned else own
+
+        return mapped(automaton, edge=edge)
+
+
+def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
+    """(low, high) over which some mode moves a coordinate; infinite where nothing ends it."""
+    moving = [mode.invariant.interval(coordinate) for mode in automaton.modes if mode.driven[coordinate]]
+    return (min(low for low, _ in moving), max(high for _, high in moving)) if moving else (0.0, 0.0)
+
+
+def _with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -> HybridAutomaton:
+    """The automaton with one end of a coordinate's range elsewhere, and what is pinned there with it."""
+
+    def moved(region: Region, *, all_of_it: bool = False) -> Region:
+        """The region with its half-spaces on the coordinate alone moved, if they are at the old end."""
+        return region.mapped(lambda h: _moved(h, i, new - old, None if all_of_it else old))
+
+    def moved_mode(mode: Mode) -> Mode:
+        if not any(pin.coordinate == i and abs(pin.value - old) <= _SAME for pin in mode.pins):
+            return replace(mode, invariant=moved(mode.invariant))
+        pins = (replace(pin, value=pin.value + new - old) if pin.coordinate == i else pin for pin in mode.pins)
+        joints = (
+            rigid_at(automaton.moving_joint(number), joint.held + new - old, joint)
+            if link.coordinate == i and joint.kind == "rigid"
+            else joint
+            for number, (link, joint) in enumerate(zip(automaton.links, mode.joints, strict=True))
+        )
+        invariant = moved(mode.invariant, all_of_it=True)
+        return replace(mode, pins=tuple(pins), joints=tuple(joints), invariant=invariant)
+
+    def moved_edge(edge: Edge) -> Edge:
+        reset = edge.reset
+        if edge.is_self_transition and reset.c is not None and abs(reset.c[i] - old) <= _SAME:
+            reset = replace(reset, c=tuple(new if k == i else value for k, value in enumerate(reset.c)))
+        return replace(edge, guard=moved(edge.guard), reset=reset)
+
+    return mapped(automaton, moved_mode, moved_edge)
+
+
+def _moved(half_space: HalfSpace, i: int, by: float, at: float | None) -> HalfSpace:
+    """A half-space that limits coordinate i alone, moved if its limit is at a value (None: wherever it is).
+
+    A label that ends with the threshold says the new one; labels that people chose stay.
+    """
+    bound, label = half_space.bound, half_space.name
+    if bound is None or bound.coordinate != i or (at is not None and abs(bound.value - at) > _SAME):
+        return half_space
+    old = f"{bound.value:g}"
+    label = label.removesuffix(old) + f"{bound.value + by:g}" if label.endswith(f" {old}") else label
+    return replace(half_space.moved(half_space.a[i] * by), name=label)
+
+
+def _with_clamps(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) -> HybridAutomaton:
+    """The automaton with a stop where a coordinate's range had no end."""
+    n, m, label = automaton.n, automaton.m, automaton.coordinates[i].name
+    guard = (above if is_upper else below)(i, at, n, m, strict=True, name=label)
+    inside = (below if is_upper else above)(i, at, n, m, name=label)
+
+    def ended(mode: Mode) -> Mode:
+        return replace(mode, invariant=Region((*mode.invariant.half_spaces, inside))) if mode.driven[i] else mode
+
+    moving = (mode.name for mode in automaton.modes if mode.driven[i])
+    clamps = tuple(Edge(name, name, Region((guard,)), Reset.to({i: at}, n)) for name in moving)
+    return replace(mapped(automaton, ended), edges=(*automaton.edges, *clamps))

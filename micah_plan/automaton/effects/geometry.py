@@ -1,17 +1,17 @@
-"""Effects on geometry: where the action was given, and where the joint really is."""
+"""Effects on geometry: the frame in which an action was given, and where the joint really is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.structure import with_joints
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.joint import Joint, axis_basis, revolute, screw
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.joint import Joint, axis_basis, revolute, rigid, screw
+from micah_plan.automaton.lifted import mapped
 
 _TURN = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
 
@@ -45,7 +45,7 @@ class ScrewPitch(EffectForm):
     parameters = (Parameter("pitch", "m/rad", 0.0),)
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return with_joints(automaton, coordinate, lambda joint: pitched(joint, p[0]))
+        return _with_joints(automaton, coordinate, lambda joint: pitched(joint, p[0]))
 
 
 @final
@@ -58,7 +58,7 @@ class AxisOffset(EffectForm):
     parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return with_joints(automaton, coordinate, lambda joint: offset(joint, p))
+        return _with_joints(automaton, coordinate, lambda joint: offset(joint, p))
 
 
 def pitched(joint: Joint, pitch: float) -> Joint:
@@ -79,6 +79,32 @@ def offset(joint: Joint, by: Sequence[float]) -> Joint:
     else:
         made = revolute(joint.axis, center, joint.position, joint.quaternion)
     return replace(made, covariance=joint.covariance)
+
+
+def rigid_at(moving: Joint, c: float, before: Joint) -> Joint:
+    """A rigid joint that stands for configuration c, where a moving one leads; `before` if nothing moves there."""
+    if moving.kind == "rigid":
+        return replace(before, held=c)
+    from micah_plan.automaton.kinematics import forward  # SciPy's transforms take long to load
+
+    pose = forward(moving, c)[0]
+    return rigid(pose.translation, pose.rotation.as_quat(), c)
+
+
+def _with_joints(automaton: HybridAutomaton, coordinate: int, change: Callable[[Joint], Joint]) -> HybridAutomaton:
+    """The automaton with the joints of a coordinate changed, and rigid ones where the changed motion leads."""
+
+    def changed(number: int, joint: Joint) -> Joint:
+        if automaton.links[number].coordinate != coordinate:
+            return joint
+        if joint.kind == "rigid":
+            return rigid_at(change(automaton.moving_joint(number)), joint.held, joint)
+        return change(joint)
+
+    def changed_mode(mode: Mode) -> Mode:
+        return replace(mode, joints=tuple(changed(number, joint) for number, joint in enumerate(mode.joints)))
+
+    return mapped(automaton, changed_mode)
 
 
 def _cross(a: Values, b: Values) -> list[Value]:

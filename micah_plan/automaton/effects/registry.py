@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from micah_plan.automaton.effects.commands import Bias, DeadZone, Gain, Saturation
 from micah_plan.automaton.effects.ends import GuardHysteresis, GuardShift, Limit
-from micah_plan.automaton.effects.forces import Gravity, Latch, Spring, Unexplained
 from micah_plan.automaton.effects.form import LAYERS, EffectForm
+from micah_plan.automaton.effects.formulas import (
+    Backlash,
+    Bias,
+    DeadZone,
+    Delay,
+    Drift,
+    Gain,
+    Gravity,
+    Lag,
+    Latch,
+    Saturation,
+    SensorScale,
+    Spring,
+    Unexplained,
+)
 from micah_plan.automaton.effects.geometry import AxisOffset, FrameRotation, ScrewPitch
-from micah_plan.automaton.effects.memory import Backlash, Delay, Lag
-from micah_plan.automaton.effects.sensor import Drift, SensorScale
 from micah_plan.errors import InputError, shown
 
 _LIBRARY: tuple[EffectForm, ...] = (

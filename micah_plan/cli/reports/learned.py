@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Misfit
 from micah_plan.automaton.graph import KinematicEdge, Segment
 from micah_plan.automaton.joint import Joint, radius
-from micah_plan.automaton.misfit import misfit_of
 from micah_plan.cli.console import out, print_files, table
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way, with_spread
 from micah_plan.view.learning_words import channel_turn
@@ -58,7 +57,7 @@ def _edge(edge: KinematicEdge) -> dict[str, Any]:
 
 
 def _segment(segment: Segment) -> dict[str, Any]:
-    sure, misfit = segment.certainty, misfit_of(segment)
+    sure, misfit = segment.certainty, segment.misfit
     start = None if sure is None else sure.start
     data: dict[str, Any] = {
         "model": segment.joint.kind,
@@ -137,7 +136,7 @@ def print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
 
 def segment_row(segment: Segment) -> tuple[str, ...]:
     """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
-    joint, rows, misfit = segment.joint, f"{segment.start}-{segment.end}", misfit_of(segment)
+    joint, rows, misfit = segment.joint, f"{segment.start}-{segment.end}", segment.misfit
     if misfit is not None:
         return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", _start(segment))
     axis = "" if joint.kind == "rigid" else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)

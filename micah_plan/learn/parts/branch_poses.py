@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
-from micah_plan.automaton.misfit import misfit_of
 from micah_plan.learn.parts.relative import RelativeRows
 
 Floats = NDArray[np.float64]
@@ -39,7 +38,7 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
     position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
     seen, seen_action = relative.recording.poses(), relative.recording.action
     for segment in edge.segments:
-        if misfit_of(segment) is not None:
+        if segment.misfit is not None:
             continue
         index = slice(segment.start, segment.end + 1)
         rotation = seen.rotation[index] if relative.recording.has_orientation else None

@@ -42,7 +42,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
-from micah_plan.automaton.misfit import misfit_of
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.parts.arborescence import Arc, Weight, maximum_arborescence
 from micah_plan.learn.parts.branch_poses import branch_poses
@@ -73,7 +72,7 @@ class PairEdge:
     @property
     def is_rigid(self) -> bool:
         """Whether the two never move relative to each other."""
-        return all(segment.joint.kind == "rigid" and misfit_of(segment) is None for segment in self.edge.segments)
+        return all(segment.joint.kind == "rigid" and segment.misfit is None for segment in self.edge.segments)
 
     @property
     def log_evidence(self) -> float:
