@@ -11,7 +11,7 @@ transitions, resets are the identity. Where it differs, and why:
 - **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
   coordinate is pinned to the configuration at which the part was held (being there is information), and it is left
   by pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a
-  pinned x would never be reached again. A rigid model at an end of the range needs no clamp; its pin holds it.
+  pinned x would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
 - **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
   exactly (`transition`), so a state can be on the boundary in either model. A rigid model's invariant is what a
   measurement cannot tell from it: ``local_models.RESOLUTION`` std around its configuration.
@@ -19,7 +19,7 @@ transitions, resets are the identity. Where it differs, and why:
   model that is entered at such a threshold is pinned no better than that.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
-An edge to the base that never moved keeps its coordinate, as in the paper; the pin of its only model holds it. A part
+An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part
 that is fixed to another part, a handle on a door, has nothing of its own to tell: it takes no part in the product, and
 its link follows the coordinate of what carries it, through a rigid joint. Neighbours are connected both ways, so every
 mode of the product can be reached from every other. `Init` is left to the task, as there.

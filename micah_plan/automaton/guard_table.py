@@ -65,14 +65,14 @@ class ModeTable:
         """x with the pinned and the tied coordinates at their values."""
         if not self.pins and not self.ties:
             return x
-        held = list(x)
+        put = list(x)
         for i, value in self.pins:
-            held[i] = value
+            put[i] = value
         for i, j in self.followed:
-            held[i] += x[j]
+            put[i] += x[j]
         for i, terms, offset in self.ties:
-            held[i] = offset + sum(w * held[j] for j, w in terms)
-        return held
+            put[i] = offset + sum(w * put[j] for j, w in terms)
+        return put
 
 
 class _Tables(dict[str, ModeTable]):

@@ -62,7 +62,7 @@ class Part:
     """A rigid body of the object.
 
     Attributes:
-        handle: where a hand holds it, in the part's frame [m]; None: the part's origin.
+        handle: where a hand takes it, in the part's frame [m]; None: the part's origin.
     """
 
     name: str
@@ -81,9 +81,10 @@ class Link:
 
 @dataclass(frozen=True)
 class Pin:
-    """A coordinate that a mode holds at one value: a rigid joint at its configurational changepoint.
+    """A coordinate that a mode fixes at one value: a rigid joint at its configurational changepoint.
 
-    Being in such a mode is information: the coordinate is known to `std`. A state elsewhere is put at `value`.
+    To pin means this and nothing else: no input and no noise moves the coordinate, a state elsewhere is put at `value`,
+    and being in the mode is information, since the coordinate is known to `std`.
 
     Attributes:
         follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
@@ -159,7 +160,7 @@ class Mode:
         input_matrix: B (n, m) of the local dynamics f: x⁺ = x + B u (u is a displacement, in the coordinate's unit).
         invariant: I(q), where the mode's dynamics hold.
         inputs: φ(q, x), the admissible inputs.
-        pins: coordinates that the mode holds fixed.
+        pins: coordinates that the mode fixes.
         observation_std: (coordinate, std) of what the mode measures in its own way, wherever it is [rad or m]; the rest
             is measured as the model's noise says.
         ties: coordinates that follow others. The flow must keep them, and transitions into the mode establish them.
@@ -253,7 +254,7 @@ class HybridAutomaton:
         modes: Q with f, I and φ.
         edges: E with G and R.
         noise: process and observation noise.
-        init: Init, regions of x per mode name; empty: wherever an invariant holds.
+        init: Init, regions of x per mode name; empty: wherever an invariant allows.
         provenance: where the model came from (recording digest, method, seed, versions), as text.
         learned: what learning was sure of; empty for a model that was not learned.
         effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
@@ -351,15 +352,15 @@ class HybridAutomaton:
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
-        """The target's pins on coordinates that the edge's guard constrains: the guard is where they are held."""
+        """The target's pins on coordinates that the edge's guard constrains: the guard is where they are pinned."""
         return tuple(
             pin for pin in self.mode(edge.target).pins if any(h.a[pin.coordinate] for h in edge.guard.half_spaces)
         )
 
     def pins_met_by(self, edge: Edge) -> tuple[Pin, ...]:
-        """The target's other pins that its source does not have: to be held there is one more piece of information."""
-        known = {*self.pins_located_by(edge), *self.mode(edge.source).pins}
-        return tuple(pin for pin in self.mode(edge.target).pins if pin not in known)
+        """The target's other pins that its source does not have: each is one more piece of information."""
+        others = {*self.pins_located_by(edge), *self.mode(edge.source).pins}
+        return tuple(pin for pin in self.mode(edge.target).pins if pin not in others)
 
     def ranges(self, coordinate: int, modes: Iterable[Mode] | None = None) -> list[Interval]:
         """What modes (None: all) allow for a coordinate, as intervals in increasing order; infinite without a limit.
@@ -386,7 +387,7 @@ class HybridAutomaton:
         return next((part for part in self.parts if part.name == name), Part(name))
 
     def modes_at(self, x: Floats, tolerance: float = 0.0) -> tuple[str, ...]:
-        """Names of the modes whose invariant holds x (n,) at zero input."""
+        """Names of the modes whose invariant x (n,) is in at zero input."""
         u = np.zeros(self.m)
         return tuple(mode.name for mode in self.modes if mode.invariant.contains(x, u, tolerance))
 

@@ -51,7 +51,7 @@ class Joint:
         axis: unit vector of motion or rotation in the base frame; (0, 0, 0) for rigid.
         center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) for rigid and prismatic.
         pitch: translation along the axis per angle [m/rad]; 0 unless screw.
-        held: configuration that a rigid joint stands for [rad or m]; 0 for others.
+        held: configuration at which a rigid joint keeps its part [rad or m]; 0 for others.
         covariance: of the parameters, if they were estimated.
 
     The configuration c is in rad for revolute and screw, in m for prismatic.
@@ -68,7 +68,7 @@ class Joint:
 
 
 def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, held: float = 0.0) -> Joint:
-    """A part that rests at a pose; `held` is the configuration that this pose stands for [rad or m]."""
+    """A part that rests at a pose; `held` is the configuration of that pose [rad or m]."""
     return Joint("rigid", _vector(position, "position"), _unit_quaternion(quaternion), held=float(held))
 
 

@@ -9,7 +9,7 @@ way, return, or pass through a region several times, and all these segments tell
    so it merely rested there.
 3. What remains is ordered by configuration. Two neighbouring rigid models are one (the longer): a coordinate that was
    never seen to move between them cannot tell them apart.
-4. Neighbours meet at the configurational changepoint: at the configuration that a rigid model holds, else where the
+4. Neighbours meet at the configurational changepoint: at the configuration of a rigid model, else where the
    recording changed from one to the other, else half way between their ranges.
 5. How well that configuration is known follows from the posterior of the changepoint's row, where there is one: rows
    are turned into configurations with the segments' mean speeds, and a measurement's std is added.

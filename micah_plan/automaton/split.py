@@ -18,7 +18,7 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
     act in both.
 
     Args:
-        at: configuration [rad or m] from which on the second half holds.
+        at: configuration [rad or m] from which on the second half applies.
 
     Raises:
         InputError: if no mode moves the coordinate through that place.
@@ -98,9 +98,8 @@ def _into(automaton: HybridAutomaton, edge: Edge, target: str, side: int, i: int
 
 
 def _side(mode: Mode, i: int, at: float) -> int | None:
-    """The half in which a mode holds the coordinate; None if it does not hold it."""
-    held = [pin.value for pin in mode.pins if pin.coordinate == i]
-    return int(held[0] >= at) if held else None
+    """The half in which a mode pins the coordinate; None if it does not pin it."""
+    return None if mode.free[i] else int(mode.interval(i)[0] >= at)
 
 
 def _reaches(guard: Region, i: int, at: float, is_beyond: bool) -> bool:

@@ -117,7 +117,7 @@ def _with_states(automaton: HybridAutomaton) -> HybridAutomaton:
         return [0.0 if growth is None or growth[0] != boundary else -growth[1] for boundary in stds]
 
     def following(pin: Pin, at: Boundary) -> Pin:
-        # What is not known of its boundary is no longer its own.
+        # The spread of its boundary is that of the new coordinate.
         rest = float(np.sqrt(max(0.0, pin.std**2 - stds[at] ** 2)))
         return replace(pin, std=rest, follows=numbers[at])
 
@@ -176,9 +176,9 @@ def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
 
 
 def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
-    """The boundary, by coordinate, at which a mode holds it: that on the coordinate alone by which it was entered.
+    """The boundary, by coordinate, at which a mode pins it: that on the coordinate alone by which it was entered.
 
-    A mode that is only entered from others that hold the coordinate at the same place holds it at their boundary.
+    A mode that is only entered from others that pin the coordinate at the same place pins it at their boundary.
     """
     memo: dict[str, dict[int, Boundary]] = automaton.derived.setdefault("boundaries_of_pins", {})
     if mode.name not in memo:

@@ -131,7 +131,7 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
         raise InputError(
             f"part {shown(link.child)} moves with {shown(link.parent)}, whose orientation was not measured",
             where="columns qx, qy, qz, qw",
-            remedy="record the orientation of every part that others hang on",
+            remedy="record the orientation of every part that carries another",
         )
     frame = parent.poses().inv()
     pose = frame * own.poses()
@@ -149,8 +149,8 @@ def _relative_actions(
     """(T-1, l, 3) commanded displacements of the parts' origins relative to their parents [m].
 
     A part on a moving parent is carried along, and its action contains that: what remains for its own joint is counted
-    from where its parent was told to go, f(c + u) of the links before it. This is the inverse of how a command of the
-    model is written as displacements; where the parent really went is not looked at.
+    from where its parent was commanded to go, f(c + u) of the links before it. This is the inverse of how a command of
+    the model is written as displacements; where the parent really went is not looked at.
     """
     ahead: dict[str, RigidTransform] = {}
     actions = []

@@ -5,7 +5,7 @@ tests guards between steps; here they are located within the step, so that the r
 motion is cut into steps and no threshold is overrun.
 
 **Motion.** Within a step, s runs from 0 to 1 and x moves along the straight line x + s d with d = B_q u + disturbance.
-Guards are half-spaces, so their margins are affine in s and events are found by division, not by search. A mode holds
+Guards are half-spaces, so their margins are affine in s and events are found by division, not by search. A mode keeps
 its pinned coordinates at their values: no input and no disturbance moves them, and a state that is elsewhere when the
 step starts or the mode is entered (a sample of a belief, a measurement) is put there.
 

@@ -1,10 +1,10 @@
-"""Transitions behind which an input moves the state another way than before, so that one step must surely lead across.
+"""Turns: transitions across which the same input reverses the motion, so that a plan must cross them in one known step.
 
-Where one input moves a coordinate forth in a mode and back in the next, a plan must know at which step the mode
-changes: a step more with the same input goes the wrong way. If it is the coordinate across the boundary, nothing can
-even be pushed deep into the guard. What a step leads behind it is turned within that step: mirrored, as fast as the
-next mode moves, or, where a guard leads back or the next mode does not move it, held at the boundary, which then is
-known exactly (`automaton.transition`, chattering).
+Where an input moves a coordinate forwards in one mode and backwards in the next, a step more with the same input goes
+the wrong way, so a plan must fix the step at which the mode changes. If the coordinate is the one across the boundary,
+no input pushes the state deep into the guard either. What of that step lies behind the boundary is then what the next
+mode makes of it: the way is mirrored, at the speed of the next mode, or, where a guard leads straight back or the next
+mode does not move the coordinate, it ends at the boundary, which so is known exactly (`transition`, chattering).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A boundary to cross in one step, and what becomes of the state that the step led behind it.
+    """A boundary to cross in one step, and where the state that lies behind it goes.
 
     Attributes:
         half_space: the row of the guard that is crossed.
@@ -39,7 +39,7 @@ class Turn:
 
 
 def turn_of(automaton: HybridAutomaton, edge: Edge) -> Turn | None:
-    """The turn at an edge; None where the next mode moves on as before, holds the state, or a reset leads elsewhere."""
+    """The turn at an edge; None where the next mode moves on as before, pins the state, or a reset leads elsewhere."""
     crossed = None if edge.is_self_transition or not edge.reset.is_identity else _way_out(automaton, edge)
     if crossed is None:
         return None
@@ -48,10 +48,10 @@ def turn_of(automaton: HybridAutomaton, edge: Edge) -> Turn | None:
     forth, onward = a @ before, float((a @ before) @ (a @ after))
     if onward > 0.0 and not np.any(np.sum(before * after, axis=1) < 0.0):
         return None
-    share = -1.0  # of the way behind the boundary, by which the next mode leads back; -1: it is gone
+    mirrored = -1.0  # share of the way behind the boundary by which the next mode leads back; -1: it leads on alike
     if onward <= 0.0:
-        share = 0.0 if _returns(automaton, edge, crossed) else -onward / float(forth @ forth)
-    across = (1.0 + share) * a / float(a @ a)
+        mirrored = 0.0 if _returns(automaton, edge, crossed) else -onward / float(forth @ forth)
+    across = (1.0 + mirrored) * a / float(a @ a)
     sides = tuple(h for h in edge.guard.half_spaces if h is not crossed and not h.on_input)
     A = np.eye(automaton.n) - np.outer(across, a)
     return Turn(crossed, sides, A, across * crossed.c, across * edge.threshold_std)
@@ -64,7 +64,7 @@ def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
 
 
 def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
-    """The row of a guard by which it is entered, if the source can move across it and the target does not hold it."""
+    """The row of a guard by which it is entered, if the source can move across it and the target does not pin it."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     for half_space in edge.guard.half_spaces:
         a = np.array(half_space.a)

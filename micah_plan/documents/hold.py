@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.automaton.contacts.task import Grip, HeldPart
+from micah_plan.automaton.contacts.values import Grip, HeldPart
 from micah_plan.documents.layout import ZERO, Document, Name, Positive, Vector3, doc, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.parts import ShapeDocument, shapes_of

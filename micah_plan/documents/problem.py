@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from micah_plan.automaton.contacts.task import COLLIDED
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.hold import HoldDocument, hold_data, hold_of
 from micah_plan.documents.layout import Document, Line, Name, Names, Positive, doc

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.contacts.task import Grip, HeldPart
+from micah_plan.automaton.contacts.values import Grip, HeldPart
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError
 from micah_plan.execution.held_parameters import HeldParameters

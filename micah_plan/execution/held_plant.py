@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.product import FREE
-from micah_plan.automaton.contacts.task import COLLIDED
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.errors import InputError
 from micah_plan.execution.carrier import Carrier, Slides
 from micah_plan.execution.held_mjcf import OBJECT, object_mjcf, scene_mjcf

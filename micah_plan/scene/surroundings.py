@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.task import Face, Solid, Surroundings
+from micah_plan.automaton.contacts.values import Face, Solid, Surroundings
 from micah_plan.automaton.joint import Vector3
 from micah_plan.scene.body import Body, Shape, corners, vector3
 

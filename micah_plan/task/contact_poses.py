@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.contacts.task import Face, Grip
+from micah_plan.automaton.contacts.values import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.scene.body import corners

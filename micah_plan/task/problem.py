@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from micah_plan.automaton.contacts.task import Grip
+from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
 from micah_plan.scene.body import Body
@@ -18,7 +18,7 @@ from micah_plan.task.start import Start
 
 @dataclass(frozen=True)
 class Hold:
-    """How the object of a problem is held, and between which corners the hand may move; see `automaton.contacts.task`.
+    """How the object of a problem is held, and between which corners the hand may move; see `automaton.contacts.values`.
 
     Attributes:
         grip: how a hand holds the object.

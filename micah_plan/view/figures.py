@@ -17,7 +17,7 @@ from matplotlib.patches import Ellipse, Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.task import COLLIDED
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError

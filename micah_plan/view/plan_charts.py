@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.task import COLLIDED
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.quantities import count, percent, plain
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem

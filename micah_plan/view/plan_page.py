@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from micah_plan.automaton.contacts.task import COLLIDED
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
 from micah_plan.scene.body import corners

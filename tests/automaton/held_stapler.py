@@ -1,6 +1,6 @@
 """A stapler written by hand, held above a table in front of a shelf: what the tests of contacts share."""
 
-from micah_plan.automaton.contacts.task import Face, Grip, HandNoise, HeldPart, Solid, Surroundings
+from micah_plan.automaton.contacts.values import Face, Grip, HandNoise, HeldPart, Solid, Surroundings
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Primitive
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.region import Region, above, box, input_below

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.contacts.collision import collision_regions
 from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
-from micah_plan.automaton.contacts.task import Face, HeldPart
 from micah_plan.automaton.contacts.touch import corners, moved, touch_pieces
+from micah_plan.automaton.contacts.values import Face, HeldPart
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.step_noise import process_factor
 from micah_plan.automaton.thresholds import threshold_stds

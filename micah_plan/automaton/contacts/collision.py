@@ -2,7 +2,7 @@
 
 A part and a body overlap only if the boxes around them do, along every axis of the base frame. The box around the
 moving part grows and shrinks as the joint turns; its sides are bounded from outside by affine functions of the joint
-over the range that a mode allows. So a set is an intersection of at most six half-spaces on (hand, joint) that holds
+over the range that a mode allows. So a set is an intersection of at most six half-spaces on (hand, joint). It contains
 all true collisions of the swinging part, and somewhat more.
 """
 
@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.contacts.task import Grip, Solid, Surroundings
 from micah_plan.automaton.contacts.touch import corners, moved
+from micah_plan.automaton.contacts.values import AXES, Grip, Solid, Surroundings
 from micah_plan.automaton.region import HalfSpace, Region
 
 Floats = NDArray[np.float64]
 
 _SAMPLES = 181
-_AXES = ("x", "y", "z")
 
 
 def collision_regions(
@@ -57,14 +56,14 @@ def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings:
             return None
         if least + float(np.min(boxes[:, 1, axis])) < solid.lower[axis]:
             rows.append(
-                _row(axis, 1.0, slope, solid.lower[axis] - offset, f"{part} at {solid.name}: from -{_AXES[axis]}")
+                _row(axis, 1.0, slope, solid.lower[axis] - offset, f"{part} at {solid.name}: from -{AXES[axis]}")
             )
         offset, slope = _bound(grid, -boxes[:, 0, axis])
         if least + float(np.min(boxes[:, 0, axis])) > solid.upper[axis]:
             return None
         if most + float(np.max(boxes[:, 0, axis])) > solid.upper[axis]:
             rows.append(
-                _row(axis, -1.0, slope, -solid.upper[axis] - offset, f"{part} at {solid.name}: from +{_AXES[axis]}")
+                _row(axis, -1.0, slope, -solid.upper[axis] - offset, f"{part} at {solid.name}: from +{AXES[axis]}")
             )
     return Region(tuple(rows)) if rows else None
 

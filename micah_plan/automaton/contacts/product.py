@@ -14,16 +14,22 @@ withdraws. A latched object cannot be pressed into the face; where it latched ag
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.contacts.collision import collision_regions
-from micah_plan.automaton.contacts.learned_joint import Latch, LearnedJoint, learned_joint
-from micah_plan.automaton.contacts.task import COLLIDED, Face, Grip, HandNoise, Surroundings
-from micah_plan.automaton.contacts.task_joints import AXES, links_of, mode_joints, parts_of
+from micah_plan.automaton.contacts.joints import (
+    Latch,
+    LearnedJoint,
+    learned_joint,
+    links_of,
+    mode_joints,
+    parts_of,
+)
 from micah_plan.automaton.contacts.touch import TouchPiece, resting_height, touch_pieces
+from micah_plan.automaton.contacts.values import AXES, COLLIDED, Face, Grip, HandNoise, Surroundings
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset, Tie
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box
 
@@ -38,7 +44,9 @@ class Contact:
     """A contact state of the moving part.
 
     Attributes:
-        name: of its mode; face: touched; piece: how the joint follows.
+        name: of its mode.
+        face: touched.
+        piece: how the joint follows.
     """
 
     name: str
@@ -46,7 +54,13 @@ class Contact:
     piece: TouchPiece
 
     @property
+    def is_line(self) -> bool:
+        """Whether it touches with one edge; else with a surface that lies flat."""
+        return self.piece.kind == "line"
+
+    @property
     def tie(self) -> Tie:
+        """The joint where the hand's height asks for it."""
         weights = [0.0] * _N
         weights[self.face.axis] = self.face.sign / self.piece.slope
         height = -self.face.sign * self.face.position
@@ -55,7 +69,28 @@ class Contact:
     @property
     def entry(self) -> Reset:
         """Puts the joint where the hand's height asks for it."""
-        return Reset(A=_rows({_JOINT: self.tie.weights}), c=(0.0, 0.0, 0.0, self.tie.offset))
+        return Reset.to({}, _N, [self.tie])
+
+    @property
+    def touching(self) -> HalfSpace:
+        """Where the object touches: the chord's height of the joint is at least the hand's."""
+        face, piece = self.face, self.piece
+        a = [0.0] * _N
+        a[face.axis], a[_JOINT] = -float(face.sign), piece.slope
+        c = -piece.begin_height + piece.slope * piece.begin - face.sign * face.position
+        return HalfSpace(tuple(a), (0.0,) * _M, c, name=f"{self.name}: touching {face.solid}")
+
+    @property
+    def above(self) -> HalfSpace:
+        """Where it does not touch, but for the boundary."""
+        touching = self.touching
+        name = f"above {self.face.solid}: {self.name}"
+        return HalfSpace(tuple(-w for w in touching.a), touching.b, -touching.c, name=name)
+
+    @property
+    def end_of_hand(self) -> dict[int, float]:
+        """Where the hand stands when the end of the piece is touched, by coordinate."""
+        return {self.face.axis: self.face.position + self.face.sign * self.piece.end_height}
 
 
 def with_contacts(
@@ -68,22 +103,15 @@ def with_contacts(
     """
     noise = noise or HandNoise()
     joint = learned_joint(learned, grip)
-    contacts = contact_states(grip, surroundings, joint)
-    edges = [
-        *_contact_edges(contacts, joint, grip, noise),
-        *_latch_edges(contacts, joint),
-        *_range_edges(joint, grip),
-        *_resting_edges(contacts, joint, grip, surroundings),
-    ]
-    modes = [_free(contacts, joint, grip, surroundings)]
-    modes += [_contact_mode(contact, joint, grip, surroundings) for contact in contacts]
-    modes += [_latched(latch, contacts, joint, grip, surroundings) for latch in joint.latches]
-    hits = list(_collisions(modes, joint, grip, surroundings))
+    product = _Product(grip, surroundings, noise, joint, contact_states(grip, surroundings, joint))
+    modes, edges = product.modes(), product.edges()
+    hits = list(product.collisions(modes))
     if hits:
         modes.append(Mode(COLLIDED, modes[0].joints, _STILL))
+    hand = tuple(Coordinate(axis, "m") for axis in AXES)
     automaton = HybridAutomaton(
-        coordinates=(*(Coordinate(axis, "m") for axis in AXES), _joint_coordinate(joint, grip)),
-        inputs=tuple(Coordinate(axis, "m") for axis in AXES),
+        coordinates=(*hand, Coordinate(grip.coordinate, "rad" if joint.turns else "m")),
+        inputs=hand,
         links=links_of(grip),
         parts=parts_of(grip),
         modes=tuple(modes),
@@ -113,180 +141,136 @@ def contact_states(grip: Grip, surroundings: Surroundings, joint: LearnedJoint) 
     return tuple(contacts)
 
 
-def _joint_coordinate(joint: LearnedJoint, grip: Grip) -> Coordinate:
-    return Coordinate(grip.coordinate, "rad" if joint.turns else "m")
+@dataclass(frozen=True)
+class _Product:
+    """What modes and edges are made from."""
 
+    grip: Grip
+    surroundings: Surroundings
+    noise: HandNoise
+    joint: LearnedJoint
+    contacts: tuple[Contact, ...]
 
-def _rows(replaced: dict[int, tuple[float, ...]]) -> tuple[tuple[float, ...], ...]:
-    """The identity with some rows replaced."""
-    eye = np.eye(_N)
-    return tuple(replaced.get(i, tuple(map(float, eye[i]))) for i in range(_N))
+    def modes(self) -> list[Mode]:
+        """The free mode, the contacts, and the latches."""
+        return [self._free(), *map(self._contact, self.contacts), *map(self._latched, self.joint.latches)]
 
+    def edges(self) -> list[Edge]:
+        """All but collisions."""
+        return [*self._contact_edges(), *self._latch_edges(), *self._range_edges(), *self._resting_edges()]
 
-def _contact_half_space(contact: Contact) -> HalfSpace:
-    """Where the object touches: the chord's height of the joint is at least the hand's."""
-    face, piece = contact.face, contact.piece
-    a = [0.0] * _N
-    a[face.axis], a[_JOINT] = -float(face.sign), piece.slope
-    c = -piece.begin_height + piece.slope * piece.begin - face.sign * face.position
-    return HalfSpace(tuple(a), (0.0,) * _M, c, name=f"{contact.name}: touching {face.solid}")
+    def collisions(self, modes: list[Mode]) -> Iterator[Edge]:
+        """Out of every mode into a body."""
+        for mode in modes:
+            low, high = mode.interval(_JOINT)
+            for region in collision_regions(
+                self.grip, self.surroundings, self.joint.datum, low, high, self.joint.turns
+            ):
+                yield Edge(mode.name, COLLIDED, region)
 
+    def _free(self) -> Mode:
+        region = self._hand_box(self.joint.low, self.joint.high)
+        rows = tuple(c.above for c in self.contacts if c.is_line and self._lines_on(c.face) == 1)
+        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns)
+        return Mode(FREE, joints, _HAND_FREE, region.intersection(Region(rows)))
 
-def _lines_on(face: Face, contacts: tuple[Contact, ...]) -> int:
-    return sum(contact.face == face and contact.piece.kind == "line" for contact in contacts)
+    def _contact(self, contact: Contact) -> Mode:
+        tie, piece = contact.tie, contact.piece
+        flow = (*_HAND_FREE[:3], tie.weights[:3])
+        region = self._hand_box(*sorted((piece.begin, piece.end)))
+        turned = None if contact.is_line else piece.begin
+        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns, turned_from=turned)
+        return Mode(contact.name, joints, flow, region, ties=(tie,))
 
+    def _latched(self, latch: Latch) -> Mode:
+        region = self._hand_box(-np.inf, np.inf)
+        rows = []
+        for face in self.surroundings.faces:
+            bound = above if face.sign > 0 else below
+            rows.append(bound(face.axis, self._lowest(latch, face), _N, _M, name=AXES[face.axis]))
+        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns, rigid_at=latch.pin.value)
+        pin = Pin(_JOINT, latch.pin.value, latch.pin.std)
+        return Mode(latch.mode, joints, _HAND_FREE, region.intersection(Region(tuple(rows))), pins=(pin,))
 
-def _touching(contact: Contact, contacts: tuple[Contact, ...], grip: Grip) -> Region:
-    """Where contact begins: below the touching height, and of several edges that may touch, in the range of this."""
-    rows = [_contact_half_space(contact)]
-    if _lines_on(contact.face, contacts) > 1:
-        piece = contact.piece
-        rows += [_beyond(piece.begin, piece.direction, grip), _beyond(piece.end, -piece.direction, grip, strict=True)]
-    return Region(tuple(rows))
+    def _contact_edges(self) -> Iterator[Edge]:
+        """Into contact, from a piece to the next and back, out of contact, and the end of the last piece."""
+        for contact in self.contacts:
+            piece, face = contact.piece, contact.face
+            on_face = [other for other in self.contacts if other.face == face]
+            follower = next((other for other in on_face if other.piece.begin == piece.end), None)
+            if contact.is_line:
+                yield Edge(FREE, contact.name, self._begins(contact), contact.entry)
+                if not any(other.piece.end == piece.begin for other in on_face):
+                    yield Edge(contact.name, FREE, Region((self._withdrawing(face),)))
+            if follower is not None:
+                onward = Region((self._beyond(piece.end, piece.direction),))
+                yield Edge(contact.name, follower.name, onward, follower.entry)
+                # Only a hand that withdraws leads back: a belief that spreads over the boundary does not.
+                back = Region((self._withdrawing(face), self._beyond(piece.end, -piece.direction, strict=True)))
+                yield Edge(follower.name, contact.name, back, contact.entry)
+            elif self._latch_after(contact) is None:
+                # Pressing does not get any further: the hand is stopped.
+                stop = Region((self._beyond(piece.end, piece.direction, strict=True),))
+                yield Edge(contact.name, contact.name, stop, Reset.to({**contact.end_of_hand, _JOINT: piece.end}, _N))
 
+    def _latch_edges(self) -> Iterator[Edge]:
+        for latch in self.joint.latches:
+            bound = above if latch.direction > 0 else below
+            guard = Region((bound(_JOINT, latch.threshold, _N, _M, name="latch"),))
+            for contact in self.contacts:
+                if self._latch_after(contact) is latch:
+                    yield Edge(contact.name, latch.mode, guard, Reset.to(contact.end_of_hand, _N), latch.threshold_std)
+            yield Edge(FREE, latch.mode, guard, threshold_std=latch.threshold_std)
 
-def _reversed(half_space: HalfSpace, name: str) -> HalfSpace:
-    return HalfSpace(tuple(-w for w in half_space.a), half_space.b, -half_space.c, not half_space.strict, name)
+    def _range_edges(self) -> Iterator[Edge]:
+        """The joint's stops while it swings."""
+        latched = {latch.threshold for latch in self.joint.latches}
+        for value, direction in ((self.joint.low, -1), (self.joint.high, 1)):
+            if value not in latched:
+                stop = Region((self._beyond(value, direction, strict=True),))
+                yield Edge(FREE, FREE, stop, Reset.to({_JOINT: value}, _N))
 
+    def _resting_edges(self) -> Iterator[Edge]:
+        """A latched object stands on a face: the hand does not get lower."""
+        for latch in self.joint.latches:
+            for face in self.surroundings.faces:
+                value, bound = self._lowest(latch, face), below if face.sign > 0 else above
+                guard = bound(face.axis, value, _N, _M, strict=True, name=AXES[face.axis])
+                yield Edge(latch.mode, latch.mode, Region((guard,)), Reset.to({face.axis: value}, _N))
 
-def _beyond(value: float, direction: int, grip: Grip, *, strict: bool = False) -> HalfSpace:
-    """theta at or beyond a value, seen along a direction."""
-    bound = above if direction > 0 else below
-    return bound(_JOINT, value, _N, _M, strict=strict, name=grip.coordinate)
+    def _begins(self, contact: Contact) -> Region:
+        """Where contact begins: below the touching height, in the range of this edge if several edges may touch."""
+        rows, piece = [contact.touching], contact.piece
+        if self._lines_on(contact.face) > 1:
+            rows.append(self._beyond(piece.begin, piece.direction))
+            rows.append(self._beyond(piece.end, -piece.direction, strict=True))
+        return Region(tuple(rows))
 
+    def _lines_on(self, face: Face) -> int:
+        return sum(contact.face == face and contact.is_line for contact in self.contacts)
 
-def _latch_of(piece: TouchPiece, joint: LearnedJoint) -> Latch | None:
-    """The latch at the end of a piece."""
-    return next((x for x in joint.latches if x.direction == piece.direction and x.threshold == piece.end), None)
+    def _beyond(self, value: float, direction: int, *, strict: bool = False) -> HalfSpace:
+        """The joint at or beyond a value, seen along a direction."""
+        bound = above if direction > 0 else below
+        return bound(_JOINT, value, _N, _M, strict=strict, name=self.grip.coordinate)
 
+    def _latch_after(self, contact: Contact) -> Latch | None:
+        """The latch at the end of a contact's piece."""
+        end = contact.piece.direction, contact.piece.end
+        return next((latch for latch in self.joint.latches if (latch.direction, latch.threshold) == end), None)
 
-def _contact_edges(contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Grip, noise: HandNoise) -> Iterator[Edge]:
-    """Into contact, from a piece to the next and back, out of contact, and the end of the last piece."""
-    for contact in contacts:
-        piece, face = contact.piece, contact.face
-        follower = next((o for o in contacts if o.face == face and o.piece.begin == piece.end), None)
-        withdraws = _withdrawing(face, noise)
-        if piece.kind == "line":
-            yield Edge(FREE, contact.name, _touching(contact, contacts, grip), contact.entry)
-            if not any(o.face == face and o.piece.end == piece.begin for o in contacts):
-                yield Edge(contact.name, FREE, Region((withdraws,)))
-        if follower is not None:
-            onward = Region((_beyond(piece.end, piece.direction, grip),))
-            yield Edge(contact.name, follower.name, onward, follower.entry)
-            # Only a hand that withdraws leads back: a belief that spreads over the boundary does not.
-            back = Region((withdraws, _beyond(piece.end, -piece.direction, grip, strict=True)))
-            yield Edge(follower.name, contact.name, back, contact.entry)
-        elif _latch_of(piece, joint) is None:
-            # Pressing does not get any further: the hand is stopped.
-            stop = _beyond(piece.end, piece.direction, grip, strict=True)
-            yield Edge(contact.name, contact.name, Region((stop,)), _stopped(contact, {_JOINT: piece.end}))
+    def _withdrawing(self, face: Face) -> HalfSpace:
+        """A hand that moves away from a face."""
+        b = [0.0] * _M
+        b[face.axis] = float(face.sign)
+        return HalfSpace((0.0,) * _N, tuple(b), self.noise.release, strict=True, name=f"withdrawing from {face.solid}")
 
+    def _lowest(self, latch: Latch, face: Face) -> float:
+        """Where a latched object stops the hand at a face: as it latched there, or as it rests on it [m]."""
+        heights = [c.piece.end_height for c in self.contacts if c.face == face and self._latch_after(c) is latch]
+        heights.append(resting_height(self.grip, face, self.joint.datum, latch.threshold, self.joint.turns))
+        return face.position + face.sign * min(heights)
 
-def _withdrawing(face: Face, noise: HandNoise) -> HalfSpace:
-    """A hand that moves away from a face."""
-    b = [0.0] * _M
-    b[face.axis] = float(face.sign)
-    return HalfSpace((0.0,) * _N, tuple(b), noise.release, strict=True, name=f"withdrawing from {face.solid}")
-
-
-def _stopped(contact: Contact, joint: dict[int, float]) -> Reset:
-    """The hand stands where the end of a contact's piece is touched; `joint` says where theta is put."""
-    face, piece = contact.face, contact.piece
-    c = [0.0] * _N
-    c[face.axis] = face.position + face.sign * piece.end_height
-    for i, value in joint.items():
-        c[i] = value
-    zero = (0.0,) * _N
-    return Reset(A=_rows({face.axis: zero, **dict.fromkeys(joint, zero)}), c=tuple(c))
-
-
-def _latch_edges(contacts: tuple[Contact, ...], joint: LearnedJoint) -> Iterator[Edge]:
-    for latch in joint.latches:
-        bound = above if latch.direction > 0 else below
-        guard = Region((bound(_JOINT, latch.threshold, _N, _M, name="latch"),))
-        for contact in contacts:
-            if _latch_of(contact.piece, joint) is latch:
-                reset = _stopped(contact, {})
-                yield Edge(contact.name, latch.mode, guard, reset, latch.threshold_std)
-        yield Edge(FREE, latch.mode, guard, threshold_std=latch.threshold_std)
-
-
-def _range_edges(joint: LearnedJoint, grip: Grip) -> Iterator[Edge]:
-    """The joint's stops while it swings."""
-    latched = {latch.threshold for latch in joint.latches}
-    for value, direction in ((joint.low, -1), (joint.high, 1)):
-        if value not in latched:
-            stop = _beyond(value, direction, grip, strict=True)
-            reset = Reset(A=_rows({_JOINT: (0.0,) * _N}), c=(0.0, 0.0, 0.0, value))
-            yield Edge(FREE, FREE, Region((stop,)), reset)
-
-
-def _resting_edges(
-    contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Grip, surroundings: Surroundings
-) -> Iterator[Edge]:
-    """A latched object stands on a face: the hand does not get lower."""
-    for latch in joint.latches:
-        for face in surroundings.faces:
-            height = _lowest(latch, face, contacts, joint, grip)
-            value = face.position + face.sign * height
-            bound = below if face.sign > 0 else above
-            guard = bound(face.axis, value, _N, _M, strict=True, name=AXES[face.axis])
-            c = [0.0] * _N
-            c[face.axis] = value
-            yield Edge(latch.mode, latch.mode, Region((guard,)), Reset(A=_rows({face.axis: (0.0,) * _N}), c=tuple(c)))
-
-
-def _lowest(latch: Latch, face: Face, contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Grip) -> float:
-    """The least height of the hand above a face with the object latched: as it latched there, or as it rests on it."""
-    ends = [c.piece.end_height for c in contacts if c.face == face and _latch_of(c.piece, joint) is latch]
-    return min([*ends, resting_height(grip, face, joint.datum, latch.threshold, joint.turns)])
-
-
-def _hand_box(surroundings: Surroundings, low: float, high: float) -> Region:
-    lower, upper = (*surroundings.lower, low), (*surroundings.upper, high)
-    return box(lower, upper, _M, (*AXES, "theta"))
-
-
-def _free(contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Grip, surroundings: Surroundings) -> Mode:
-    region = _hand_box(surroundings, joint.low, joint.high)
-    rows = [
-        _reversed(_contact_half_space(c), f"above {c.face.solid}: {c.name}")
-        for c in contacts
-        if c.piece.kind == "line" and _lines_on(c.face, contacts) == 1
-    ]
-    rows = [replace(row, strict=False) for row in rows]
-    joints = mode_joints(grip, joint.datum, joint.turns)
-    return Mode(FREE, joints, _HAND_FREE, region.intersection(Region(tuple(rows))))
-
-
-def _contact_mode(contact: Contact, joint: LearnedJoint, grip: Grip, surroundings: Surroundings) -> Mode:
-    tie, piece = contact.tie, contact.piece
-    flow = (*_HAND_FREE[:3], tie.weights[:3])
-    region = _hand_box(surroundings, *sorted((piece.begin, piece.end)))
-    turned = piece.begin if piece.kind == "surface" else None
-    joints = mode_joints(grip, joint.datum, joint.turns, turned_from=turned)
-    return Mode(contact.name, joints, flow, region, ties=(tie,))
-
-
-def _latched(
-    latch: Latch, contacts: tuple[Contact, ...], joint: LearnedJoint, grip: Grip, surroundings: Surroundings
-) -> Mode:
-    region = _hand_box(surroundings, -np.inf, np.inf)
-    rows = []
-    for face in surroundings.faces:
-        value = face.position + face.sign * _lowest(latch, face, contacts, joint, grip)
-        bound = above if face.sign > 0 else below
-        rows.append(bound(face.axis, value, _N, _M, name=AXES[face.axis]))
-    joints = mode_joints(grip, joint.datum, joint.turns, held_at=latch.pin.value)
-    pin = Pin(_JOINT, latch.pin.value, latch.pin.std)
-    return Mode(latch.mode, joints, _HAND_FREE, region.intersection(Region(tuple(rows))), pins=(pin,))
-
-
-def _collisions(modes: list[Mode], joint: LearnedJoint, grip: Grip, surroundings: Surroundings) -> Iterator[Edge]:
-    for mode in modes:
-        if mode.pins:
-            low = high = mode.pins[0].value
-        else:
-            low, high = mode.invariant.interval(_JOINT)
-        for region in collision_regions(grip, surroundings, joint.datum, low, high, joint.turns):
-            yield Edge(mode.name, COLLIDED, region)
+    def _hand_box(self, low: float, high: float) -> Region:
+        lower, upper = (*self.surroundings.lower, low), (*self.surroundings.upper, high)
+        return box(lower, upper, _M, (*AXES, "theta"))

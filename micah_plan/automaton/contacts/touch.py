@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.contacts.task import Face, Grip
+from micah_plan.automaton.contacts.values import Face, Grip
 from micah_plan.automaton.hybrid import Primitive
 
 Floats = NDArray[np.float64]

@@ -1,5 +1,8 @@
 """A held object among bodies, as values: how a hand holds it, what it may touch, and what stands around.
 
+To hold means here that the hand carries a part, which the grip fixes to it; that a mode fixes a coordinate is called a
+pin (`hybrid.Pin`).
+
 **Hinge frame.** Shapes of a held object are given in a frame that any model of it has, learned from whichever camera:
 its origin lies on the joint's axis, y is the axis, and as the joint's coordinate grows the moving part turns from x
 towards z (with a prismatic joint: moves along z). Both parts are described at one configuration, the datum: where the
@@ -13,6 +16,7 @@ from dataclasses import dataclass
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import Vector3
 
+AXES = ("x", "y", "z")
 # Name of the mode of an object that has hit something.
 COLLIDED = "collided"
 
@@ -32,7 +36,7 @@ class HeldPart:
 
 @dataclass(frozen=True)
 class Grip:
-    """How a hand holds an object by one part while the other swings freely.
+    """How a hand holds an object: by one of its two parts, the held one, while the other swings freely.
 
     Attributes:
         held, moving: the two parts.
