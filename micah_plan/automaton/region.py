@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -51,7 +52,7 @@ class HalfSpace:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        if not all(np.isfinite([*self.a, *self.b, self.c])):
+        if not all(map(math.isfinite, (*self.a, *self.b, self.c))):
             raise InputError(f"half-space '{self.name}': all coefficients must be finite. Got {self}")
 
     @cached_property
@@ -78,23 +79,26 @@ class HalfSpace:
         return replace(self, c=self.c + by)
 
     def faces(self, other: HalfSpace) -> bool:
-        """Whether both are on the state alone and open in exactly opposite directions: one boundary from two sides."""
+        """Whether both are on the state alone and open in exactly opposite directions."""
         if self.on_input or other.on_input or not self.on_state or not other.on_state:
             return False
         a, b = np.array(self.a), np.array(other.a)
         return bool(np.allclose(a / np.linalg.norm(a), -b / np.linalg.norm(b), rtol=0.0, atol=1e-9))
 
-    def leaves_out(self, other: HalfSpace) -> bool:
-        """Whether another that it faces lies outside of it, but for the boundary that they may share."""
+    def excludes(self, other: HalfSpace) -> bool:
+        """Whether they face each other and have nothing in common but perhaps their boundary."""
+        if not self.faces(other):
+            return False
         return -other.c / float(np.linalg.norm(other.a)) <= self.c / float(np.linalg.norm(self.a)) + 1e-9
-
-    def meets(self, other: HalfSpace) -> bool:
-        """Whether both have one boundary and open to its two sides."""
-        return self.faces(other) and self.leaves_out(other) and other.leaves_out(self)
 
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
-        return np.asarray(x @ np.array(self.a) + u @ np.array(self.b) - self.c)
+        a, b = self._weights
+        return np.asarray(x @ a + u @ b - self.c)
+
+    @cached_property
+    def _weights(self) -> tuple[Floats, Floats]:
+        return np.array(self.a), np.array(self.b)
 
 
 @dataclass(frozen=True)

@@ -70,14 +70,14 @@ def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
         a = np.array(half_space.a)
         if half_space.on_input or not np.any(a @ source.B) or a[~target.free].any():
             continue
-        ends = any(h.faces(half_space) and h.leaves_out(half_space) for h in source.invariant.half_spaces)
+        ends = any(h.excludes(half_space) for h in source.invariant.half_spaces)
         if len(edge.guard.half_spaces) == 1 or ends or _returns(automaton, edge, half_space):
             return half_space
     return None
 
 
 def _returns(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> bool:
-    """Whether a transition leads back through the same boundary."""
+    """Whether a transition leads back on the other side of a boundary."""
     others = [e for e in automaton.edges if (e.source, e.target) == (edge.target, edge.source)]
     rows = [h for other in others for h in other.guard.half_spaces]
-    return any(h.meets(half_space) for h in rows)
+    return any(h.excludes(half_space) for h in rows)

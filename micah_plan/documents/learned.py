@@ -9,9 +9,15 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import (
+    ActionChannel,
+    EdgeCertainty,
+    LearnedEdge,
+    LearnedSegment,
+    RowPosterior,
+    SegmentCertainty,
+)
 from micah_plan.automaton.joint import JointKind
-from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment
 from micah_plan.documents.joint import check_size, standard_deviations
 from micah_plan.documents.layout import Count, Document, Listed, Matrix, Name, Probability, Vector3, doc, plain
 from micah_plan.documents.located import KeyPath, Located

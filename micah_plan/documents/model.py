@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.check import checks
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link
-from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.region import Region
 from micah_plan.documents.expressions import RegionEntries, Variables, region_data, region_of
 from micah_plan.documents.joint import joint_remark

@@ -18,7 +18,7 @@ from micah_plan.task.start import Start
 
 @dataclass(frozen=True)
 class Hold:
-    """How the object of a problem is held, and between which corners the hand may move; see `automaton.contacts.values`.
+    """How the object of a problem is held, and between which corners the hand may move (`automaton.contacts.values`).
 
     Attributes:
         grip: how a hand holds the object.

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.kinematics import poses_of_states
+from micah_plan.automaton.kinematics import forward, poses_of_states
 
 Floats = NDArray[np.float64]
 

@@ -7,9 +7,15 @@ from dataclasses import replace
 import pytest
 from attempts import told
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import (
+    ActionChannel,
+    EdgeCertainty,
+    LearnedEdge,
+    LearnedSegment,
+    RowPosterior,
+    SegmentCertainty,
+)
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment
 from micah_plan.documents.model import model_text, parse_model
 
 VARIANCES = (0.01, 0.01, 0.0025, 0.0004, 0.0009)

@@ -85,7 +85,7 @@ def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[Hal
     stds: dict[HalfSpace, float] = {}
     for edge in automaton.edges_from(mode.name):
         for guard in edge.guard.half_spaces if edge.threshold_std else ():
-            ends = [h for h in boundaries if h.meets(guard)]
+            ends = [h for h in boundaries if h.excludes(guard)]
             for half_space in (guard, *ends):
                 stds[half_space] = max(stds.get(half_space, 0.0), edge.threshold_std)
     return stds
@@ -112,7 +112,7 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
             continue
         if not edge.guard.on_state:
             continue
-        outside = any(h.faces(g) and h.leaves_out(g) for h in mode.invariant.half_spaces for g in rows)
+        outside = any(h.excludes(g) for h in mode.invariant.half_spaces for g in rows)
         if not outside and not edge.guard.on_input:
             obstacles.append(rows)
     return obstacles
