@@ -133,7 +133,7 @@ def _pair(value: float, spread: float) -> str:
     if not spread or not math.isfinite(spread + value):
         return f"{plain(value)} ± {plain(spread)}"
     shown = plain(spread, _SPREAD_DIGITS)
-    power = math.floor(math.log10(abs(spread)))
+    power = int(f"{abs(spread):.{_SPREAD_DIGITS - 1}e}".partition("e")[2])  # once it is rounded
     decimals = _SPREAD_DIGITS - 1 - power if "e" in shown else len(shown.partition(".")[2])
     digits = decimals + (math.floor(math.log10(abs(value))) + 1 if value else 1)
     if digits > _MOST_DIGITS or power < _SMALL or power >= _LARGE:

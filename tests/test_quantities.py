@@ -98,6 +98,8 @@ def test_a_spread_is_never_nought_and_never_finer_than_its_value(value: float, s
         ((-0.0001, 0.3, ""), "0.0 ± 0.3"),
         ((5.0, math.inf, "N"), "5 ± inf N"),
         ((1234.0, 120.0, "N"), "1234 ± 120 N"),
+        ((0.0, 995000.0, "m"), "0 ± 1e6 m"),
+        ((1.0, 9.96e-5, "s"), "1.0000 ± 0.0001 s"),
     ],
 )
 def test_values_end_where_their_spread_does(arguments: tuple[float, float, str], text: str) -> None:
