@@ -15,6 +15,7 @@ from micah_plan.documents.layout import Document, Line, Name, Names, Positive, d
 from micah_plan.documents.located import Located, overridden
 from micah_plan.documents.model import usable_model
 from micah_plan.documents.noise import ProblemNoiseDocument, noise_of
+from micah_plan.documents.path import PathDocument, path_data, path_of
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument, settings_data, settings_of
 from micah_plan.documents.problem_checks import check_problem
 from micah_plan.documents.scene import (
@@ -73,6 +74,7 @@ class ProblemDocument(Document):
         "Probability that guards and invariants are planned to hold with and roll-outs must reach.",
         PlannerSettings.confidence,
     )
+    path: list[PathDocument] = doc("What is asked of the path, beyond the boundaries of the model.", list)
     planner: PlannerDocument = doc("Settings of the planner.", PlannerDocument)
     scene: dict[Name, BodyDocument] = doc("Bodies around the object, by name: table, shelf, book.", dict)
     robot: RobotDocument | None = doc("Arm that holds the object; default: none.", None)
@@ -161,8 +163,8 @@ def problem_of(
         folder: of the file; the robot and meshes are looked for from there.
 
     Raises:
-        InputError: for unknown names of coordinates, inputs, modes or parts, for missing values, and for files of the
-            robot and the scene that cannot be used.
+        InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
+            for files of the robot and the scene that cannot be used.
     """
     settings = settings_of(document.planner, document.confidence, automaton.input_names, located.at("planner"))
     robot = robot_of(document.robot, located.at("robot"), folder)
@@ -177,6 +179,7 @@ def problem_of(
         robot=robot,
         grasp=grasp_of(document.grasp, robot, automaton, located),
         hold=hold_of(document.hold, list(document.scene), located.at("hold")),
+        constraints=path_of(document.path, automaton, located.at("path")),
     )
 
 
@@ -195,6 +198,7 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         "model": model,
         "start": start if problem.start.mode is None else {**start, "mode": problem.start.mode},
         "goal": {"target": target, "modes": list(problem.goal.modes)},
+        **({"path": path_data(problem.constraints)} if problem.constraints else {}),
         **settings_data(problem.settings, problem.automaton.input_names),
         "plant": dict(problem.plant),
         **({"scene": scene_data(problem.scene)} if problem.scene else {}),
