@@ -13,9 +13,9 @@ the state was before says nothing of where exactly it is pinned.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -29,6 +29,9 @@ from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, lower_factor, norm, observe, put_at
+
+Key = TypeVar("Key")
+Made = TypeVar("Made")
 
 _MEMO = "compiled"
 
@@ -101,14 +104,14 @@ class CompiledEdge:
 
 @dataclass(frozen=True, eq=False)
 class CompiledAutomaton:
-    """A compiled automaton: `modes` by name, `edges` in the order of `automaton.edges`.
+    """A compiled automaton: `modes` by name, `edges` by their number in `automaton.edges`.
 
     Each is compiled when it is first asked for: of 64 modes a plan visits a few.
     """
 
     automaton: HybridAutomaton
     modes: Mapping[str, CompiledMode]
-    edges: Sequence[CompiledEdge]
+    edges: Mapping[int, CompiledEdge]
 
 
 @dataclass(frozen=True)
@@ -121,46 +124,25 @@ class _Symbols:
     z: ca.SX
 
 
-class _Modes(Mapping[str, CompiledMode]):
-    """The modes of an automaton by name, compiled when asked for."""
+class _Lazy(Mapping[Key, Made]):
+    """What is made of each key when it is first asked for."""
 
-    def __init__(self, automaton: HybridAutomaton, symbols: _Symbols) -> None:
-        self._automaton, self._symbols = automaton, symbols
-        self._made: dict[str, CompiledMode] = {}
+    def __init__(self, keys: Sequence[Key], make: Callable[[Key], Made]) -> None:
+        self._keys, self._make = keys, make
+        self._made: dict[Key, Made] = {}
 
-    def __getitem__(self, name: str) -> CompiledMode:
-        if name not in self._made:
-            self._made[name] = _compile_mode(self._automaton, self._automaton.mode(name), self._symbols)
-        return self._made[name]
+    def __getitem__(self, key: Key) -> Made:
+        if key not in self._made:
+            if key not in self._keys:
+                raise KeyError(key)
+            self._made[key] = self._make(key)
+        return self._made[key]
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._automaton.mode_names)
-
-    def __len__(self) -> int:
-        return len(self._automaton.modes)
-
-
-class _Edges(Sequence[CompiledEdge]):
-    """The edges of an automaton in its order, compiled when asked for."""
-
-    def __init__(self, automaton: HybridAutomaton, symbols: _Symbols) -> None:
-        self._automaton, self._symbols = automaton, symbols
-        self._made: dict[int, CompiledEdge] = {}
-
-    @overload
-    def __getitem__(self, index: int) -> CompiledEdge: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[CompiledEdge]: ...
-    def __getitem__(self, index: int | slice) -> CompiledEdge | list[CompiledEdge]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        number = range(len(self))[index]
-        if number not in self._made:
-            self._made[number] = _compile_edge(self._automaton, self._automaton.edges[number], self._symbols)
-        return self._made[number]
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._keys)
 
     def __len__(self) -> int:
-        return len(self._automaton.edges)
+        return len(self._keys)
 
 
 def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
@@ -169,7 +151,9 @@ def compile_automaton(automaton: HybridAutomaton) -> CompiledAutomaton:
         n, m = automaton.n, automaton.m
         z, u = ca.SX.sym("z", n), ca.SX.sym("u", m)
         symbols = _Symbols(ca.SX.sym("x", n), ca.SX.sym("L", ca.Sparsity.lower(n)), u, z)
-        modes, edges = _Modes(automaton, symbols), _Edges(automaton, symbols)
+        modes = _Lazy(automaton.mode_names, lambda name: _compile_mode(automaton, automaton.mode(name), symbols))
+        numbers = range(len(automaton.edges))
+        edges = _Lazy(numbers, lambda number: _compile_edge(automaton, automaton.edges[number], symbols))
         automaton.derived[_MEMO] = CompiledAutomaton(automaton, modes, edges)
     compiled: CompiledAutomaton = automaton.derived[_MEMO]
     return compiled

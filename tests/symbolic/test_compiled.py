@@ -86,7 +86,7 @@ def everything(compiled: CompiledAutomaton) -> list[tuple[str, ca.Function]]:
     modes = ("step", "invariant", "inputs", "invariant_belief", "observation", "predict", "update", "belief_step")
     named = [(f"{q}.{f}", getattr(mode, f)) for q, mode in compiled.modes.items() for f in (*modes, "condition")]
     edges = ("guard", "guard_belief", "reset", "belief_reset")
-    return named + [(f"{i}.{f}", getattr(edge, f)) for i, edge in enumerate(compiled.edges) for f in edges]
+    return named + [(f"{i}.{f}", getattr(edge, f)) for i, edge in compiled.edges.items() for f in edges]
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_maps_equal_the_automaton(seed: int) -> None:
         margin, std = call(functions.invariant_belief, x, factor, u)
         expected = [gaussian.margin(x, factor, u, h) for h in mode.invariant.half_spaces]
         assert np.allclose(np.stack([margin, std], axis=1), np.array(expected).reshape(-1, 2), atol=1e-13)
-    for edge, functions in zip(automaton.edges, compiled.edges, strict=True):
+    for edge, functions in zip(automaton.edges, compiled.edges.values(), strict=True):
         assert functions.edge is edge
         assert functions.names == tuple(h.name for h in edge.guard.half_spaces)
         assert np.allclose(call(functions.guard, x, u)[0], edge.guard.margins(x, u), atol=1e-13)
@@ -162,7 +162,7 @@ def test_belief_functions_equal_their_numpy_twins(
         held = gaussian.condition_on_pins(mean, factor, mode.pins)
         for ours, twin in zip(call(functions.condition, mean, factor), held, strict=True):
             assert np.allclose(ours, twin, **close)
-    for edge, functions in zip(automaton.edges, compiled.edges, strict=True):
+    for edge, functions in zip(automaton.edges, compiled.edges.values(), strict=True):
         moved = gaussian.reset(mean, factor, u, edge.reset)
         located = automaton.pins_located_by(edge)
         others = automaton.pins_met_by(edge)
