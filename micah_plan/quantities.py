@@ -16,7 +16,7 @@ Files keep full precision and SI units, and so do numbers that a message asks so
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
 _SMALL, _LARGE = -4, 6
@@ -116,6 +116,11 @@ def duration(seconds: float) -> str:
 def count(amount: int, noun: str, plural: str | None = None) -> str:
     """So many things: ``"1 run"``, ``"1,200 rows"``."""
     return f"{amount:,} {noun if amount == 1 else plural or noun + 's'}"
+
+
+def common_unit(units: Iterable[str]) -> str:
+    """The unit of amounts that were put together: theirs if it is one, else ``"m or rad"``."""
+    return " or ".join(sorted(set(units)))
 
 
 def _scaled(value: float, unit: str) -> tuple[float, str]:

@@ -10,6 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from micah_plan.quantities import (
+    common_unit,
     count,
     duration,
     in_degrees,
@@ -164,7 +165,7 @@ def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-def test_counts_and_ways() -> None:
+def test_counts_ways_and_common_units() -> None:
     assert [count(1, "row"), count(1200, "row"), count(2, "stretch", "stretches")] == [
         "1 row",
         "1,200 rows",
@@ -172,3 +173,4 @@ def test_counts_and_ways() -> None:
     ]
     assert way([0.0, 0.25, 1e-5], "m") == "0 → 250 → 0 mm"
     assert way([-0.3, 1.2], "rad") == "-0.3 → 1.2 rad"
+    assert [common_unit(units) for units in (["m", "m"], ["rad", "m"], [])] == ["m", "m or rad", ""]

@@ -137,7 +137,7 @@ def execute(
 
         save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
     summary = executed(statistics, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: print_executed(summary, (output, figure)))
+    print_summary(as_json, summary, lambda: print_executed(summary, stored.problem.goal_unit, (output, figure)))
 
 
 def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
+from micah_plan.quantities import common_unit
 from micah_plan.scene.body import Body
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 from micah_plan.task.goal import Goal
@@ -60,3 +61,8 @@ class Problem:
     grasp: Grasp | None = None
     hold: Hold | None = None
     constraints: tuple[PathConstraint, ...] = ()
+
+    @property
+    def goal_unit(self) -> str:
+        """The unit of distances from the goal: m, rad, or both where the goal constrains coordinates of both."""
+        return common_unit(self.automaton.coordinates[index].unit for index in self.goal.indices)

@@ -196,8 +196,6 @@ def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> li
 
 def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     coordinates = problem.automaton.coordinates
-    units = {coordinates[index].unit for index, _, _ in problem.goal.target}
-    unit = units.pop() if len(units) == 1 else "rad or m"
     facts = [("Confidence asked for", percent(problem.settings.confidence))]
     for index, value, tolerance in problem.goal.target:
         goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)
@@ -205,9 +203,9 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     if problem.goal.modes:
         facts.append(("Goal modes", ", ".join(problem.goal.modes)))
     if plan.goal_error is not None:
-        facts.append(("Distance to target", quantity(plan.goal_error, unit)))
+        facts.append(("Distance to target", quantity(plan.goal_error, problem.goal_unit)))
     if plan.goal_std is not None:
-        facts.append(("σ at the end", quantity(plan.goal_std, unit)))
+        facts.append(("σ at the end", quantity(plan.goal_std, problem.goal_unit)))
     if plan.success_probability is not None:
         runs = count(plan.verification_trials, "simulated run")
         facts.append((f"Success in {runs}", percent(plan.success_probability)))

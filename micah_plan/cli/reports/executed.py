@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from micah_plan.cli.console import out, print_files
+from micah_plan.quantities import quantity, with_spread
 
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
@@ -27,13 +28,14 @@ def executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
     }
 
 
-def print_executed(summary: dict[str, Any], files: tuple[Path | None, ...]) -> None:
-    """Successes and errors of trials."""
+def print_executed(summary: dict[str, Any], unit: str, files: tuple[Path | None, ...]) -> None:
+    """Successes and errors [unit] of trials."""
     error, said, whose = summary["final_error"], "reached the goal", ""
     if summary["believed"]:
         said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
     out.print(f"{summary['successes']} of {summary['trials']} trials {said}")
-    out.print(f"  final error  {error['mean']:.4g} +- {error['std']:.4g}, at most {error['max']:.4g}{whose}")
+    spread = with_spread(error["mean"], error["std"], unit)
+    out.print(f"  final error  {spread}, at most {quantity(error['max'], unit)}{whose}")
     for failure in summary["failures"]:
         out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
     print_files(files)

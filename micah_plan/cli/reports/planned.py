@@ -65,8 +65,7 @@ def print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) -
 
 
 def _print_figures(plan: Plan, problem: Problem) -> None:
-    units = {problem.automaton.coordinates[index].unit for index in problem.goal.indices}
-    unit = units.pop() if len(units) == 1 else "rad or m"
+    unit = problem.goal_unit
     out.print(f"  modes        {' -> '.join(plan.mode_sequence)}", markup=False)
     if plan.goal_error is not None and plan.goal_std is not None:
         distance = f"{quantity(plan.goal_error, unit)} from the target, σ {quantity(plan.goal_std, unit)}"

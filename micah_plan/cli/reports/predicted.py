@@ -9,7 +9,7 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.cli.console import out, table
-from micah_plan.quantities import quantity
+from micah_plan.quantities import common_unit, quantity
 from micah_plan.residual.judgement import Floor, judge
 from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse
 
@@ -17,9 +17,8 @@ from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse
 def predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
     """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
     judged = judge(automaton, runs)
-    units = {coordinate.unit for coordinate in automaton.coordinates}
     return {
-        "configuration_unit": units.pop() if len(units) == 1 else "rad or m",
+        "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
         "one_step": _rmse([run.one_step for run in runs]),
         "rollout": _rmse([run.rollout for run in runs]),
         "noise_floor": {"one_step": _floor(judged.one_step), "rollout": _floor(judged.rollout)},
