@@ -24,8 +24,8 @@ from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
-from micah_plan.execution.mujoco_plant import MujocoPlant
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.scoring import true_state
 from micah_plan.recording.value import Recording
@@ -118,7 +118,7 @@ class Tampered:
         self._draw = lambda: drawn(np.random.default_rng([seed, 1]), step)
         self.name, friction, self._device = self._draw()
         parameters = PhysicalParameters.from_mapping({**problem.plant, "friction": friction})
-        self._plant = MujocoPlant(problem.automaton, problem.start, parameters)
+        self._plant = StandingPlant(problem.automaton, problem.start, parameters)
         self._way = np.zeros(3)
 
     def reset(self, rng: np.random.Generator) -> Measurement:

@@ -28,8 +28,8 @@ from saving import add_json, save_json  # noqa: E402
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
 from micah_plan.documents.model import load_model  # noqa: E402
-from micah_plan.execution.mujoco_plant import MujocoPlant  # noqa: E402
-from micah_plan.execution.physical_parameters import PhysicalParameters  # noqa: E402
+from micah_plan.execution.mujoco.parameters import PhysicalParameters  # noqa: E402
+from micah_plan.execution.mujoco.standing import StandingPlant  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
 from micah_plan.planning.pomdp_hd import replan  # noqa: E402
 from micah_plan.task.goal import Goal  # noqa: E402
@@ -156,7 +156,7 @@ def run_task(subject: Subject, model: HybridAutomaton, task: Task, trials: int, 
         print(f"{task.name}: {plan.outcome}: {plan.reason}", file=sys.stderr)
         nothing = float("nan")
         return Row(task.name, False, trials, 0, nothing, nothing, nothing, nothing, 0, solved, 0.0)
-    plant = MujocoPlant(subject.truth, true_start(subject, task), PhysicalParameters.from_mapping(TRACKER))
+    plant = StandingPlant(subject.truth, true_start(subject, task), PhysicalParameters.from_mapping(TRACKER))
     begin = perf_counter()
     statistics = run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan)
     for trial, reason in statistics.failures:

@@ -11,7 +11,6 @@ import json
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ from typer.testing import CliRunner
 
 from micah_plan.cli import app
 from micah_plan.documents.kind import schema
-from micah_plan.execution.held_parameters import HeldParameters
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.parameters import defaults
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 88
@@ -177,7 +175,7 @@ def _default(key: str, value: Mapping[str, Any], name: str) -> str:
 
 def _plant_default(key: str) -> str:
     """The file leaves these open; what then holds is what the plant is built with."""
-    standing, held = ({f.name: f.default for f in fields(kind)} for kind in (PhysicalParameters, HeldParameters))
+    standing, held = defaults(held=False), defaults(held=True)
     if key in standing and key in held and standing[key] != held[key]:
         return f"`{json.dumps(standing[key])}`, held: `{json.dumps(held[key])}`"
     return f"`{json.dumps({**held, **standing}[key])}`"

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from objects import DOOR_OPEN, LID_OPEN, STAPLER_OPEN, cabinet, drawer, lidded_box, microwave, stapler
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.execution.mujoco_plant import MujocoPlant
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.pose import command
 from micah_plan.recording.csv_file import write_csv
 from micah_plan.recording.value import Recording
@@ -45,7 +45,7 @@ def demonstration(automaton: HybridAutomaton, targets: Floats, seed: int) -> Rec
     # The hand follows its targets without a stop, hence motion_share 1.
     parameters = PhysicalParameters(control_period=1 / RATE, motion_share=1.0, **TRACKER)
     still = (0.0,) * automaton.n
-    plant = MujocoPlant(automaton, Start(still, still), parameters)
+    plant = StandingPlant(automaton, Start(still, still), parameters)
     measurements = [plant.reset(np.random.default_rng(seed))]
     actions = []
     moving = automaton.modes[0].name

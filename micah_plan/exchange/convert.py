@@ -15,7 +15,7 @@ from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
-from micah_plan.execution.held_parameters import parameters_of
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, write_log

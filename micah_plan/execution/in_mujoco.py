@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from micah_plan.execution.held_plant import HeldPlant
-from micah_plan.execution.mujoco_plant import MujocoPlant
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import parameters_of
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Plant
 from micah_plan.task.problem import Problem
 
@@ -19,6 +19,6 @@ def in_mujoco(problem: Problem) -> Plant:
         InputError: if the problem cannot be simulated.
     """
     if problem.hold is None:
-        return MujocoPlant(problem.automaton, problem.start, PhysicalParameters.from_mapping(problem.plant))
+        return StandingPlant(problem.automaton, problem.start, parameters_of(problem))
     posture = problem.start.posture
     return HeldPlant(problem, posture=None if posture is None else np.array(posture))

@@ -13,7 +13,7 @@ from micah_plan.automaton.step_noise import drawn_gains, with_gains
 from micah_plan.automaton.thresholds import with_drawn_thresholds
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
-from micah_plan.execution.held_parameters import parameters_of
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise

@@ -16,8 +16,7 @@ from micah_plan.documents.model import dump_model
 from micah_plan.documents.planner import PlannerDocument, PlantDocument
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.execution.held_parameters import HeldParameters
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.parameters import defaults
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
@@ -89,10 +88,8 @@ def test_digests_follow_the_content(folder: Path) -> None:
 
 def test_settings_and_plant_parameters_are_all_there() -> None:
     assert {f.name for f in fields(PlannerSettings)} - {"confidence"} == set(PlannerDocument.model_fields)
-    known = {f.name for plant in (PhysicalParameters, HeldParameters) for f in fields(plant)}
-    assert known == set(PlantDocument.model_fields)
-    defaults = PlannerDocument().model_dump()
-    assert PlannerSettings(**defaults) == PlannerSettings()
+    assert {*defaults(held=False), *defaults(held=True)} == set(PlantDocument.model_fields)
+    assert PlannerSettings(**PlannerDocument().model_dump()) == PlannerSettings()
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,8 @@ from micah_plan.task.plan import ArmTrajectory, Trajectory
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 
-from micah_plan.execution.held_parameters import held_parameters
-from micah_plan.execution.held_plant import HeldPlant
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import parameters_of
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 EFFORT = np.array([90.0, 90.0, 90.0, 90.0, 20.0, 20.0, 20.0])  # as arm7.urdf says
@@ -85,11 +85,11 @@ def test_what_freedom_is_left_goes_to_the_posture_of_the_plan(plant, arm):
 
 def test_no_motor_gives_more_than_the_file_of_the_robot_says(plant, arm):
     plant.reset(np.random.default_rng(4))
-    motors = [int(plant._model.joint(f"robot/{name}").dofadr[0]) for name in arm.joints]
+    motors = [int(plant._core.model.joint(f"robot/{name}").dofadr[0]) for name in arm.joints]
     most = np.zeros(7)
     for _ in range(16):
         move(plant, [0.0, 0.0, -0.03])
-        most = np.maximum(most, np.abs(plant._data.qfrc_actuator[motors]))
+        most = np.maximum(most, np.abs(plant._core.data.qfrc_actuator[motors]))
     assert (most <= EFFORT + 1e-9).all()
     assert most.max() > 0.5 * EFFORT.min()  # it pressed hard on the table
 
@@ -122,7 +122,7 @@ def test_joints_that_do_not_move_the_tool_stay(problem, posture):
     plant = HeldPlant(fingered, posture=posture)
     plant.reset(np.random.default_rng(6))
     move(plant, [0.0, 0.03, 0.03])
-    assert plant._data.joint("robot/left_finger_mount").qpos[0] == pytest.approx(0.006, abs=1e-4)
+    assert plant._core.data.joint("robot/left_finger_mount").qpos[0] == pytest.approx(0.006, abs=1e-4)
     plant.close()
 
 
@@ -135,8 +135,8 @@ def test_meshes_are_the_hulls_that_planning_has_in_formats_that_mujoco_does_not_
     robot = replace(problem.robot, text=f'{before}<mesh filename="palm.off"/>{after}', folder=str(tmp_path))
     assert box
     plant = HeldPlant(replace(problem, robot=robot), posture=posture)
-    assert plant._model.nmesh == 1
-    np.testing.assert_allclose(np.sort(np.abs(plant._model.mesh_vert), axis=None)[-8:], 0.095, atol=1e-6)
+    assert plant._core.model.nmesh == 1
+    np.testing.assert_allclose(np.sort(np.abs(plant._core.model.mesh_vert), axis=None)[-8:], 0.095, atol=1e-6)
     plant.reset(np.random.default_rng(11))
     assert plant.truth().incident == ""
     plant.close()
@@ -163,14 +163,14 @@ def test_books_stand_until_they_are_pushed_and_then_it_is_told(problem):
     for _ in range(5):
         move(plant, [0.0, 0.0, 0.0])
     assert plant.truth().incident == ""
-    top = plant._model.body("scene/book_4").id
-    np.testing.assert_allclose(plant._data.xpos[top], [0.475, 0.0, 0.175], atol=1e-4)
+    top = plant._core.model.body("scene/book_4").id
+    np.testing.assert_allclose(plant._core.data.xpos[top], [0.475, 0.0, 0.175], atol=1e-4)
     move(plant, [0.0, 0.0, -0.06])
     for _ in range(14):
         move(plant, [0.03, 0.0, 0.0])
     assert plant.truth().mode == "collided"
     assert "'book_4' was knocked over: at" in plant.truth().incident
-    assert plant._data.xpos[top][0] > 0.475 + 0.01
+    assert plant._core.data.xpos[top][0] > 0.475 + 0.01
     plant.reset(np.random.default_rng(9))
     assert plant.truth().incident == ""
     plant.close()
@@ -204,10 +204,10 @@ def test_a_new_plan_starts_where_the_arm_is_or_is_refused(problem, posture):
 
 def test_a_problem_file_sets_the_parameters_of_a_held_object(problem):
     changed = load_problem(PROBLEM, {"plant.joint_friction": 0.3, "plant.joint_deflection": 0.04, "plant.mass": 0.2})
-    stated = held_parameters(changed)
+    stated = parameters_of(changed)
     assert (stated.joint_friction, stated.joint_deflection, stated.mass) == (0.3, 0.04, 0.2)
-    assert stated.pivot_stiffness == held_parameters(problem).pivot_stiffness
+    assert stated.pivot_stiffness == parameters_of(problem).pivot_stiffness
     with pytest.raises(InputError, match="unknown plant parameter 'latch_force'"):
-        held_parameters(load_problem(PROBLEM, {"plant.latch_force": 5.0}))
+        parameters_of(load_problem(PROBLEM, {"plant.latch_force": 5.0}))
     with pytest.raises(InputError, match="joint_deflection"):
         replace(stated, joint_deflection=float("nan"))

@@ -11,9 +11,9 @@ from execution_objects import arm
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.execution.mujoco_plant import MujocoPlant
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.nominal import NominalPlant, pose_noise
-from micah_plan.execution.physical_parameters import PhysicalParameters
 from micah_plan.execution.pose import command, configuration
 from micah_plan.task.start import Start
 
@@ -55,7 +55,7 @@ def test_the_handle_is_seen_as_well_as_the_door(cabinet: HybridAutomaton) -> Non
 
 def test_in_physics_the_handle_stays_on_the_door(cabinet: HybridAutomaton) -> None:
     pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
-    plant = MujocoPlant(cabinet, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
+    plant = StandingPlant(cabinet, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
     plant.reset(np.random.default_rng(0))
     before = apart(plant.truth().position, plant.truth().quaternion)
     for _ in range(14):
@@ -72,7 +72,7 @@ def test_in_physics_the_handle_stays_on_the_door(cabinet: HybridAutomaton) -> No
 def test_in_physics_a_slider_rides_on_its_lever() -> None:
     pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     automaton = arm()
-    plant = MujocoPlant(automaton, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
+    plant = StandingPlant(automaton, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
     plant.reset(np.random.default_rng(0))
     for _ in range(10):
         plant.apply(command(automaton, "moving", plant.truth().x, np.array([0.04, 0.01])))

@@ -16,8 +16,8 @@ from micah_plan.workflow import execute, solve
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 
-from micah_plan.execution.held_parameters import held_parameters
-from micah_plan.execution.held_plant import HeldPlant
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.trials import run_trials
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
@@ -87,14 +87,17 @@ def test_the_tracker_shows_the_state(plant):
 class WithoutLatch(HeldPlant):
     """A stapler whose latch is broken, which neither planner nor filter knows."""
 
-    def _catch(self):
-        """Nothing catches."""
+    def reset(self, rng):
+        first = super().reset(rng)
+        for latch in self._core.latches:
+            latch.low = latch.high = np.inf
+        return first
 
 
 @pytest.mark.slow
 def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
     problem = load_problem(PROBLEM)
-    plant = WithoutLatch(problem, replace(held_parameters(problem), joint_friction=0.09))
+    plant = WithoutLatch(problem, replace(parameters_of(problem), joint_friction=0.09))
     statistics = run_trials(problem, plan(problem, 0), plant=plant, trials=1, replan=replan)
     (result,) = statistics.results
     plant.close()

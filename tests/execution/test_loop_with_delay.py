@@ -11,15 +11,15 @@ from micah_plan import workflow
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
-from micah_plan.execution.mujoco_plant import MujocoPlant
-from micah_plan.execution.physical_parameters import PhysicalParameters
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command
 
 pytest.importorskip("mujoco")
 LATE = 2
 
 
-class LatePlant(MujocoPlant):
+class LatePlant(StandingPlant):
     """Whose hand carries out what it was told two steps before."""
 
     def reset(self, rng):

@@ -13,22 +13,22 @@ from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
-from micah_plan.execution.mjcf import mjcf
-from micah_plan.execution.physical_object import physical_links
-from micah_plan.execution.physical_parameters import PhysicalParameters
-from micah_plan.execution.physics_library import check_stable, import_mujoco
+from micah_plan.execution.mujoco.library import check_stable, import_mujoco
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing_object import standing_parts
+from micah_plan.execution.mujoco.world import standing_mjcf
 from micah_plan.execution.pose import chain, command, components, moving_joints
 from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 
-from micah_plan.execution.mujoco_plant import MujocoPlant
+from micah_plan.execution.mujoco.standing import StandingPlant
 
 IDEAL = PhysicalParameters(damping=0.0, friction=0.0, position_noise=0.0, rotation_noise=0.0)
 
 
 def plant_at(automaton, x, parameters=IDEAL, mode=None):
-    plant = MujocoPlant(automaton, Start(tuple(x), (0.0,) * len(x), mode), parameters)
+    plant = StandingPlant(automaton, Start(tuple(x), (0.0,) * len(x), mode), parameters)
     plant.reset(np.random.default_rng(0))
     return plant
 
@@ -152,7 +152,7 @@ def test_a_released_door_pushed_back_before_it_left_is_caught():
 
 def test_the_same_seed_gives_the_same_measurements():
     def measured(seed):
-        plant = MujocoPlant(door(), Start((0.3,), (0.1,)), PhysicalParameters())
+        plant = StandingPlant(door(), Start((0.3,), (0.1,)), PhysicalParameters())
         first = plant.reset(np.random.default_rng(seed))
         second = apply(plant, 0.05)
         return np.concatenate([first.position.ravel(), second.position.ravel(), second.quaternion.ravel()])
@@ -162,7 +162,7 @@ def test_the_same_seed_gives_the_same_measurements():
 
 
 def test_a_reset_leaves_nothing_of_the_last_trial():
-    plant = MujocoPlant(door(), Start((SHUT,), (0.0,), "shut"), PhysicalParameters())
+    plant = StandingPlant(door(), Start((SHUT,), (0.0,), "shut"), PhysicalParameters())
     first = plant.reset(np.random.default_rng(1))
     after = apply(plant, -0.1)
     again = plant.reset(np.random.default_rng(1))
@@ -175,7 +175,7 @@ def test_a_reset_leaves_nothing_of_the_last_trial():
 def test_the_mass_is_shared_among_the_shapes_by_volume():
     shapes = (Primitive("box", (0.2, 0.1, 0.1)), Primitive("cylinder", (0.05, 0.2)), Primitive("sphere", (0.03,)))
     automaton = replace(drawer(), parts=(Part("drawer", shapes), Part("base", shapes[:1])))
-    text = mjcf(physical_links(automaton), shapes[:1], PhysicalParameters(mass=3.0))
+    text = standing_mjcf(standing_parts(automaton), shapes[:1], PhysicalParameters(mass=3.0))
     root = ElementTree.fromstring(text)  # noqa: S314 - our own text
     masses = [float(geom.get("mass")) for geom in root.findall("worldbody/body/geom")]
     assert sum(masses) == pytest.approx(3.0)
@@ -184,7 +184,7 @@ def test_the_mass_is_shared_among_the_shapes_by_volume():
 
 
 def test_without_shapes_a_panel_reaches_from_the_axis_to_the_origin():
-    link = physical_links(door(0.4))[0]
+    link = standing_parts(door(0.4))[0]
     (panel,) = link.shapes
     pose = forward(link.joint, 0.0)[0]
     np.testing.assert_allclose(
@@ -199,14 +199,16 @@ def test_what_cannot_be_built_is_refused_with_a_reason():
     other = revolute(swing.axis, np.add(swing.center, 0.05), swing.position)
     two_joints = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(other,))))
     with pytest.raises(InputError, match="different joints in different modes"):
-        physical_links(two_joints)
+        standing_parts(two_joints)
     on_axis = replace(automaton, parts=(Part("door", handle=tuple(np.subtract(swing.center, swing.position))),))
     with pytest.raises(InputError, match="lies on its axis"):
-        physical_links(on_axis)
+        standing_parts(on_axis)
     with pytest.raises(InputError, match="one link per coordinate"):
-        physical_links(replace(automaton, links=()))
+        standing_parts(replace(automaton, links=()))
     with pytest.raises(InputError, match="unknown shape"):
-        mjcf(physical_links(replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))), (), IDEAL)
+        standing_mjcf(
+            standing_parts(replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))), (), IDEAL
+        )
 
 
 def test_physical_parameters_are_checked():

@@ -1,4 +1,4 @@
-"""MuJoCo, imported only by who simulates, and what of its warnings matters."""
+"""The only importer of MuJoCo, and what of its warnings matters."""
 
 from __future__ import annotations
 
@@ -16,29 +16,28 @@ def import_mujoco() -> ModuleType | Any:
     """
     try:
         import mujoco
+        import mujoco.rollout
     except ImportError as error:
         raise MissingDependencyError(
             "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
         ) from error
-    mujoco.set_mju_user_warning(_unheard)
+    mujoco.set_mju_user_warning(_ignore)
     return mujoco
 
 
 def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
-    """Refuse to go on after a step that diverged: MuJoCo would begin again from its initial state.
+    """Refuse to go on after a step that diverged: MuJoCo begins again from its initial state then.
 
     Raises:
         InputError: if positions, velocities or accelerations became huge.
     """
     kinds = mujoco.mjtWarning
-    if any(
-        data.warning[int(kind)].number for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
-    ):
+    if any(data.warning[int(k)].number for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)):
         raise InputError(
             f"the physics became unstable {float(data.time):.3g} s after its start",
             remedy="make the plant softer, heavier or better damped, or the model's parts larger",
         )
 
 
-def _unheard(_: str) -> None:
-    """`check_stable` asks for what matters; an exception from here would end the process."""
+def _ignore(_: str) -> None:
+    """`check_stable` reads the counts of warnings; an exception from here would end the process."""

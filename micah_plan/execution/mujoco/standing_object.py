@@ -1,10 +1,8 @@
-"""What a simulation of an object needs to know of its automaton: per link its one moving joint, range, latches, hand.
-
-It is the reading of the model that physics shares with the nominal plant; all that follows from it is the simulator's.
-"""
+"""What physics needs to know of the model of a standing object: of each part its joint, range, latches and handle."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,16 +23,16 @@ _PANEL = 0.02
 
 
 @dataclass(frozen=True)
-class PhysicalLink:
+class StandingPart:
     """One part as a body.
 
     Attributes:
-        name, parent: of the part and of what it hangs on (None: the world).
+        name, parent: of the part and of the one that it is attached to (None: the world).
         joint: its moving joint; rigid if no mode ever moves it.
         coordinate: which element of x it follows.
         lower, upper: end stops [rad or m], infinite where there are none.
-        latches: configurations at which a rigid mode holds it [rad or m].
-        handle: where the hand holds it, in the part's frame [m].
+        latches: configurations at which a rigid mode pins it [rad or m].
+        handle: where the hand pulls at it, in the part's frame [m].
         arm: how far the handle moves per unit of configuration [m/rad], or 1 for a slide.
         shapes: of the part, or a default box.
     """
@@ -50,8 +48,13 @@ class PhysicalLink:
     arm: float
     shapes: tuple[Primitive, ...]
 
+    @property
+    def can_latch(self) -> bool:
+        """Whether it moves, and latches somewhere."""
+        return bool(self.latches) and self.joint.kind != "rigid"
 
-def physical_links(automaton: HybridAutomaton) -> tuple[PhysicalLink, ...]:
+
+def standing_parts(automaton: HybridAutomaton) -> tuple[StandingPart, ...]:
     """The links of an automaton as bodies, parents first.
 
     Raises:
@@ -70,7 +73,7 @@ def physical_links(automaton: HybridAutomaton) -> tuple[PhysicalLink, ...]:
         part = automaton.part(link.child)
         handle = part.handle or (0.0, 0.0, 0.0)
         links.append(
-            PhysicalLink(
+            StandingPart(
                 name=link.child,
                 parent=link.parent if link.parent in names else None,
                 joint=joint,
@@ -86,7 +89,14 @@ def physical_links(automaton: HybridAutomaton) -> tuple[PhysicalLink, ...]:
     return tuple(links)
 
 
-def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
+def moved_with(part: StandingPart, parts: Sequence[StandingPart]) -> list[int]:
+    """Numbers of the parts that a part's joint moves: its own, and those that are attached to it."""
+    names = {part.name}
+    names.update(other.name for other in parts if other.parent in names)
+    return [number for number, other in enumerate(parts) if other.name in names]
+
+
+def base_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
     """The shapes of what does not move: the base."""
     return automaton.part(BASE).shapes
 

@@ -1,0 +1,157 @@
+"""A robot in a MuJoCo world: its file read by MuJoCo, motors at the joints of its arm, and the arm as a carrier."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.core import Core
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
+from micah_plan.robot.arm import Arm
+from micah_plan.robot.inverse_kinematics import Reached, next_pose
+from micah_plan.robot.load_arm import check_robot
+from micah_plan.robot.robot_text import NO_LIMIT
+from micah_plan.robot.solids import mesh_hulls
+from micah_plan.robot.xml_text import Element, parse_xml, write_xml
+from micah_plan.scene.robot_description import Grasp, RobotDescription
+
+Floats = NDArray[np.float64]
+
+# What all names of the robot begin with once it is in the world.
+_ROBOT = "robot/"
+# Links that state neither mass nor solids would have none.
+_LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6
+# The tool could not go where it was told if it would end further than this from there [m or rad].
+_NOT_REACHED = 0.002
+
+
+def attach_arm(
+    mujoco: Any, world: Any, description: RobotDescription, arm: Arm, parameters: PhysicalParameters
+) -> None:
+    """Put the robot into a world (MjSpec), with a position-controlled motor at each joint of its arm.
+
+    The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
+
+    Raises:
+        InputError: if MuJoCo cannot use the robot's file.
+    """
+    robot = _read(mujoco, description, arm)
+    for body in robot.bodies:
+        body.gravcomp = 1.0
+    for geom in robot.geoms:
+        geom.contype, geom.conaffinity = ARM_TYPE, ARM_MEETS
+    for name in arm.joints:
+        joint = robot.joint(name)
+        joint.actgravcomp = True
+        joint.armature = max(joint.armature, parameters.rotor_inertia)
+        if not 0 < joint.actfrcrange[1] < NO_LIMIT:
+            joint.actfrcrange = [-parameters.joint_effort, parameters.joint_effort]
+        motor = robot.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_position(kp=float(joint.actfrcrange[1]) / parameters.joint_deflection)
+    for name, value in arm.locked:
+        locked = robot.add_equality(name1=name, type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT)
+        locked.data = [value, *[0.0] * (len(locked.data) - 1)]
+    stands = world.worldbody.add_frame(pos=description.position, quat=np.roll(description.quaternion, 1))
+    world.attach(robot, prefix=_ROBOT, frame=stands)
+
+
+def fix_to_tool(world: Any, tool: str, body: Any, pose: RigidTransform, prefix: str) -> None:
+    """Fix a body of another MjSpec to the tool of the robot in a world, at a pose in the tool's frame."""
+    body.pos, body.quat = pose.translation, np.roll(pose.rotation.as_quat(), 1)
+    link = world.body(_ROBOT + tool)
+    frame = world.site(_ROBOT + tool) if link is None else link.add_frame()
+    frame.attach_body(body, prefix, "")
+
+
+class ArmCarrier:
+    """Drives the arm's joints to where continuous inverse kinematics puts the hand, whose orientation it keeps."""
+
+    def __init__(self, core: Core, arm: Arm, grasp: Grasp, posture: Floats) -> None:
+        """Args: posture: (J,) from which the start is sought."""
+        self._core, self._arm = core, arm
+        self._grasp, self._from_tool = grasp.pose.as_matrix(), grasp.pose.inv().as_matrix()
+        self._posture = posture
+        joints = [core.model.joint(_ROBOT + name) for name in arm.joints]
+        self._address = [int(joint.qposadr[0]) for joint in joints]
+        self._dof = [int(joint.dofadr[0]) for joint in joints]
+        self._motors = [core.model.actuator(_ROBOT + name).id for name in arm.joints]
+        self._locked = {int(core.model.joint(_ROBOT + name).qposadr[0]): value for name, value in arm.locked}
+        self.complaint = ""
+
+    @property
+    def joints(self) -> Floats:
+        return np.array(self._core.data.qpos[self._address])
+
+    def put(self, place: Floats) -> None:
+        self.complaint = ""
+        data, joints = self._core.data, self._reached(place, self._posture, None)
+        for address, value in self._locked.items():
+            data.qpos[address] = value
+        data.qpos[self._address] = joints
+        data.ctrl[self._motors] = joints
+        self._damp()
+
+    def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
+        begin = self.joints
+        hand = self._arm.matrix(begin) @ self._from_tool
+        end = self._reached(hand[:3, 3] + displacement, begin, posture)
+        orders = np.tile(self._core.data.ctrl, (self._core.steps, 1))
+        orders[:, self._motors] = begin + self._core.shares[:, None] * (end - begin)
+        return orders
+
+    def _reached(self, place: Floats, q: Floats, posture: Floats | None) -> Floats:
+        """(J,) the joints nearest to q that put the hand at a place; what freedom is left goes to the posture."""
+        target = self._grasp.copy()
+        target[:3, 3] += place
+        limits = self._arm.lower, self._arm.upper
+        q = np.clip(q, *limits)
+        wish = np.zeros(self._arm.n) if posture is None else posture - q
+        reached = next_pose(self._arm, target, q, wish, limits)
+        if np.abs(reached.error).max() > _NOT_REACHED and not self.complaint:
+            self.complaint = self._why(reached)
+        return reached.q
+
+    def _why(self, reached: Reached) -> str:
+        stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
+        limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
+        away = 1e3 * float(np.linalg.norm(reached.error[3:]))
+        return f"the arm's tool could not come nearer than {away:.0f} mm to where it was told to be{limit}"
+
+    def _damp(self) -> None:
+        """Critical damping of every joint for the inertia that it has in this posture."""
+        mujoco, model, data = self._core.mujoco, self._core.model, self._core.data
+        mujoco.mj_forward(model, data)
+        for motor, dof in zip(self._motors, self._dof, strict=True):
+            inertia = np.zeros(model.nv)
+            mujoco.mj_mulM(model, data, inertia, np.eye(model.nv)[dof])
+            stiffness = model.actuator_gainprm[motor, 0]
+            model.actuator_biasprm[motor, 2] = -2 * np.sqrt(stiffness * inertia[dof])
+
+
+def _read(mujoco: Any, description: RobotDescription, arm: Arm) -> Any:
+    checked = check_robot(description)
+    root = parse_xml(checked.text, description.path)
+    if checked.kind == "urdf":  # its meshes have whole paths
+        options = Element("compiler", {"strippath": "false"}, root.line)
+        root.children.append(Element("mujoco", {}, root.line, [options]))
+    hulls = mesh_hulls(arm)
+    try:
+        spec = mujoco.MjSpec.from_string(write_xml(root))
+        for mesh in spec.meshes:  # the hulls that planning has, whatever the format of the file
+            hull = hulls.get((mesh.file, tuple(mesh.scale)))
+            if hull is not None:
+                mesh.file, mesh.scale, mesh.uservert = "", np.ones(3), hull.ravel()
+        # Links that are fixed to each other are merged otherwise, and the tool with them.
+        spec.compiler.fusestatic = False
+        spec.compiler.balanceinertia = True
+        spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
+        spec.compile()
+    except ValueError as error:
+        said = " ".join(str(error).split())[:160]
+        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path) from None
+    return spec

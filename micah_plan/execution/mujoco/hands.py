@@ -1,0 +1,130 @@
+"""The hands that pull at the handles of a standing object: springs, critically damped, of limited force.
+
+Their law is that of motors in the world, so that the engine can take steps on its own (`Core.run`) as long as no hand
+is too strong and no latch has anything to decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.execution.mujoco.core import LONGEST_STEP, Core, Flags, Latch
+from micah_plan.execution.mujoco.standing_object import StandingPart, moved_with
+from micah_plan.execution.mujoco.world import lever_name
+
+Floats = NDArray[np.float64]
+
+_STEPS_PER_RADIAN = 5.0
+
+
+class Hands:
+    """One hand per part; their targets move on straight lines and then rest."""
+
+    def __init__(self, core: Core, parts: Sequence[StandingPart]) -> None:
+        """Args: the world of `standing_mjcf`, whose motors and pace are tuned for its masses, and its parts."""
+        self._core = core
+        self._limit, self._stiffness = core.parameters.max_force, core.parameters.stiffness
+        self._motors = 3 * len(parts)
+        self._damping = self._tuned(parts)
+        self._targets = np.zeros((1, self._motors))
+        # By the joint's address: its first sensor's column, whether it is a hinge, and which hands pull at it.
+        self._levers = {
+            int(core.model.joint(part.name).qposadr[0]): (
+                int(core.model.sensor(lever_name(part.name)).adr[0]),
+                part.joint.kind != "prismatic",
+                moved_with(part, parts),
+            )
+            for part in parts
+            if part.can_latch
+        }
+
+    @property
+    def force(self) -> Floats:
+        """(l, 3) of the last step [N]."""
+        return np.array(self._core.data.actuator_force).reshape(-1, 3)
+
+    def start(self) -> None:
+        """Take hold of the handles where they are, without a force."""
+        core = self._core
+        core.mujoco.mj_fwdPosition(core.model, core.data)
+        self._targets = core.data.actuator_length[None].copy()
+        core.data.ctrl[:] = self._stiffness * self._targets[0]
+
+    def move(self, displacement: Floats) -> None:
+        """One control step: the targets move to the handles' places displaced by (l, 3) [m].
+
+        Raises:
+            InputError: if the physics became unstable.
+        """
+        core = self._core
+        begin, end = self._targets[-1], core.data.actuator_length + displacement.ravel()
+        speed = (end - begin) / (core.moving_steps * core.model.opt.timestep)
+        self._targets = begin + core.shares[:, None] * (end - begin)
+        controls = self._stiffness * self._targets
+        controls[: core.moving_steps] += self._damping * speed
+        core.run(controls, self)
+        core.mujoco.mj_fwdPosition(core.model, core.data)  # places of now; a step leaves those of its beginning
+
+    def needs_care(self, first: int, seen: Floats) -> Flags:
+        """Where a hand was too strong, or a latch had something to decide; see `core.Stepper`."""
+        targets = self._targets[first : first + len(seen)]
+        forces = seen[:, self._motors : 2 * self._motors].reshape(len(seen), -1, 3)
+        care = (self._limited(forces) != forces).any(axis=(1, 2))
+        for latch in self._core.latches:
+            if self._core.is_locked(latch):
+                care |= latch.opens(self._pull(latch, targets, seen))
+            else:
+                care |= latch.is_near(seen[:, self._levers[latch.qpos][0] + 6])
+        return np.asarray(care)
+
+    def after_leap(self) -> None:
+        """No latch was near."""
+        for latch in self._core.latches:
+            latch.armed = True
+
+    def careful_step(self, number: int) -> bool:
+        """Limits forces and switches latches in the middle of a step."""
+        core, data, target = self._core, self._core.data, self._targets[number : number + 1]
+        core.mujoco.mj_step1(core.model, data)
+        passive = self._stiffness * data.actuator_length + self._damping * data.actuator_velocity
+        forces = (data.ctrl - passive).reshape(-1, 3)
+        limited = self._limited(forces)
+        too_strong = bool((limited != forces).any())
+        if too_strong:
+            data.ctrl[:] = passive + limited.ravel()
+        decided = core.switch_latches(lambda latch: float(self._pull(latch, target, data.sensordata[None])[0]))
+        core.mujoco.mj_step2(core.model, data)
+        return too_strong or decided
+
+    def _limited(self, forces: Floats) -> Floats:
+        """Forces (..., 3) with those cut that are more than a hand has [N]."""
+        size = np.sqrt(np.square(forces).sum(axis=-1, keepdims=True))
+        return np.asarray(forces * (self._limit / np.maximum(size, self._limit)))
+
+    def _pull(self, latch: Latch, targets: Floats, seen: Floats) -> Floats:
+        """(k,) pull of the hands' springs on a latch's joint [N m or N], for targets (k, 3 l) and sensors (k, ...).
+
+        It has no damping: the damper's kick when a latch snaps shut is no pull that would open it.
+        """
+        column, turns, hands = self._levers[latch.qpos]
+        places = seen[:, : self._motors].reshape(len(seen), -1, 3)[:, hands]
+        pulls = self._limited(self._stiffness * (targets.reshape(len(seen), -1, 3)[:, hands] - places))
+        if turns:
+            pulls = np.cross(places - seen[:, None, column : column + 3], pulls)
+        return np.asarray((seen[:, None, column + 3 : column + 6] * pulls).sum(axis=(1, 2)))
+
+    def _tuned(self, parts: Sequence[StandingPart]) -> Floats:
+        """(3 l,) the motors' critical damping [N s/m]; sets them and a pace that resolves their springs."""
+        core, stiffness = self._core, self._stiffness
+        dofs = {part.name: int(core.model.joint(part.name).dofadr[0]) for part in parts if part.joint.kind != "rigid"}
+        inertia = [core.model.dof_M0[dofs[part.name]] if part.name in dofs else 0.0 for part in parts]
+        masses = np.array(inertia) / np.square([part.arm for part in parts])
+        if dofs:
+            fastest = float(np.sqrt(stiffness / masses[masses > 0].min()))
+            core.set_pace(min(LONGEST_STEP, 1 / (_STEPS_PER_RADIAN * fastest)))
+        damping = np.repeat(2 * np.sqrt(stiffness * masses), 3)
+        core.model.actuator_biasprm[:, 1], core.model.actuator_biasprm[:, 2] = -stiffness, -damping
+        return np.asarray(damping)

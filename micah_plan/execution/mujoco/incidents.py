@@ -1,0 +1,156 @@
+"""What is looked at while a held object moves: its latches, and what must not happen.
+
+Incidents are collisions, and loose things knocked over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.execution.mujoco.core import Core, Flags, Latch
+from micah_plan.execution.mujoco.world import OBJECT, POSITION, SCENE
+
+Floats = NDArray[np.float64]
+
+# Deeper than this into a body [m] counts as a collision, and so does any push against a fixed body that may not be
+# touched.
+LARGEST_PENETRATION = 0.002
+_LARGEST_PUSH_N = 2.0
+# A loose body that moves [m] or tilts [rad] by more than this counts as knocked over.
+LARGEST_SHIFT = 0.01
+LARGEST_TILT = 0.1
+_SCENE, _OBJECT, _ARM = 0, 1, 2
+# Sensors, by what their names begin with: how deep the object or the arm is in anything; how often they meet what they
+# may not; how often both, and the object alone, meet a body that the object may touch.
+_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT = "depth/", "forbidden/", "by both/", "by object/"
+# What MuJoCo's contact sensors show, how contacts are chosen, and how many.
+_COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
+
+
+def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], moving: str) -> None:
+    """Give a world (MjSpec) the sensors of contacts that a `Watch` reads.
+
+    Args:
+        touchable: names of bodies that the object, but no arm, may push against.
+        moving: the part of the object that an arm could hit.
+    """
+    hand, subtree, body = OBJECT + "hand", mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+
+    def add(role: str, shown: list[int], name: str, other: str = "", what: Any = subtree) -> None:
+        meets = {"reftype": subtree, "refname": other} if other else {}
+        sensor = {"name": f"{role}{len(world.sensors)}", "objtype": what, "objname": name, "intprm": shown, **meets}
+        world.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, **sensor)
+
+    bodies = list(world.worldbody.bodies)
+    fixed = [one.name for one in bodies if one.name.startswith(SCENE) and not len(one.joints)]
+    for root in (one.name for one in bodies if not one.name.startswith(SCENE)):
+        add(_DEPTH, _LEAST_DISTANCE, root)
+        for name in fixed:
+            if name.removeprefix(SCENE) in touchable:
+                add(_BY_BOTH, _COUNT, root, name)
+                add(_BY_OBJECT, _COUNT, hand, name)
+            else:
+                add(_FORBIDDEN, _COUNT, root, name)
+        if root != hand:
+            add(_FORBIDDEN, _COUNT, OBJECT + moving, root)
+    if len(world.worldbody.geoms):  # the base of an arm
+        add(_FORBIDDEN, _COUNT, "world", what=body)
+
+
+class Watch:
+    """Switches a held object's latches, none of which opens, and remembers the first incident of a trial."""
+
+    def __init__(self, core: Core, touchable: Collection[str]) -> None:
+        """Args: touchable: as of `add_contact_sensors`."""
+        self._core, model = core, core.model
+        self._owner = model.geom_bodyid.tolist()
+        owners = [model.body(body).name for body in self._owner]
+        self._name = [name.partition("/")[2] for name in owners]
+        # Of two that meet, the later kind hit the earlier one.
+        self._kind = [_SCENE if n.startswith(SCENE) else _OBJECT if n.startswith(OBJECT) else _ARM for n in owners]
+        things = zip(self._owner, self._name, self._kind, strict=True)
+        self._loose = {i: name for i, name, kind in things if kind == _SCENE and model.body_dofnum[i] > 0}
+        self._touchable = touchable
+        sensors = [model.sensor(number) for number in range(model.nsensor)]
+        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT, OBJECT + POSITION)
+        self._columns = [[int(s.adr[0]) for s in sensors if s.name.startswith(role)] for role in roles]
+        self._pose: dict[int, Floats] = {}
+        self.incident = ""
+
+    def begin(self) -> None:
+        """A new trial starts from here."""
+        self.incident = ""
+        data = self._core.data
+        self._pose = {i: np.append(data.xpos[i], data.xmat[i][6:]) for i in self._loose}
+
+    def needs_care(self, _first: int, seen: Floats) -> Flags:
+        """Where there was a contact to look at, or the joint came to a latch; see `core.Stepper`."""
+        care = self._suspects(seen)
+        position = seen[:, self._columns[-1]]
+        for latch in self._core.latches:
+            if not self._core.is_locked(latch):
+                care |= np.any(latch.is_near(position), axis=1)
+        return care
+
+    def after_leap(self) -> None:
+        """The last step may have brought the joint to a latch."""
+        self._core.switch_latches(_no_pull)
+
+    def careful_step(self, _number: int) -> bool:
+        """Switches latches after a step, and looks at its contacts."""
+        core = self._core
+        core.mujoco.mj_step(core.model, core.data)
+        decided = core.switch_latches(_no_pull)
+        suspects = bool(self._suspects(core.data.sensordata[None])[0])
+        if suspects:
+            self.incident = self._collision()
+        return suspects or decided
+
+    def look_at_loose_bodies(self) -> None:
+        """All still where they stood."""
+        self.incident = self.incident or self._knocked_over()
+
+    def _suspects(self, seen: Floats) -> Flags:
+        """(k,) whether a contact may be a collision: it is deep, or with what is fixed and may not be touched.
+
+        After an incident none is.
+        """
+        depth, forbidden, by_both, by_object, _ = (seen[:, columns] for columns in self._columns)
+        deep = (depth < -LARGEST_PENETRATION).any(axis=1)
+        return np.asarray((deep | forbidden.any(axis=1) | (by_both != by_object).any(axis=1)) & (not self.incident))
+
+    def _collision(self) -> str:
+        """The first contact of the last step that is one."""
+        data, push = self._core.data, np.zeros(6)
+        for number in range(data.ncon):
+            contact = data.contact[number]
+            hit, by = sorted((int(contact.geom1), int(contact.geom2)), key=self._kind.__getitem__)
+            if self._kind[by] == _SCENE:  # it rests on another body of the scene
+                continue
+            name, is_object = self._name[hit], self._kind[by] == _OBJECT
+            allowed = self._owner[hit] in self._loose or (is_object and name in self._touchable)
+            self._core.mujoco.mj_contactForce(self._core.model, data, number, push)
+            if contact.dist < -LARGEST_PENETRATION or (not allowed and push[0] > _LARGEST_PUSH_N):
+                what = "it" if is_object else f"the arm's {self._name[by]}"
+                depth = max(0.0, -1e3 * contact.dist)
+                return f"{what} hit '{name}' at {data.time:.1f} s with {push[0]:.0f} N, {depth:.1f} mm deep"
+        return ""
+
+    def _knocked_over(self) -> str:
+        data = self._core.data
+        for number, name in self._loose.items():
+            before = self._pose[number]
+            shift = float(np.linalg.norm(data.xpos[number] - before[:3]))
+            tilt = float(np.arccos(np.clip(data.xmat[number][6:] @ before[3:], -1.0, 1.0)))
+            if shift > LARGEST_SHIFT or tilt > LARGEST_TILT:
+                how = f"it had moved by {1e3 * shift:.0f} mm and tilted by {tilt:.2f} rad"
+                return f"'{name}' was knocked over: at {data.time:.1f} s {how}"
+        return ""
+
+
+def _no_pull(_: Latch) -> float:
+    return 0.0

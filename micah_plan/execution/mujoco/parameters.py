@@ -1,0 +1,115 @@
+"""The physical parameters of an object, a hand and a tracker: one class, with defaults for each kind of object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from micah_plan.errors import InputError, shown
+from micah_plan.task.problem import Problem
+
+
+def _key(standing: float | None, held: float | None, *, least: float = 0.0, most: float = np.inf) -> Any:
+    """A parameter: its default for standing and for held objects (None: that kind does not know it), and its range."""
+    limits = {"least": least, "most": most}
+    return field(default=held if standing is None else standing, metadata={"defaults": (standing, held), **limits})
+
+
+_ABOVE_0 = float(np.nextafter(0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class PhysicalParameters:
+    """Defaults serve a microwave door or a drawer that stands, and a desk stapler that is held.
+
+    Resistances of a standing object are forces at its handle, so that one number means the same for a hinge and a
+    slide; the plant turns them into moments.
+
+    Attributes:
+        mass: of each moving part of a standing object, of each part of a held one [kg].
+        damping, friction: viscous resistance [N s/m] and dry friction [N] of a standing object, at the handle.
+        latch_force: pull at the handle that opens a standing object's latch [N].
+        latch_capture: how near to the latched configuration it catches: of a standing object's handle [m], of a held
+            object's joint [rad or m].
+        stiffness: of the hand [N/m], which is critically damped; an arm has the stiffness of its joints instead.
+        max_force: the largest force of the hand; on slides: per axis [N].
+        control_period: duration of one control step [s].
+        motion_share: share of the control step in which the hand's target moves; it rests for the remainder.
+        gravity: of a standing object, along -z of the base frame [m/s^2]; 0: a learned base frame is seldom level.
+        position_noise, rotation_noise: white tracker noise per axis [m] and [rad] (std).
+        position_wander, rotation_wander: slowly wandering tracker error per axis [m] and [rad] (std).
+        wander_time: correlation time of the wander [s].
+        contact_friction: coefficient, of a held object and the scene.
+        spread: share by which friction and a held object's mass vary from trial to trial.
+        joint_friction, joint_damping: of a held object's joint, [N m or N] and [N m s/rad or N s/m]; dry friction holds
+            the part up while nothing touches it.
+        pivot_stiffness, pivot_damping: of the part in the hand where it turns there, [N m/rad] and [N m s/rad].
+        joint_deflection: error at which a joint of an arm pushes with all its effort [rad or m].
+        joint_effort: of joints of an arm whose file states none [N m or N].
+        rotor_inertia: of an arm's motors as the joints feel them through the gears [kg m^2 or kg].
+    """
+
+    mass: float = _key(2.0, 0.15, least=_ABOVE_0)
+    damping: float = _key(2.0, None)
+    friction: float = _key(1.0, None)
+    latch_force: float = _key(8.0, None)
+    latch_capture: float = _key(0.004, 0.005)
+    stiffness: float = _key(3000.0, 20000.0, least=_ABOVE_0)
+    max_force: float = _key(80.0, 80.0, least=_ABOVE_0)
+    control_period: float = _key(0.5, 0.4, least=_ABOVE_0)
+    motion_share: float = _key(0.6, 0.7, least=_ABOVE_0, most=1.0)
+    gravity: float = _key(0.0, None)
+    position_noise: float = _key(0.003, 0.003)
+    rotation_noise: float = _key(0.03, 0.03)
+    position_wander: float = _key(0.0, None)
+    rotation_wander: float = _key(0.0, None)
+    wander_time: float = _key(5.0, None, least=_ABOVE_0)
+    contact_friction: float = _key(None, 0.5)
+    spread: float = _key(None, 0.2, most=1.0)
+    joint_friction: float = _key(None, 0.2)
+    joint_damping: float = _key(None, 0.01)
+    pivot_stiffness: float = _key(None, 4.0)
+    pivot_damping: float = _key(None, 0.2)
+    joint_deflection: float = _key(None, 0.02, least=_ABOVE_0)
+    joint_effort: float = _key(None, 100.0, least=_ABOVE_0)
+    rotor_inertia: float = _key(None, 0.1)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value, least = getattr(self, item.name), item.metadata["least"]
+            if not least <= value < np.inf:
+                expected = "a number > 0" if least else "a number >= 0"
+                raise InputError(f"plant parameter '{item.name}' must be {expected}. Got {shown(value)}")
+            if value > item.metadata["most"]:
+                raise InputError(f"plant parameter '{item.name}' must be at most 1. Got {shown(value)}")
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, float], *, held: bool = False) -> PhysicalParameters:
+        """The parameters of a problem file's `plant` block, for a held or a standing object; the rest are defaults.
+
+        Raises:
+            InputError: for a name that this kind of object does not know, or an impossible value.
+        """
+        known = defaults(held=held)
+        for name in values:
+            if name not in known:
+                raise InputError(f"unknown plant parameter {shown(name)}", remedy=f"choose among {', '.join(known)}")
+        return cls(**known | {name: float(value) for name, value in values.items()})
+
+
+def defaults(*, held: bool) -> dict[str, float]:
+    """The keys of `plant` that a held or a standing object knows, each with the value that it has if none is stated."""
+    own = {item.name: item.metadata["defaults"][held] for item in fields(PhysicalParameters)}
+    return {name: value for name, value in own.items() if value is not None}
+
+
+def parameters_of(problem: Problem) -> PhysicalParameters:
+    """What a problem's `plant` block states, for its kind of object; defaults for the rest.
+
+    Raises:
+        InputError: as `PhysicalParameters.from_mapping`.
+    """
+    return PhysicalParameters.from_mapping(problem.plant, held=problem.hold is not None)
