@@ -18,7 +18,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 from numpy.typing import NDArray
 from saving import add_json, save_json
 

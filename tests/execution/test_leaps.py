@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
 from held_examples import stamp, tool
-from micah_plan.documents.problem_file import load_problem
+from micah_plan.documents.problem import load_problem
 
 from micah_plan.errors import InputError
 from micah_plan.execution.plant import Command
