@@ -156,14 +156,13 @@ class HeldPlant:
     def _built(self, hold: Hold, posture: Floats | None) -> tuple[Core, Carrier]:
         """The world, and what carries the hand."""
         mujoco, problem, parameters = import_mujoco(), self.problem, self.parameters
-        world = mujoco.MjSpec.from_string(scene_mjcf(problem.scene, parameters))
         robot, grasp, links = problem.robot, problem.grasp, len(self.automaton.links)
-        text = held_mjcf(self._object, hold.grip, parameters, slides=robot is None)
+        world = mujoco.MjSpec.from_string(scene_mjcf(problem.scene, parameters))
+        text = held_mjcf(self._object, hold.grip, parameters, slides=robot is None or grasp is None)
         hand = mujoco.MjSpec.from_string(text).body("hand")
-        watched = self._touchable, hold.grip.moving.name
         if robot is None or grasp is None:
             world.worldbody.add_frame().attach_body(hand, OBJECT, "")
-            add_contact_sensors(mujoco, world, *watched)
+            add_contact_sensors(mujoco, world, self._touchable, hold.grip)
             core = Core(mujoco, world.compile(), parameters, links)
             return core, Slides(core)
         # Pinocchio is loaded only where there is an arm.
@@ -174,7 +173,7 @@ class HeldPlant:
         arm = load_arm(robot)
         attach_arm(mujoco, world, robot, arm, parameters)
         fix_to_tool(world, robot.tool, hand, grasp.pose.inv(), OBJECT)
-        add_contact_sensors(mujoco, world, *watched)
+        add_contact_sensors(mujoco, world, self._touchable, hold.grip)
         core = Core(mujoco, world.compile(), parameters, links)
         return core, ArmCarrier(core, arm, grasp, start_posture(problem) if posture is None else posture)
 

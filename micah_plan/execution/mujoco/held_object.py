@@ -25,11 +25,11 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class ShownJoint:
-    """A joint in MuJoCo that a coordinate of the model shows: position = sign * x[coordinate] + zero."""
+    """A joint in MuJoCo that a coordinate of the model shows: position = sign * x[coordinate] + zero, sign 1 or -1."""
 
     name: str
     coordinate: int
-    sign: float
+    sign: int
     zero: float
 
 
@@ -97,8 +97,8 @@ def held_object(automaton: HybridAutomaton, grip: Grip) -> HeldObject:
         raise InputError("nothing says at which configuration the shapes are given", remedy="give 'hold.datum'")
     latches = tuple((mode, value - datum) for mode, value in pins.items())
     positions = [position for _, position in latches]
-    stops = min(-grip.travel, *positions, 0.0), max(0.0, *positions, -grip.travel)
-    shown = (*shown, ShownJoint(JOINT, coordinate, 1.0, -datum))
+    stops = min([-grip.travel, *positions]), max([0.0, *positions])
+    shown = (*shown, ShownJoint(JOINT, coordinate, 1, -datum))
     return HeldObject(*of_hand, in_hand, moving, joint, shown, stops, latches)
 
 
@@ -153,4 +153,4 @@ def _turn(automaton: HybridAutomaton, grip: Grip, in_hand: int) -> ShownJoint:
     sign, off = float((one - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
     if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
         raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
-    return ShownJoint(PIVOT, automaton.links[in_hand].coordinate, sign, float(zero @ _HINGE))
+    return ShownJoint(PIVOT, automaton.links[in_hand].coordinate, round(sign), float(zero @ _HINGE))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.contacts.task import Grip
 from micah_plan.execution.mujoco.core import Core, Flags, Latch
 from micah_plan.execution.mujoco.world import OBJECT, POSITION, SCENE
 
@@ -25,20 +26,22 @@ LARGEST_SHIFT = 0.01
 LARGEST_TILT = 0.1
 _SCENE, _OBJECT, _ARM = 0, 1, 2
 # Sensors, by what their names begin with: how deep the object or the arm is in anything; how often they meet what they
-# may not; how often both, and the object alone, meet a body that the object may touch.
-_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT = "depth/", "forbidden/", "by both/", "by object/"
+# may not; how often both, and the parts of the object, meet a body that the object may touch.
+_DEPTH, _FORBIDDEN = "depth/", "forbidden/"
+_BY_BOTH, _BY_IN_HAND, _BY_MOVING = "by both/", "by in hand/", "by moving/"
 # What MuJoCo's contact sensors show, how contacts are chosen, and how many.
 _COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
 
 
-def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], moving: str) -> None:
+def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], grip: Grip) -> None:
     """Give a world (MjSpec) the sensors of contacts that a `Watch` reads.
 
     Args:
         touchable: names of bodies that the object, but no arm, may push against.
-        moving: the part of the object that an arm could hit.
+        grip: names the two parts of the object, of which an arm could hit the moving one.
     """
-    hand, subtree, body = OBJECT + "hand", mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+    in_hand, moving = OBJECT + grip.held.name, OBJECT + grip.moving.name
+    subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 
     def add(role: str, shown: list[int], name: str, other: str = "", what: Any = subtree) -> None:
         meets = {"reftype": subtree, "refname": other} if other else {}
@@ -52,11 +55,12 @@ def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], mov
         for name in fixed:
             if name.removeprefix(SCENE) in touchable:
                 add(_BY_BOTH, _COUNT, root, name)
-                add(_BY_OBJECT, _COUNT, hand, name)
+                add(_BY_IN_HAND, _COUNT, in_hand, name, body)
+                add(_BY_MOVING, _COUNT, moving, name, body)
             else:
                 add(_FORBIDDEN, _COUNT, root, name)
-        if root != hand:
-            add(_FORBIDDEN, _COUNT, OBJECT + moving, root)
+        if not root.startswith(OBJECT):
+            add(_FORBIDDEN, _COUNT, moving, root, body)
     if len(world.worldbody.geoms):  # the base of an arm
         add(_FORBIDDEN, _COUNT, "world", what=body)
 
@@ -76,7 +80,7 @@ class Watch:
         self._loose = {i: name for i, name, kind in things if kind == _SCENE and model.body_dofnum[i] > 0}
         self._touchable = touchable
         sensors = [model.sensor(number) for number in range(model.nsensor)]
-        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT, OBJECT + POSITION)
+        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_IN_HAND, _BY_MOVING, OBJECT + POSITION)
         self._columns = [[int(s.adr[0]) for s in sensors if s.name.startswith(role)] for role in roles]
         self._pose: dict[int, Floats] = {}
         self.incident = ""
@@ -119,9 +123,10 @@ class Watch:
 
         After an incident none is.
         """
-        depth, forbidden, by_both, by_object, _ = (seen[:, columns] for columns in self._columns)
+        depth, forbidden, by_both, by_in_hand, by_moving, _ = (seen[:, columns] for columns in self._columns)
         deep = (depth < -LARGEST_PENETRATION).any(axis=1)
-        return np.asarray((deep | forbidden.any(axis=1) | (by_both != by_object).any(axis=1)) & (not self.incident))
+        by_arm = (by_both > by_in_hand + by_moving).any(axis=1)
+        return np.asarray((deep | forbidden.any(axis=1) | by_arm) & (not self.incident))
 
     def _collision(self) -> str:
         """The first contact of the last step that is one."""
