@@ -14,7 +14,6 @@ from pydantic_core import PydanticCustomError, core_schema
 from micah_plan.errors import InputError
 
 _LONGEST_NAME = 100
-_A_NAME = "expected a name of 1 to 100 printable characters without spaces around it"
 
 
 class Document(BaseModel):
@@ -49,7 +48,7 @@ def _printable(value: str) -> str:
 def checked_name(value: str) -> str:
     """The name, if it is one; else the error that a validator may raise."""
     if not value or value != value.strip() or not value.isprintable() or len(value) > _LONGEST_NAME:
-        raise PydanticCustomError("name", _A_NAME)
+        raise PydanticCustomError("name", "expected a name of 1 to 100 printable characters without spaces around it")
     return value
 
 

@@ -42,17 +42,16 @@ class Located:
                 data = None
         return Located(data, self.source, self.places, (*self.prefix, *path))
 
-    def place(self, path: Iterable[str | int] = ()) -> tuple[int, int] | None:
-        """Line and column of a key path, or of what comes closest above it; None if there are no lines."""
-        full = (*self.prefix, *path)
-        return next((self.places[full[:i]] for i in range(len(full), -1, -1) if full[:i] in self.places), None)
+    def place(self) -> tuple[int, int] | None:
+        """Line and column of this place, or of what comes closest above it; None if there are no lines."""
+        above = (self.prefix[:i] for i in range(len(self.prefix), -1, -1))
+        return next((self.places[path] for path in above if path in self.places), None)
 
-    def where(self, path: Iterable[str | int] = ()) -> str:
-        """The line, column and key of a key path, as messages write them."""
-        path = tuple(path)
-        place, full = self.place(path), (*self.prefix, *path)
+    def where(self) -> str:
+        """The line, column and key of this place, as messages write them."""
+        place = self.place()
         at = [] if place is None else [line_and_column(place)]
-        return ", ".join(at + ([f"key '{dotted(full)}'"] if full else []))
+        return ", ".join(at + ([f"key '{dotted(self.prefix)}'"] if self.prefix else []))
 
     def error(self, problem: str, remedy: str | None = None) -> InputError:
         """An error about the value at this place, to be raised."""

@@ -77,7 +77,7 @@ def check_format(located: Located, document: type[Document]) -> None:
 def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
     def order(detail: ErrorDetails) -> tuple[bool, int, int]:
         # A key that is missing is often one that is there with a typo: the unknown key tells more.
-        line, column = located.place(_path(detail)) or (0, 0)
+        line, column = located.at(*_path(detail)).place() or (0, 0)
         return detail["type"] == "missing", line, column
 
     return [located.at(*_path(detail)).error(*_explained(detail, document)) for detail in sorted(details, key=order)]

@@ -48,8 +48,8 @@ def test_places_are_of_keys_and_items() -> None:
     assert located.places[("a", "b")] == (2, 3)
     assert located.places[("a", "b", 1)] == (3, 5)
     assert located.places[("c", "d")] == (4, 5)
-    assert located.where(("a", "b", 7)) == "line 2, column 3, key 'a.b.7'"
-    assert located.where(("nowhere",)) == "line 1, column 1, key 'nowhere'"
+    assert located.at("a", "b", 7).where() == "line 2, column 3, key 'a.b.7'"
+    assert located.at("nowhere").where() == "line 1, column 1, key 'nowhere'"
 
 
 @settings(max_examples=100, deadline=None)

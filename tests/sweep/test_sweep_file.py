@@ -124,7 +124,7 @@ def test_overrides_reach_into_mappings_and_lists() -> None:
     changed = overridden(located, "a.b.1.c", 5)
     assert changed.data == {"a": {"b": [1, {"c": 5}]}}
     assert located.data == {"a": {"b": [1, {"c": 2}]}}
-    assert changed.place(("a", "b", 1, "c")) == (1, 1), "not in the file any more: the place of what holds it"
+    assert changed.at("a", "b", 1, "c").place() == (1, 1), "not in the file any more: the place of what holds it"
     assert overridden(located, "a.x.y", 1).data["a"]["x"] == {"y": 1}
     for key, said in (("a.b.2", "one of the 2 entries"), ("a.b.-1", "entries"), ("a.b.0.c", "'0' has no keys")):
         with pytest.raises(InputError, match=said):
