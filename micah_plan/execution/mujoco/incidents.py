@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.task import Grip
+from micah_plan.automaton.contacts.values import Grip
 from micah_plan.execution.mujoco.core import Core, Flags, Latch
 from micah_plan.execution.mujoco.world import OBJECT, POSITION, SCENE
 
