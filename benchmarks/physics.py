@@ -18,10 +18,10 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from micah_plan.documents.problem import load_problem
 from numpy.typing import NDArray
 from saving import add_json, save_json
 
+from micah_plan.documents.problem import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.trials import make_plant, run_trials
 from micah_plan.workflow import solve

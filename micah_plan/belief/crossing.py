@@ -1,4 +1,4 @@
-"""A Gaussian on its way through one step: where guards cut it, and what a transition makes of the part that crosses.
+"""Gaussians on their way through one step: where guards cut them, and what a transition makes of the part that crosses.
 
 As in the automaton's own transition logic, a step is a straight path from a start to an end, an event lies where the
 path meets the guard, and the rest of the step follows the new mode. So what travels is the joint Gaussian of start and
@@ -7,254 +7,238 @@ end, (2n,), and an event maps it to the joint Gaussian of the event's state and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from micah_plan.automaton.effects.motion import displaced
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.step_noise import process_factor, step_noise_std
-from micah_plan.belief.gaussian import FAR_STDS, SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
-from micah_plan.belief.truncation import Part, split
+from micah_plan.automaton.step_noise import step_noise_std
+from micah_plan.belief.event import transition
+from micah_plan.belief.gaussian import SMALLEST_STD, those
+from micah_plan.belief.layout import Doors, Exit, Layout, ModeLayout
+from micah_plan.belief.pieces import Binding, Ends, Pieces
+from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated
 
 Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """A share of the belief on its way.
-
-    Attributes:
-        mode: name of the mode that it moves in.
-        probability: of the share.
-        mean: (2n,) of start and end of what is left of the step.
-        factor: (2n, K) square root of their joint covariance.
-        fraction: expected share of the step that is left.
-        displacement: (n,) nominal motion from start to end, without noise.
-        events: how many transitions it took in this step.
-        held: (n,) where the modes that it left at the present instant held its coordinates; NaN: they did not.
-        entered: modes that it was in at the present instant; none is entered twice at one instant (no chattering).
-    """
-
-    mode: str
-    probability: float
-    mean: Floats
-    factor: Floats
-    fraction: float
-    displacement: Floats
-    held: Floats
-    events: int = 0
-    entered: frozenset[str] = frozenset()
-
-    @property
-    def n(self) -> int:
-        return len(self.displacement)
-
-    def end(self) -> tuple[Floats, Floats]:
-        """Mean (n,) and square root (n, K) of the covariance at the end of the step."""
-        return self.mean[self.n :], self.factor[self.n :]
+_NOTHING = 1e-30
 
 
 def whole_step(
-    automaton: HybridAutomaton, mode_name: str, probability: float, mean: Floats, factor: Floats, u: Floats
-) -> Piece:
-    """The full step of a mode's Gaussian: flow and process noise, guards not yet applied."""
-    mode = automaton.mode(mode_name)
-    n = mean.size
-    displacement, slope = displaced(automaton, mode, mean, u)
-    noise = process_factor(automaton, mode, u)
-    joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
-    for tie in mode.ties:
+    layout: Layout, mode: ModeLayout, owner: Ints, probability: Floats, mean: Floats, factor: Floats, u: Floats
+) -> Pieces:
+    """The full step of a mode's Gaussians (n, p), (n, n, p) with inputs (m, p): flow and process noise, no guards."""
+    n, count = mean.shape
+    joint = np.zeros((2, n, n + len(mode.noisy), count))
+    joint[:, :, :n] = factor
+    end = joint[1]
+    if layout.automaton.effects:
+        moved, slope = (values.T for values in displaced(layout.automaton, mode.mode, mean.T, u.T))
+        displacement = moved.copy()
+        end[:, :n] *= slope[:, None]
+    else:
+        displacement = mode.mode.B @ u
+    std = step_noise_std(layout.automaton, mode.mode, u.T).T if mode.gain else mode.process
+    for column, i in enumerate(mode.noisy, start=n):
+        end[i, column] = std[i]
+    for tie in mode.mode.ties:
         weights = np.array(tie.weights)
         displacement[tie.coordinate] = weights @ displacement
-        joint[n + tie.coordinate] = weights @ joint[n:]
-    ends = np.concatenate([mean, mean + displacement])
-    nowhere = np.full(n, np.nan)
-    return Piece(mode_name, probability, ends, joint, 1.0, displacement, nowhere, entered=frozenset([mode_name]))
-
-
-def cross(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> tuple[Piece | None, Piece | None]:
-    """What takes the edge (already in its target, with the rest of the step to go) and what does not."""
-    on_state = [h for h in edge.guard.half_spaces if h.on_state]
-    on_input = [h for h in edge.guard.half_spaces if not h.on_state]
-    blocked = edge.target in piece.entered and not edge.is_self_transition
-    if blocked or not all(_holds(h, u) for h in on_input):
-        return None, piece
-    if not on_state:
-        return _event(automaton, replace(piece, events=piece.events + 1), edge, u, None), None
-    if piece.events and not _is_met_by_mean(piece, on_state, u):
-        return None, piece
-    if not _is_near(piece, on_state, u):
-        return None, piece
-    taken, left = _cut(piece, on_state, u)
-    crossing = replace(
-        piece,
-        probability=piece.probability * taken.probability,
-        mean=taken.mean,
-        factor=taken.factor,
-        events=piece.events + 1,
+        end[tie.coordinate] = np.tensordot(weights, end, 1)
+    ends = np.empty((2, n, count))
+    ends[0] = mean
+    np.add(mean, displacement, out=ends[1])
+    entered = np.zeros((len(layout.modes), count), dtype=bool)
+    entered[mode.index] = True
+    return Pieces(
+        owner, probability, ends, joint, u, np.ones(count), displacement, np.full((n, count), np.nan), entered
     )
-    staying = replace(piece, probability=piece.probability * left.probability, mean=left.mean, factor=left.factor)
-    if taken.probability <= 0.0:
-        return None, staying
-    binding = _binding(piece, on_state, u)
-    return _event(automaton, crossing, edge, u, binding), staying if left.probability > 0.0 else None
 
 
-def _holds(half_space: HalfSpace, u: Floats) -> bool:
-    margin = float(np.array(half_space.b) @ u - half_space.c)
-    return margin > 0 or (margin == 0 and not half_space.strict)
+def through_guards(
+    layout: Layout, mode: ModeLayout, pieces: Pieces, events: int, onward: dict[int, list[Pieces]]
+) -> list[Ends]:
+    """The shares that stay in their mode to the end of the step; what crosses is put on `onward`, by its new mode.
 
-
-def _is_near(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> bool:
-    """Whether the piece can be inside every half-space at the start or the end, with more than a share of 1e-15."""
-    for half_space in half_spaces:
-        margins = [
-            (weights @ piece.mean - offset, weights @ piece.factor) for weights, offset in _rows(half_space, piece, u)
-        ]
-        if all(margin < -FAR_STDS * (np.linalg.norm(root) + SMALLEST_STD) for margin, root in margins):
-            return False
-    return True
-
-
-def _is_met_by_mean(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> bool:
-    """Whether the mean is inside the guard or moves towards it.
-
-    Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit. And
-    what was just held lies where it was held: how well that place is known does not put it behind a guard that begins
-    there.
+    Args:
+        events: transitions that the pieces have taken in this step.
     """
-    margins = np.array([[weights @ piece.mean - offset for weights, offset in _rows(h, piece, u)] for h in half_spaces])
-    start = np.where(np.isnan(piece.held), piece.mean[: piece.n], piece.held)
-    is_inside = all(float(h.margin(start, u)) > SMALLEST_STD for h in half_spaces)
-    return is_inside or bool((margins[:, 1] - margins[:, 0] > SMALLEST_STD).any())
-
-
-def _rows(half_space: HalfSpace, piece: Piece, u: Floats) -> tuple[tuple[Floats, float], tuple[Floats, float]]:
-    """The margins at start and end as affine functions of the joint state."""
-    a, nothing = np.array(half_space.a), np.zeros(piece.n)
-    offset = half_space.c - float(np.array(half_space.b) @ u)
-    return (np.concatenate([a, nothing]), offset), (np.concatenate([nothing, a]), offset)
-
-
-def _binding(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> HalfSpace:
-    """The half-space that holds last: the one whose margin at the start is worst."""
-
-    def worst(half_space: HalfSpace) -> float:
-        (weights, offset), _ = _rows(half_space, piece, u)
-        return float((weights @ piece.mean - offset) / (np.linalg.norm(weights @ piece.factor) + SMALLEST_STD))
-
-    return min(half_spaces, key=worst)
-
-
-def _cut(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> tuple[Part, Part]:
-    """The share within all half-spaces at the end, entering through the binding one.
-
-    For several half-spaces the probability is the product of those of one after the other, each given the ones
-    before, and what stays keeps the moments of the whole (the complement of a corner is no half-space).
-    """
-    binding = _binding(piece, half_spaces, u)
-    taken, left = split(piece.mean, piece.factor, *_rows(binding, piece, u))
-    if len(half_spaces) == 1:
-        return taken, left
-    probability = taken.probability
-    for half_space in half_spaces:
-        if half_space is binding or probability <= 0.0:
+    if not mode.exits:
+        return [pieces.ends()]
+    if events:
+        pieces = _slid(mode, pieces)
+    free = _free(mode, pieces, events)
+    may = free & _reached(mode.doors[0], pieces, events)
+    meets: Booleans = np.asarray(may.any(axis=0))
+    busy, quiet = meets.nonzero()[0], list[Ends]()
+    if not busy.size:
+        return [pieces.ends()]
+    if busy.size < meets.size:
+        quiet.append(pieces.ends().where((~meets).nonzero()[0]))
+        pieces, free, may = pieces.where(busy), those(free, busy), those(may, busy)
+    first, is_old = 0, False
+    for number, way in enumerate(mode.exits):
+        if is_old:
+            may, first, is_old = free[number:] & _reached(mode.doors[number], pieces, events), number, False
+        chosen = may[number - first].nonzero()[0]
+        if not chosen.size:
             continue
-        _, after = _rows(half_space, piece, u)
-        never = (np.zeros_like(after[0]), 1.0)
-        inner, _ = split(taken.mean, taken.factor, never, after)
-        probability *= inner.probability
-        taken = inner
-    return Part(probability, taken.mean, taken.factor), Part(1.0 - probability, piece.mean, piece.factor)
+        taken, pieces = _cross(layout, mode, pieces, chosen, way)
+        if taken is not None:
+            onward.setdefault(way.target, []).append(taken)
+        left = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
+        if not left.size:
+            return quiet
+        if left.size < pieces.probability.size:
+            pieces, free = pieces.where(left), those(free, left)
+        is_old = True
+    return [*quiet, pieces.ends()]
 
 
-def _event(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats, binding: HalfSpace | None) -> Piece:
-    """The piece after the transition: reset where the path meets the guard, then the new mode's motion.
+def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
+    """(e, p) whether the input allows each exit, and its mode was not entered at this instant."""
+    free = np.ones((len(mode.exits), pieces.owner.size), dtype=bool)
+    for number, way in enumerate(mode.exits):
+        if events and not way.is_self:
+            free[number] = ~pieces.entered[way.target]
+        if len(way.on_input):
+            free[number] &= way.allowed(pieces.u)
+    return free
 
-    With r the share of the path behind the guard, r = m1 / (m1 - m0) is linearised about the means, as are its products
-    with the motion; for a sharp belief or a motion large against its noise this is exact.
+
+def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
+    """(e, p) whether a piece may be inside all half-spaces of each exit with more than a share of 1e-15.
+
+    The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
+
+    Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit, and
+    the mean must be inside the guard or move towards it. And what was just held lies where it was held: how well that
+    place is known does not put it behind a guard that begins there.
     """
-    n, motion = piece.n, piece.mean[piece.n :] - piece.mean[: piece.n]
-    a, b, c = edge.reset.matrices(n, u.size)
-    share, slope = _share_behind(piece, binding, u)
-    start, end = np.eye(n, 2 * n), np.eye(n, 2 * n, n)
-    behind_mean, behind = share * motion, share * (end - start) + np.outer(motion, slope)
-    met_mean, met = piece.mean[n:] - behind_mean, end - behind
-    if share < 1.0 and binding is not None:
-        # Linearised products leave a little spread across the guard; the event lies on it.
-        along = motion / (np.array(binding.a) @ motion)
-        met = met - np.outer(along, np.array(binding.a) @ met)
-        behind = end - met
-    new_start_mean, new_start = a @ met_mean + b @ u + c, a @ met
-    if edge.is_self_transition:
-        displacement = share * (a @ piece.displacement)
-        new_end_mean, new_end = new_start_mean + a @ behind_mean, new_start + a @ behind
-    else:
-        nominal = piece.fraction * displaced(automaton, automaton.mode(edge.target), new_start_mean, u)[0]
-        change = nominal - piece.displacement
-        displacement = share * nominal
-        new_end_mean = new_start_mean + behind_mean + share * change
-        new_end = new_start + behind + np.outer(change, slope)
-    mean = np.concatenate([new_start_mean, new_end_mean])
-    factor = np.vstack([new_start, new_end]) @ piece.factor
-    at_once = share > 1.0 - 1e-9
-    arrived = replace(
-        piece,
-        mode=edge.target,
-        mean=mean,
-        factor=factor,
-        fraction=share * piece.fraction,
-        displacement=displacement,
-        held=_held(automaton, piece, edge) if at_once else np.full(n, np.nan),
-        entered=(piece.entered if at_once else frozenset([edge.source])) | {edge.target},
-    )
-    return arrived if edge.is_self_transition else _entered(automaton, arrived, edge, u)
+    offset = doors.rows.offsets(pieces.u)
+    margin = doors.rows.a @ pieces.mean - offset
+    std = np.sqrt(np.einsum("eikp,eikp->eip", pieces.factor, pieces.factor)) + SMALLEST_STD
+    start, end = margin + doors.far @ std >= 0.0
+    reached = doors.all_hold(start | end)
+    if events and np.count_nonzero(reached):
+        known = ~np.isnan(pieces.held)
+        held = margin[0]
+        if np.count_nonzero(known):
+            held = doors.rows.a @ np.where(known, pieces.held, pieces.mean[0]) - offset
+        reached &= doors.any_holds(margin[1] - margin[0] > SMALLEST_STD) | doors.all_hold(held > SMALLEST_STD)
+    return reached
 
 
-def _held(automaton: HybridAutomaton, piece: Piece, edge: Edge) -> Floats:
-    """(n,) where a piece that takes an edge at once was held before; a reset moves it elsewhere."""
-    if not edge.reset.is_identity:
-        return np.full(piece.n, np.nan)
-    held = piece.held.copy()
-    for pin in automaton.mode(edge.source).pins:
-        held[pin.coordinate] = pin.value + (0.0 if pin.follows is None else piece.mean[pin.follows])
-    return held
+def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: Exit) -> tuple[Pieces | None, Pieces]:
+    """What of the chosen pieces takes an exit, already in its target with the rest of the step to go; and the rest."""
+    if not len(way.on_state):
+        left = pieces.probability.copy()
+        left[chosen] = 0.0
+        return transition(layout, mode, pieces.where(chosen), way, None), replace(pieces, probability=left)
+    probability, mean, factor, u = pieces.probability, pieces.mean, pieces.factor, pieces.u
+    if chosen.size < probability.size:
+        probability, mean, factor, u = (those(values, chosen) for values in (probability, mean, factor, u))
+    binding = _binding(mean[0], factor[0], u, way)
+    margins = binding.margins(mean, factor)
+    reach = margins.can_cross().nonzero()[0]
+    if not reach.size:
+        return None, pieces
+    if reach.size < chosen.size:
+        chosen, binding, margins = chosen[reach], binding.where(reach), margins.where(reach)
+        probability, mean, factor, u = (those(values, reach) for values in (probability, mean, factor, u))
+    shares = split(mean, factor, margins)
+    taken, left = probability * shares.probability
+    rest = shares.mean[1], shares.factor[1]
+    if len(way.on_state) > 1:
+        taken = taken * _within_others(shares, way, binding, u)
+        # The complement of a corner is no half-space: what stays keeps the moments of the whole.
+        rest, left = (mean, factor), probability - taken
+    staying = pieces.replaced(chosen, left, *rest)
+    crosses = (taken >= NEGLIGIBLE).nonzero()[0]
+    if not crosses.size:
+        return None, staying
+    mean, factor = shares.mean[0], shares.factor[0]
+    if crosses.size < chosen.size:
+        chosen, binding, taken = chosen[crosses], binding.where(crosses), taken[crosses]
+        mean, factor = those(mean, crosses), those(factor, crosses)
+    return transition(layout, mode, pieces.shares(chosen, taken, mean, factor), way, binding), staying
 
 
-def _share_behind(piece: Piece, binding: HalfSpace | None, u: Floats) -> tuple[float, Floats]:
-    """Expected share of the path behind the guard and its gradient (2n,) by the joint state; 1 if it starts behind."""
-    constant = np.zeros(2 * piece.n)
-    if binding is None:
-        return 1.0, constant
-    (weights0, offset), (weights1, _) = _rows(binding, piece, u)
-    before, after = weights0 @ piece.mean - offset, weights1 @ piece.mean - offset
-    if before >= 0 or after - before <= SMALLEST_STD:
-        return 1.0, constant
-    return float(after / (after - before)), weights1 / (after - before)
+def _binding(mean: Floats, factor: Floats, u: Floats, way: Exit) -> Binding:
+    """The half-space that holds last: the one whose margin at the start (n, p), (n, k, p) is worst."""
+    rows = way.on_state
+    offsets = rows.offsets(u)
+    if len(rows) == 1:
+        return Binding(rows.terms, offsets[0])
+    worst = np.argmin((rows.a @ mean - offsets) / (_stds(rows.a, factor) + SMALLEST_STD), axis=0)
+    offset = np.take_along_axis(np.broadcast_to(offsets, (len(rows), worst.size)), worst[None], axis=0)[0]
+    return Binding(tuple((i, rows.a[worst, i]) for i, _ in rows.terms), offset, worst)
 
 
-def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> Piece:
-    """The piece in its new mode: held coordinates stand still and are known, freed ones get their process noise.
+def _stds(weights: Floats, factor: Floats) -> Floats:
+    """(r, p) stds of r weighted sums, weights (r, n), of states with factors (n, k, p)."""
+    rows = np.tensordot(weights, factor, 1)
+    return np.asarray(np.sqrt(np.einsum("rkp,rkp->rp", rows, rows)))
 
-    A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
+
+def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Floats:
+    """(p,) probability of ending within all half-spaces but the binding one, of what crosses; cut there, in place.
+
+    It is the product of those of one after the other, each given the ones before.
     """
-    n = piece.n
-    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
-    located = automaton.pins_located_by(edge)
-    mean, factor = hold_at_pins(piece.mean, lower_factor(piece.factor), located)
-    displacement = piece.displacement.copy()
-    for pin in target.pins:
-        mean[n + pin.coordinate], factor[n + pin.coordinate] = mean[pin.coordinate], factor[pin.coordinate]
-        displacement[pin.coordinate] = 0.0
-    for tie in target.ties:
-        weights, i = np.array(tie.weights), tie.coordinate
-        mean[n + i], factor[n + i] = tie.offset + weights @ mean[n:], weights @ factor[n:]
-        displacement[i] = weights @ displacement
-    old, new = (step_noise_std(automaton, mode, u) for mode in (source, target))
-    noise = np.vstack([np.zeros((n, n)), np.diag(piece.fraction * np.where(old == 0, new, 0.0))])
-    factor = lower_factor(np.hstack([factor, noise]))
-    mean, factor = condition_on_pins(mean, factor, automaton.pins_met_by(edge))
-    return replace(piece, mean=mean, factor=factor, displacement=displacement)
+    mean, factor = shares.mean[0], shares.factor[0]
+    within = np.ones(mean.shape[-1])
+    for number, offset in enumerate(way.on_state.offsets(u) + SMALLEST_STD):
+        weights = way.on_state.a[number]
+        ahead = weights @ mean[1] - offset
+        std = np.maximum(_stds(weights[None], factor[1])[0], _NOTHING)
+        cut = ((binding.number != number) & (ahead < REACH * std) & (within > 0.0)).nonzero()[0]
+        if not cut.size:
+            continue
+        inside = ndtr(ahead[cut] / std[cut])
+        within[cut] *= np.where(inside >= NEGLIGIBLE, inside, 0.0)
+        cut = cut[inside >= NEGLIGIBLE]
+        own = those(factor, cut)
+        row = np.tensordot(weights, own[1], 1)
+        mean[..., cut], factor[..., cut] = truncated(those(mean, cut), own, ahead[cut], row)
+    return within
+
+
+def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
+    """The pieces with the ends of their steps on the boundaries that lead back to modes entered at this instant.
+
+    Where one input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
+    lead straight back. No mode is entered twice at one instant (`automaton.transition`), so the boundary is a wall: the
+    end of the step is put on it, and nothing is left of the spread across.
+    """
+    for way in mode.exits:
+        if not way.is_self and len(way.on_state):
+            chosen = pieces.entered[way.target].nonzero()[0]
+            if chosen.size:
+                pieces = _slid_along(mode, pieces, way, chosen)
+    return pieces
+
+
+def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pieces:
+    rows, u = way.on_state, those(pieces.u, chosen)
+    starts, ends = rows.a @ those(pieces.mean, chosen) - rows.offsets(u)
+    pressed = np.argmin(starts, axis=0)
+    at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & way.allowed(u)
+    for number, a in enumerate(rows.a):
+        # The part of the boundary's normal along which the mode can give way.
+        normal = a.copy()
+        normal[mode.held] = 0.0
+        own = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
+        if not own.size or not normal.any():
+            continue
+        back, which = (normal / float(normal @ normal))[:, None], chosen[own]
+        mean, factor, displacement = pieces.mean.copy(), pieces.factor.copy(), pieces.displacement.copy()
+        mean[1][:, which] -= back * ends[number, own]
+        factor[1][..., which] -= back[:, None] * np.tensordot(a, those(factor[1], which), 1)
+        displacement[:, which] -= back * (a @ those(displacement, which))
+        pieces = replace(pieces, mean=mean, factor=factor, displacement=displacement)
+    return pieces

@@ -1,8 +1,8 @@
 """The hybrid Gaussian filter: one EKF per mode, guards that move probability from mode to mode, moment matching.
 
-All functions are pure and deterministic; none changes the belief it is given. They run in NumPy: for one to four
-coordinates a step takes about as long as a call into a compiled CasADi function, and events need more than those hold.
-`belief.gaussian`, on which they rest, is compared with the compiled functions that planning uses by a test.
+It runs over many beliefs at once: the time of a step goes into calls of NumPy rather than into arithmetic, and each
+call serves all of them. A single belief is a batch of one. All functions are pure and deterministic; none changes the
+belief it is given.
 
 Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
 2018; Blom and Bar-Shalom, "The interacting multiple model algorithm", 1988, for the mixing.
@@ -11,24 +11,28 @@ Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under un
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_arrays
-from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
-from micah_plan.belief import gaussian
-from micah_plan.belief.crossing import Piece, cross, whole_step
-from micah_plan.belief.hybrid_belief import HybridBelief, belief_of, joint_of
-from micah_plan.belief.sliding import slid
-from micah_plan.belief.truncation import mixed, truncate
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.belief.crossing import through_guards, whole_step
+from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factors, measured, those
+from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of, belief_of
+from micah_plan.belief.layout import Layout, Rows, layout_of
+from micah_plan.belief.pieces import Ends, Pieces, joined, side_by_side
+from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, mixed, truncated
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Belief = TypeVar("Belief", HybridBelief, BeliefBatch)
 
-# A share of the belief below this is dropped.
-NEGLIGIBLE = 1e-10
 # A start whose mean lies in no mode is accepted down to this probability of one (3 sigma), as noise of a measurement.
 _LEAST_CHANCE = 1e-3
 _EDGE_TOLERANCE = 1e-9
@@ -60,132 +64,280 @@ def initial_belief(
     if not np.isfinite(center).all():
         raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
-    mode = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
-    whole, stds = with_boundary_states(automaton), threshold_stds(automaton)
-    center = np.concatenate([center, np.zeros(stds.size)])
-    factor = np.block([[factor, np.zeros((n, stds.size))], [np.zeros((stds.size, n)), np.diag(stds)]])
-    held = gaussian.condition_on_pins(center, factor, whole.mode(mode).pins)
-    ends = np.tile(held[0], 2), np.tile(held[1], (2, 1))
-    return _assembled(whole, n, [Piece(mode, 1.0, *ends, 0.0, np.zeros(whole.n), np.full(whole.n, np.nan))])
+    name = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
+    layout = layout_of(automaton)
+    at = next(own for own in layout.modes if own.mode.name == name)
+    b = layout.stds.size
+    factor = np.block([[factor, np.zeros((n, b))], [np.zeros((b, n)), np.diag(layout.stds)]])
+    center = np.concatenate([center, np.zeros(b)])
+    held_mean, held = condition_on_pins(center[:, None], factor[:, :, None], at.mode.pins)
+    weights, means = np.zeros((1, len(layout.modes))), np.zeros((1, len(layout.modes), layout.n))
+    factors = np.zeros((*means.shape, layout.n))
+    weights[0, at.index], means[0, at.index] = 1.0, held_mean[:, 0]
+    factors[0, at.index] = lower_factors(held)[:, :, 0]
+    return _completed(layout, BeliefBatch(weights, means, factors, n))
 
 
-def predict(automaton: HybridAutomaton, belief: HybridBelief, u: ArrayLike) -> HybridBelief:
-    """The belief after one step with input u (m,): flow, process noise, guards, resets, clamps and pins."""
-    applied = np.asarray(u, dtype=float)
-    if applied.shape != (automaton.m,):
-        raise InputError(f"an input must have shape ({automaton.m},). Got {applied.shape}")
-    arrived: list[Piece] = []
-    remembered: Floats | None = None
-    whole, (means, factors) = with_boundary_states(automaton), joint_of(automaton, belief)
-    for index, mode in enumerate(whole.modes):
-        weight = float(belief.weights[index])
-        if weight < NEGLIGIBLE:
-            continue
-        passed, remembered = passed_arrays(whole.input_memories, mode.name, means[index], applied)
-        travelling = [whole_step(whole, mode.name, weight, means[index], factors[index], passed)]
-        while travelling:
-            arrived += _through_guards(whole, travelling.pop(), passed, travelling)
-    return _assembled(whole, automaton.n, arrived, remembered)
+def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
+    """The same belief `count` times."""
+    one = batch_of(belief, layout_of(automaton).stds)
+    weights, means, factors = (np.repeat(values, count, axis=-1) for values in one.side_by_side())
+    return BeliefBatch.of(weights, means, factors, one.n)
 
 
-def update(automaton: HybridAutomaton, belief: HybridBelief, z: ArrayLike) -> HybridBelief:
-    """The belief after measuring z (n,), NaN where there is no measurement.
+def predict(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> Belief:
+    """The belief, or beliefs, after one step: flow, process noise, guards, resets, clamps and pins.
+
+    Args:
+        u: (m,) input; of many beliefs (t, m).
+    """
+    layout, inputs = layout_of(automaton), np.asarray(u, dtype=float)
+    if isinstance(belief, BeliefBatch):
+        return _predicted(layout, belief, inputs.T)
+    if inputs.shape != (automaton.m,):
+        raise InputError(f"an input must have shape ({automaton.m},). Got {inputs.shape}")
+    return _completed(layout, _predicted(layout, batch_of(belief, layout.stds), inputs[:, None]))
+
+
+def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
+    """The belief, or beliefs, after measuring z, NaN where there is no measurement.
 
     Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
     mode's state lies outside the guards that leave it, else it would have left: the mean is brought back if the
     measurement drew it behind one, and the likelihood counts only the part outside.
+
+    Args:
+        z: (n,) [rad or m]; of many beliefs (t, n).
     """
-    measured = np.asarray(z, dtype=float)
-    if measured.shape != (automaton.n,):
-        raise InputError(f"a measurement must have shape ({automaton.n},). Got {measured.shape}")
-    if not np.isfinite(measured).any():
+    layout, found = layout_of(automaton), np.asarray(z, dtype=float)
+    if isinstance(belief, BeliefBatch):
+        return _updated(layout, belief, found.T, belief.weights.T > 0) if np.isfinite(found).any() else belief
+    if found.shape != (automaton.n,):
+        raise InputError(f"a measurement must have shape ({automaton.n},). Got {found.shape}")
+    if not np.isfinite(found).any():
         return belief
-    whole, (means, factors) = with_boundary_states(automaton), joint_of(automaton, belief)
-    means, factors = means.copy(), factors.copy()
-    measured = np.concatenate([measured, np.full(whole.n - automaton.n, np.nan)])
-    scores = np.full(len(automaton.modes), -np.inf)
-    for index, mode in enumerate(whole.modes):
-        before = means[index].copy(), factors[index].copy()
-        mean, factor, score = gaussian.update(*before, measured, whole.sensing(mode).std_at(before[0]))
-        for weights, offset in guard_limits(whole.edges_from(mode.name)):
-            score -= truncate(*before, weights, offset)[0]
-            outside, inward, narrowed = truncate(mean, factor, weights, offset)
-            score += outside
-            if weights @ mean < offset:
-                mean, factor = inward, narrowed
-        means[index], factors[index] = mean, factor
-        if belief.weights[index] > 0:
-            scores[index] = score + np.log(belief.weights[index])
-    weights = np.exp(scores - scores.max())
-    return belief_of(weights / weights.sum(), means, factors, automaton.n)
+    every = np.ones((len(layout.modes), 1), dtype=bool)
+    after = _updated(layout, batch_of(belief, layout.stds), found[:, None], every)
+    return belief_of(after)
 
 
-def _through_guards(automaton: HybridAutomaton, piece: Piece, u: Floats, travelling: list[Piece]) -> list[Piece]:
-    """The share of a piece that stays in its mode to the end of the step; what leaves is put on `travelling`."""
-    if piece.events >= MOST_EVENTS:
-        return [piece]
-    piece = slid(automaton, piece, u) if piece.events else piece
-    for edge in sorted(automaton.edges_from(piece.mode), key=lambda edge: edge.is_self_transition):
-        crossed, left = cross(automaton, piece, edge, u)
-        if crossed is not None and crossed.probability >= NEGLIGIBLE:
-            travelling.append(crossed)
-        if left is None or left.probability < NEGLIGIBLE:
-            return []
-        piece = left
-    return [piece]
+def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u: Floats) -> list[HybridBelief]:
+    """`predict` of several single beliefs in one go, with inputs (t, m)."""
+    layout = layout_of(automaton)
+    after = _predicted(layout, _stacked(layout, beliefs), u.T)
+    return [_completed(layout, after.one(number)) for number in range(len(beliefs))]
 
 
-def guard_limits(edges: Sequence[Edge]) -> list[tuple[Floats, float]]:
-    """The guards of one half-space on the state alone, turned round: weights @ x >= offset is outside the guard."""
-    single = [edge.guard.half_spaces[0] for edge in edges if len(edge.guard.half_spaces) == 1]
-    return [(-np.array(h.a), -h.c) for h in single if h.on_state and not h.on_input]
+def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: Floats) -> list[HybridBelief]:
+    """`update` of several single beliefs in one go, with measurements (t, n); columns that are NaN are so for all."""
+    if not np.isfinite(z).any():
+        return list(beliefs)
+    layout = layout_of(automaton)
+    every = np.ones((len(layout.modes), len(beliefs)), dtype=bool)
+    after = _updated(layout, _stacked(layout, beliefs), z.T, every)
+    return [belief_of(after.one(number)) for number in range(len(beliefs))]
+
+
+def _stacked(layout: Layout, beliefs: Sequence[HybridBelief]) -> BeliefBatch:
+    """Several single beliefs as one batch."""
+    parts = [batch_of(belief, layout.stds).side_by_side() for belief in beliefs]
+    weights, means, factors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+    return BeliefBatch.of(weights, means, factors, layout.own)
+
+
+def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
+    """The beliefs after one step with inputs u (m, t)."""
+    registers, count = layout.automaton.input_memories, len(beliefs.weights)
+    weights, means, factors = beliefs.side_by_side()
+    remembered = np.zeros((layout.n, count)) if registers else None
+    arrived: list[tuple[int, Ends]] = []
+    travelling: dict[int, list[Pieces]] = {}
+    for index in range(len(layout.modes)):
+        owner = (weights[index] >= NEGLIGIBLE).nonzero()[0]
+        if owner.size:
+            mean, factor, inputs = (those(values, owner) for values in (means[:, index], factors[:, :, index], u))
+            if remembered is not None:
+                passed, kept = passed_arrays(registers, layout.modes[index].mode.name, mean.T, inputs.T)
+                inputs, remembered[:, owner] = passed.T, kept.T
+            step = whole_step(layout, layout.modes[index], owner, weights[index, owner], mean, factor, inputs)
+            travelling[index] = [step]
+    events = 0
+    while travelling:
+        onward: dict[int, list[Pieces]] = {}
+        for index, groups in travelling.items():
+            pieces = joined(groups)
+            tired = events >= MOST_EVENTS
+            ends = [pieces.ends()] if tired else through_guards(layout, layout.modes[index], pieces, events, onward)
+            arrived += [(index, own) for own in ends]
+        travelling, events = onward, events + 1
+    return _assembled(layout, arrived, count, remembered)
 
 
 def _assembled(
-    automaton: HybridAutomaton, n: int, pieces: list[Piece], remembered: Floats | None = None
-) -> HybridBelief:
-    """One Gaussian per mode from its pieces; a mode without any gets the mixture's, held at its pins.
+    layout: Layout, arrived: Sequence[tuple[int, Ends]], count: int, remembered: Floats | None
+) -> BeliefBatch:
+    """One Gaussian per mode and belief from its pieces (moment matching).
 
     Args:
-        automaton: over states and boundaries, of which the first n are states.
-        remembered: state with the memories' next values, which are known and the same in all modes.
+        arrived: with the numbers of their modes.
+        remembered: (n, t) the values of the memories of inputs, which are known; None: there are none.
     """
-    weights = np.zeros(len(automaton.modes))
-    gaussians: dict[str, tuple[Floats, Floats]] = {}
-    for index, mode in enumerate(automaton.modes):
-        own = [piece for piece in pieces if piece.mode == mode.name]
-        if own:
-            weights[index] = sum(piece.probability for piece in own)
-            gaussians[mode.name] = _merged(own)
-    overall = _merged(pieces)
-    for mode in automaton.modes:
-        if mode.name not in gaussians:
-            gaussians[mode.name] = gaussian.hold_at_pins(*overall, mode.pins)
-    ordered = [gaussians[mode.name] for mode in automaton.modes]
-    means, factors = (np.stack([pair[i] for pair in ordered]) for i in (0, 1))
+    q, n = len(layout.modes), layout.n
+    weights, means, factors = np.zeros(q * count), np.zeros((n, q * count)), np.zeros((n, n, q * count))
+    numbers = [index * count + own.owner for index, own in arrived]
+    pieces = np.bincount(np.concatenate(numbers), minlength=q * count)
+    alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
+    single, at = _gathered(arrived, numbers, alone)
+    if at.size:
+        weights[at], means[:, at], factors[..., at] = single.probability, single.mean, lower_factors(single.factor)
+    merged = (pieces > 1).nonzero()[0]
+    if merged.size:
+        others = [(pieces[number] > 1).nonzero()[0] for number in numbers]
+        several, at = _gathered(arrived, numbers, others)
+        weights[merged], means[:, merged], factors[..., merged] = _mixtures(several, at, pieces[merged])
     if remembered is not None:
-        for memory in automaton.input_memories:
-            means[:, memory.coordinates] = remembered[memory.coordinates]
-    return belief_of(weights / weights.sum(), means, factors, n)
+        for register in layout.automaton.input_memories:
+            memory = slice(register.first, register.first + register.size)
+            means.reshape(n, q, count)[memory] = remembered[memory, None]
+    shares = weights.reshape(q, count)
+    return BeliefBatch.of(shares / shares.sum(axis=0), means, factors, layout.own)
 
 
-def _merged(pieces: list[Piece]) -> tuple[Floats, Floats]:
-    ends = [piece.end() for piece in pieces]
-    return mixed([piece.probability for piece in pieces], np.stack([e[0] for e in ends]), [e[1] for e in ends])
+def _gathered(
+    arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
+) -> tuple[Ends, Ints]:
+    """The chosen ones of all groups, and their numbers (p,)."""
+    groups = [ends.where(some) for (_, ends), some in zip(arrived, chosen, strict=True) if some.size]
+    at = [number[some] for number, some in zip(numbers, chosen, strict=True) if some.size]
+    if len(groups) <= 1:
+        return (groups[0], at[0]) if groups else (arrived[0][1], np.zeros(0, dtype=np.int64))
+    owner, probability, mean = (
+        np.concatenate([getattr(group, name) for group in groups], axis=-1) for name in ("owner", "probability", "mean")
+    )
+    return Ends(owner, probability, mean, side_by_side([group.factor for group in groups])), np.concatenate(at)
+
+
+def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
+    """Weights (o,), means (n, o) and factors (n, n, o) of the pieces with one number (p,), in ascending order of it.
+
+    Args:
+        counts: (o,) of the pieces with each number.
+    """
+    order, first = np.argsort(number, kind="stable"), np.cumsum(counts) - counts
+    n, size = len(ends.mean), counts.size
+    weights, means, factors = np.empty(size), np.empty((n, size)), np.empty((n, n, size))
+    fewer = 1
+    for most in (2, 4, int(counts.max())):
+        at = ((counts > fewer) & (counts <= most)).nonzero()[0]
+        if at.size:
+            # Piece r of each number side by side; those that have fewer repeat their last, without weight.
+            ranks = np.arange(most)[:, None]
+            places = order[first[at] + np.minimum(ranks, counts[at] - 1)]
+            shares = np.where(ranks < counts[at], ends.probability[places], 0.0)
+            weights[at] = weight = shares.sum(axis=0)
+            pieces = ([those(values, place) for place in places] for values in (ends.mean, ends.factor))
+            means[:, at], factors[..., at] = mixed(shares / weight, *pieces)
+        fewer = most
+    return weights, means, factors
+
+
+def _completed(layout: Layout, beliefs: BeliefBatch) -> HybridBelief:
+    """The only belief of a batch, with Gaussians for modes without weight too: the mixture's, held at their pins."""
+    weights, means, factors = beliefs.weights[0], beliefs.joint_means[0], beliefs.joint_factors[0]
+    has, without = np.flatnonzero(weights), np.flatnonzero(weights == 0)
+    if without.size:
+        means, factors = means.copy(), factors.copy()
+        mean, factor = means[has[0]][:, None], factors[has[0]][:, :, None]
+        if has.size > 1:
+            mean, factor = mixed(weights[has, None], means[has, :, None], factors[has, :, :, None])
+        for index in without:
+            pins = layout.modes[index].mode.pins
+            held = hold_at_pins(mean, factor, pins)
+            means[index] = held[0][:, 0]
+            factors[index] = (lower_factors(held[1]) if pins else factor)[:, :, 0]
+    return belief_of(BeliefBatch(weights[None], means[None], factors[None], beliefs.n))
+
+
+def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> BeliefBatch:
+    """The beliefs after measuring z (n, t); `chosen` (q, t): the modes whose Gaussians are measured too."""
+    weights, means, factors = beliefs.side_by_side()
+    means, factors = means.reshape(layout.n, -1), factors.reshape(layout.n, layout.n, -1)
+    mode, owner = chosen.nonzero()
+    at = mode * chosen.shape[1] + owner
+    mean, factor, seen = those(means, at), those(factors, at), np.full((layout.n, owner.size), np.nan)
+    seen[: layout.own] = those(z, owner)
+    after, narrowed, score = measured(mean, factor, seen, _sensing_std(layout, mode, mean))
+    if len(layout.limits[1]):
+        score += _outside(layout, mode, (mean, factor), (after, narrowed))
+    scores = np.full(chosen.shape, -np.inf)
+    with np.errstate(divide="ignore"):
+        scores[mode, owner] = score + np.log(weights[mode, owner])
+    weights = np.exp(scores - scores.max(axis=0))
+    new_means, new_factors = means.copy(), factors.copy()
+    new_means[:, at], new_factors[..., at] = after, narrowed
+    return BeliefBatch.of(weights / weights.sum(axis=0), new_means, new_factors, layout.own)
+
+
+Gaussians = tuple[Floats, Floats]
+"""Means (n, p) and factors (n, n, p)."""
+
+
+def _outside(layout: Layout, mode: Ints, before: Gaussians, after: Gaussians) -> Floats:
+    """(p,) log P(after) - log P(before), P the probability that a state lies outside of the guards that end its mode.
+
+    Means after the measurement that lie behind a guard are brought back, in place.
+    """
+    both = np.concatenate([before[0], after[0]], axis=1), np.concatenate([before[1], after[1]], axis=2)
+    margin, row = _margins(layout, np.concatenate([mode, mode]), *both)
+    chance = log_probability(margin, row).sum(axis=0)
+    score, last = -chance[: mode.size], chance[mode.size :]
+    behind = np.flatnonzero((margin[:, mode.size :] < 0).any(axis=0))
+    if behind.size:
+        # One guard after the other, each given the ones before.
+        last[behind], (mean, factor) = 0.0, (those(values, behind) for values in after)
+        for number in range(len(margin)):
+            own, rows = (values[number] for values in _margins(layout, mode[behind], mean, factor))
+            last[behind] += log_probability(own, rows)
+            out = (own < 0).nonzero()[0]
+            if out.size:
+                inward, root = truncated(those(mean, out), those(factor, out), own[out], those(rows, out))
+                mean[:, out], factor[..., out] = inward, lower_factors(root)
+        after[0][:, behind], after[1][..., behind] = mean, factor
+    return np.asarray(score + last)
+
+
+def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
+    """By how much states (n, p), (n, k, p) in these modes (p,) lie outside of guards (l, p), and a'F (l, k, p)."""
+    weights, offsets = (those(values, mode) for values in layout.limits)
+    return np.einsum("lip,ip->lp", weights, mean) - offsets, np.einsum("lip,ikp->lkp", weights, factor)
+
+
+def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:
+    """(n, p) std of a measurement of states (n, p) in these modes (p,)."""
+    if layout.std is not None:
+        return those(layout.std, mode)
+    std = np.empty_like(mean)
+    for own in layout.modes:
+        chosen = (mode == own.index).nonzero()[0]
+        std[:, chosen] = own.sensing.std_at(those(mean, chosen).T).T
+    return std
 
 
 def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
     holding = automaton.modes_at(mean, _EDGE_TOLERANCE)
     if holding:
         return holding[0]
-    u = np.zeros(automaton.m)
-    chances = [
-        np.prod([gaussian.half_space_probability(mean, factor, u, h) for h in mode.invariant.half_spaces])
-        for mode in automaton.modes
-    ]
+    chances = [_chance(mode.invariant.half_spaces, mean, factor) for mode in automaton.modes]
     if max(chances) < _LEAST_CHANCE:
         raise InputError(f"the start {mean.tolist()} lies in no mode's invariant", remedy="move it or name a mode")
     return automaton.modes[int(np.argmax(chances))].name
+
+
+def _chance(half_spaces: Sequence[HalfSpace], mean: Floats, factor: Floats) -> float:
+    """Probability that a state (n,) with factor (n, n) lies in all half-spaces at rest, taken as independent."""
+    rows = Rows.of(half_spaces, mean.size, len(half_spaces[0].b) if half_spaces else 0)
+    stds = np.sqrt(np.square(rows.a @ factor).sum(axis=1) + SMALLEST_STD**2)
+    return float(np.prod(ndtr((rows.a @ mean - rows.c[:, 0]) / stds)))
 
 
 def _valid_stds(stds: Floats) -> Floats:
@@ -199,4 +351,4 @@ def _root(covariance: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):
         raise InputError("a covariance must be symmetric and positive semi-definite", remedy="give (n,) stds instead")
-    return gaussian.lower_factor(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return lower_factors((vectors * np.sqrt(np.maximum(values, 0.0)))[:, :, None])[:, :, 0]

@@ -1,120 +1,158 @@
-"""One Gaussian in NumPy: prediction, measurement, reset, pins, half-spaces. The twin of the compiled CasADi functions.
+"""Square-root algebra of Gaussians, many at once: measurements, pins, and factors made triangular again.
 
-A Gaussian is a mean (n,) and the lower Cholesky factor L (n, n) of its covariance P = L L'. Factors are propagated by
-QR decompositions (array algorithms; Kailath, Sayed and Hassibi, "Linear Estimation", ch. 12), so P is never formed and
-stays positive semi-definite at any scale. The symbolic package computes the same by Givens rotations and scalar
-updates; a test compares the two.
+A Gaussian is a mean and a factor F of its covariance P = F F'. P itself is never formed, so it stays positive
+semi-definite at any scale, and what is known exactly has rows of zeros. Any F will do on the way through a step; only
+what a belief keeps is the lower Cholesky factor.
+
+Here and in the modules that build on it, p Gaussians lie side by side with their number as the **last** index: means
+(n, p), factors (n, k, p). So every operation runs over all of them, and one belief is the case p = 1.
+
+Sources: Kailath, Sayed and Hassibi, "Linear estimation", ch. 12, for array algorithms; Bierman, "Factorization methods
+for discrete sequential estimation", 1977, ch. 5, for measurements one after the other (Potter's and Carlson's);
+Björck, "Solving linear least squares problems by Gram-Schmidt orthogonalization", BIT 1967, for the triangular factor.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg.lapack import dgeqrf
-from scipy.special import ndtr
+from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import Pin, Reset
-from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.hybrid import Pin
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_])
 
-# As in the symbolic twin: the smallest std that the arithmetic resolves [rad or m].
+# As in the compiled functions: the smallest std that the arithmetic resolves [rad or m].
 SMALLEST_STD = 1e-9
-# A half-space that many standard deviations away holds a share below 1e-15.
-FAR_STDS = 8.0
+# Up to so many matrices LAPACK's call for each costs less than the operations on all of them.
+_FEW = 64
 
 
-def lower_factor(matrix: Floats) -> Floats:
-    """Lower triangular L (n, n) with non-negative diagonal and L L' = M M', for M (n, k)."""
-    n, k = matrix.shape
-    if n == 1:
-        return np.asarray([[math.sqrt(float(matrix[0] @ matrix[0]))]])
-    padded = matrix if k >= n else np.hstack([matrix, np.zeros((n, n - k))])
-    # LAPACK itself: for matrices this small the checks of np.linalg.qr take several times as long as the work.
-    factor = np.asarray(dgeqrf(padded.T)[0])[:n].T
-    signs = np.where(factor.diagonal() < 0, -1.0, 1.0)
-    return np.asarray(np.tril(factor * signs))
+def those(values: Values, chosen: Ints) -> Values:
+    """(..., c) of arrays (..., p) the ones with these numbers (c,).
 
-
-def predict(mean: Floats, factor: Floats, displacement: Floats, process_std: ArrayLike) -> tuple[Floats, Floats]:
-    """Mean and factor after a displacement (n,) and process noise of that std (n,) per coordinate."""
-    noise = np.diag(np.asarray(process_std, dtype=float))
-    return mean + displacement, lower_factor(np.hstack([factor, noise]))
-
-
-def update(mean: Floats, factor: Floats, z: Floats, observation_std: ArrayLike) -> tuple[Floats, Floats, float]:
-    """Mean, factor and log likelihood after measuring z (n,), NaN where there is no measurement.
-
-    A coordinate with infinite `observation_std` is not measured either.
+    Unlike indexing, which puts the numbers first in memory, it leaves their number last there too.
     """
-    std = np.asarray(observation_std, dtype=float)
-    seen = np.flatnonzero(np.isfinite(z) & np.isfinite(std))
-    if not seen.size:
-        return mean, factor, 0.0
-    return _given(mean, factor, z[seen] - mean[seen], factor[seen], std[seen])
+    return values.take(chosen, axis=-1)
 
 
-def _given(mean: Floats, factor: Floats, innovation: Floats, rows: Floats, std: Floats) -> tuple[Floats, Floats, float]:
-    """Mean, factor and log likelihood after k measurements: innovations (k,), H L (k, n), noise std (k,)."""
-    k, n = rows.shape
-    noise = np.diag(np.maximum(std, SMALLEST_STD))
-    joint = np.block([[noise, rows], [np.zeros((n, k)), factor]])
-    array = lower_factor(joint)
-    root, gain_root, posterior = array[:k, :k], array[k:, :k], array[k:, k:]
-    whitened = np.linalg.solve(root, innovation)
-    log_likelihood = (
-        -0.5 * float(whitened @ whitened) - float(np.log(np.diag(root)).sum()) - 0.5 * k * np.log(2 * np.pi)
+def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
+    """Lower triangular L (n, n, p) with non-negative diagonals and L L' = M M', for M (n, k, p), singular or not.
+
+    Args:
+        overwrite: whether the matrices need not be kept.
+    """
+    n, k, count = matrices.shape
+    if n == 1:
+        return np.asarray(np.sqrt(np.einsum("ikp,ikp->p", matrices, matrices))[None, None])
+    return (
+        _by_reflections(matrices)
+        if count <= _FEW and k >= n
+        else _by_projections(matrices if overwrite else matrices.copy())
     )
-    return mean + gain_root @ whitened, posterior, float(log_likelihood)
 
 
-def reset(mean: Floats, factor: Floats, u: Floats, transition: Reset) -> tuple[Floats, Floats]:
-    """Mean and factor after the affine reset of a transition."""
-    a, _, _ = transition.matrices(mean.size, u.size)
-    return transition.apply(mean, u), factor if transition.A is None else lower_factor(a @ factor)
+def _by_reflections(matrices: Floats) -> Floats:
+    """Householder's, one matrix after the other."""
+    factors: Floats = np.asarray(np.linalg.qr(matrices.transpose(2, 1, 0), mode="r")).transpose(2, 1, 0)
+    signs = np.where(np.einsum("iip->ip", factors) < 0, -1.0, 1.0)
+    return np.asarray(factors * signs)
 
 
-def condition_on_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Mean and factor given that a mode holds its pins: each pin is one measurement of its coordinate.
+def _by_projections(matrices: Floats) -> Floats:
+    """Modified Gram-Schmidt over the rows, in place; its triangular factor is backward stable like Householder's."""
+    n, _, count = matrices.shape
+    rest, lower, taken = matrices, np.zeros((n, n, count)), np.empty_like(matrices[1:])
+    for j in range(n):
+        length = np.sqrt(np.einsum("kp,kp->p", rest[j], rest[j]))
+        lower[j, j] = length
+        if j + 1 < n:
+            direction = rest[j] / np.where(length > 0.0, length, 1.0)
+            along = np.einsum("ikp,kp->ip", rest[j + 1 :], direction)
+            lower[j + 1 :, j] = along
+            rest[j + 1 :] -= np.multiply(along[:, None], direction, out=taken[j:])
+    return lower
 
-    A pin that follows another coordinate is one of the difference of the two.
+
+def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Floats, Floats, Floats]:
+    """Means, lower factors and log likelihoods (p,) after measuring z with independent noise.
+
+    One coordinate after the other, each by rotations that leave the factor lower triangular.
+
+    Args:
+        means: (n, p).
+        factors: (n, n, p) lower.
+        z: (n, p), NaN where there is no measurement.
+        std: (n, p) of its noise; infinite: not measured either.
+    """
+    means, factors = means.copy(), factors.copy()
+    square, scale = np.zeros(means.shape[1]), np.ones(means.shape[1])
+    seen = np.isfinite(z) & np.isfinite(std)
+    for i in np.flatnonzero(seen.any(axis=1)):
+        deviation, away, row = np.maximum(std[i], SMALLEST_STD), z[i] - means[i], factors[i].copy()
+        if np.count_nonzero(seen[i]) < len(away):
+            # Where it is not seen it tells nothing: nothing couples it to the state, and its density is 1.
+            deviation = np.where(seen[i], deviation, 1 / math.sqrt(2 * math.pi))
+            away, row = np.where(seen[i], away, 0.0), np.where(seen[i], row, 0.0)
+        # The innovation's variance grows by one column of the factor after the other, and so does the gain times it.
+        variance, gain = deviation**2, factors[:0, 0]
+        for j in range(i, -1, -1):
+            column = factors[j:, j].copy()
+            variance = variance + row[j] ** 2
+            longer = np.sqrt(variance)
+            factors[j:, j] *= deviation / longer
+            before, gain = gain, column * row[j]
+            if j < i:
+                factors[j + 1 :, j] -= before * (row[j] / (deviation * longer))
+                gain[1:] += before
+            deviation = longer
+        whitened = away / deviation
+        means += gain * (whitened / deviation)
+        square += whitened**2
+        scale *= deviation
+    likelihood = -0.5 * square - np.log(scale) - 0.5 * np.count_nonzero(seen.any(axis=1)) * math.log(2 * math.pi)
+    return means, factors, likelihood
+
+
+def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Means and factors given that a mode holds its pins: each pin is one measurement of its coordinate.
+
+    A pin that follows another coordinate is one of the difference of the two. Factors may be any square roots.
     """
     for pin in pins:
-        away, row = pin.value - mean[pin.coordinate], factor[pin.coordinate]
+        away, row = pin.value - means[pin.coordinate], factors[pin.coordinate]
         if pin.follows is not None:
-            away, row = away + mean[pin.follows], row - factor[pin.follows]
-        mean, factor, _ = _given(mean, factor, np.array([away]), row[None], np.array([pin.std]))
-    return mean, factor
+            away, row = away + means[pin.follows], row - factors[pin.follows]
+        std = max(pin.std, SMALLEST_STD)
+        variance = np.einsum("kp,kp->p", row, row) + std**2
+        gain = np.einsum("ikp,kp->ip", factors, row) / variance
+        means = means + gain * away
+        factors = factors - (gain / (1.0 + std / np.sqrt(variance)))[:, None] * row
+    return means, factors
 
 
-def hold_at_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Mean and factor once a mode holds its pins at places that its guard defines.
+def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+    """Means and factors (n, k + pins, p) once a mode holds its pins at places that its guard defines.
 
     Where the state was before tells nothing of where exactly it is held, so the pin replaces what was known of the
     coordinate, whereas `condition_on_pins` adds to it. A place that follows another coordinate varies with that one.
     """
-    mean, factor = mean.copy(), np.hstack([factor, np.zeros((mean.size, len(pins)))])
-    for column, pin in enumerate(pins, start=mean.size):
-        mean[pin.coordinate], factor[pin.coordinate] = pin.value, 0.0
+    n, k, count = factors.shape
+    means, factors = means.copy(), np.concatenate([factors, np.zeros((n, len(pins), count))], axis=1)
+    put_at_pins(means, factors, pins, k)
+    return means, factors
+
+
+def put_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin], column: int) -> None:
+    """As `hold_at_pins`, in place: the columns of the factors from that number on are free."""
+    for number, pin in enumerate(pins, start=column):
+        means[pin.coordinate], factors[pin.coordinate] = pin.value, 0.0
         if pin.follows is not None:
-            mean[pin.coordinate] += mean[pin.follows]
-            factor[pin.coordinate] = factor[pin.follows]
-        factor[pin.coordinate, column] = pin.std
-    return mean, lower_factor(factor) if pins else factor
-
-
-def margin(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> tuple[float, float]:
-    """Mean and std of a'x + b'u - c."""
-    deviation = np.sqrt(np.square(np.array(half_space.a) @ factor).sum() + SMALLEST_STD**2)
-    return float(half_space.margin(mean, u)), float(deviation)
-
-
-def half_space_probability(mean: Floats, factor: Floats, u: Floats, half_space: HalfSpace) -> float:
-    """Probability of a'x + b'u >= c: Φ(margin / std). For a half-space on u alone it is 0 or 1."""
-    value, deviation = margin(mean, factor, u, half_space)
-    if not half_space.on_state:
-        return float(value > 0 or (value == 0 and not half_space.strict))
-    return float(ndtr(value / deviation))
+            means[pin.coordinate] += means[pin.follows]
+            factors[pin.coordinate] = factors[pin.follows]
+        factors[pin.coordinate, number] = pin.std

@@ -1,4 +1,4 @@
-"""The hybrid Gaussian belief: a weight, mean and Cholesky factor per mode."""
+"""Hybrid Gaussian beliefs, one and many: per mode a weight, a mean and a Cholesky factor."""
 
 from __future__ import annotations
 
@@ -7,18 +7,65 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.thresholds import threshold_stds
-
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class BeliefBatch:
+    """t hybrid beliefs of one automaton. A mode without weight has no Gaussian: its numbers say nothing.
+
+    Where thresholds are uncertain the Gaussians are over states and boundaries together: what passes a boundary, or
+    does not, tells where it lies. The states x come first.
+
+    Attributes:
+        weights: (t, q) probabilities of the modes, in the automaton's order; they sum to 1.
+        joint_means: (t, q, n + b) [rad or m]; joint_factors: (t, q, n + b, n + b) lower Cholesky factors.
+        n: number of states.
+    """
+
+    weights: Floats
+    joint_means: Floats
+    joint_factors: Floats
+    n: int
+
+    @staticmethod
+    def of(weights: Floats, means: Floats, factors: Floats, n: int) -> BeliefBatch:
+        """From weights (q, t) and what is reshaped to (n + b, q, t) and (n + b, n + b, q, t): see `side_by_side`."""
+        size, shape = len(means), weights.shape
+        joint_means, joint_factors = means.reshape(size, *shape), factors.reshape(size, size, *shape)
+        return BeliefBatch(weights.T, joint_means.transpose(2, 1, 0), joint_factors.transpose(3, 2, 0, 1), n)
+
+    def side_by_side(self) -> tuple[Floats, Floats, Floats]:
+        """Weights (q, t), means (n + b, q, t) and factors (n + b, n + b, q, t), as arithmetic over all wants them."""
+        return self.weights.T, self.joint_means.transpose(2, 1, 0), self.joint_factors.transpose(2, 3, 1, 0)
+
+    def one(self, number: int) -> BeliefBatch:
+        """The batch of only one of them."""
+        own = slice(number, number + 1)
+        return BeliefBatch(self.weights[own], self.joint_means[own], self.joint_factors[own], self.n)
+
+    @property
+    def means(self) -> Floats:
+        """(t, q, n) of the states."""
+        return self.joint_means[:, :, : self.n]
+
+    @property
+    def factors(self) -> Floats:
+        """(t, q, n, n) of the states."""
+        return self.joint_factors[:, :, : self.n, : self.n]
+
+    @property
+    def most_likely(self) -> Ints:
+        """(t,) index of the most probable mode (the first of equals)."""
+        return np.asarray(np.argmax(self.weights, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class HybridBelief:
     """A mixture with one Gaussian per mode of the automaton, in the automaton's order of modes.
 
-    Where thresholds are uncertain the Gaussians are over states and boundaries together: what passes a boundary, or
-    does not, tells where it lies. The states come first, so `means` and `factors` are their marginals.
+    A mode without weight has the mixture's Gaussian held at its pins: what would be believed if it were entered.
 
     Attributes:
         weights: (q,) probabilities of the modes, summing to 1.
@@ -58,26 +105,27 @@ class HybridBelief:
         return None if self.shift_rows is None else np.asarray(np.linalg.norm(self.shift_rows, axis=2))
 
 
-def joint_of(automaton: HybridAutomaton, belief: HybridBelief) -> tuple[Floats, Floats]:
-    """(q, n + b) means and (q, n + b, n + b) factors over states and boundaries; unlearned ones as in the model."""
-    stds = threshold_stds(automaton)
-    if not stds.size:
-        return belief.means, belief.factors
-    q, n = belief.means.shape
-    shifts, rows = belief.shifts, belief.shift_rows
-    if shifts is None or rows is None:
-        shifts = np.zeros((q, stds.size))
-        rows = np.repeat(np.hstack([np.zeros((stds.size, n)), np.diag(stds)])[None], q, axis=0)
-    upper = np.concatenate([belief.factors, np.zeros((q, n, stds.size))], axis=2)
-    return np.hstack([belief.means, shifts]), np.concatenate([upper, rows], axis=1)
+def batch_of(belief: HybridBelief, stds: Floats) -> BeliefBatch:
+    """A batch of one; boundaries of which it has learned nothing are known to stds (b,), as the model says."""
+    means, factors = belief.means, belief.factors
+    q, n = means.shape
+    if stds.size:
+        shifts, rows = belief.shifts, belief.shift_rows
+        if shifts is None or rows is None:
+            shifts = np.zeros((q, stds.size))
+            rows = np.repeat(np.hstack([np.zeros((stds.size, n)), np.diag(stds)])[None], q, axis=0)
+        upper = np.concatenate([factors, np.zeros((q, n, stds.size))], axis=2)
+        means, factors = np.hstack([means, shifts]), np.concatenate([upper, rows], axis=1)
+    return BeliefBatch(belief.weights[None], means[None], factors[None], n)
 
 
-def belief_of(weights: Floats, means: Floats, factors: Floats, n: int) -> HybridBelief:
-    """A belief, not to be written to, from its weights and the joint means and factors, of whose states n are x."""
+def belief_of(beliefs: BeliefBatch) -> HybridBelief:
+    """The first belief of a batch, not to be written to."""
+    n = beliefs.n
+    weights, means, factors = beliefs.weights[0], beliefs.joint_means[0], beliefs.joint_factors[0]
     parts = [weights, means[:, :n], factors[:, :n, :n]]
     if means.shape[1] > n:
         parts += [means[:, n:], factors[:, n:]]
-    owned = [np.array(part) for part in parts]
-    for array in owned:
+    for array in parts:
         array.setflags(write=False)
-    return HybridBelief(*owned)
+    return HybridBelief(*parts)

@@ -1,150 +1,305 @@
-"""A Gaussian split by a half-space that it moves into: how much crosses, the moments of what crosses and what stays.
+"""Gaussians cut by half-spaces: those split by one that they move into, and those known to lie within one.
 
 The state before a step has margin m0 to a guard and the state after it m1; both are Gaussian and correlated. Crossing
 is m0 <= 0 and m1 > 0: a state that is outside and comes inside. Testing m1 > 0 alone would let mass leak at rest,
 because the Gaussian fitted to a density that ends at the guard has a tail behind it. A state of that tail at m0 = y
 stands for one as far in front of the guard, at -y, and crosses if the step moves it by more than y.
+
+Only two directions of the noise move the margins: about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of
+(ζ0, ζ1) what crosses and the tail that does are two `wedges`, whose moments are known in closed form. Where those lose
+digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr, ndtr
 
-from micah_plan.belief.gaussian import SMALLEST_STD, lower_factor
+from micah_plan.belief.gaussian import SMALLEST_STD, lower_factors, those
+from micah_plan.belief.wedges import MASS, WHOLE, half_planes, wedges
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
+# A share of a belief below this is dropped.
+NEGLIGIBLE = 1e-10
 # Beyond this many standard deviations a Gaussian counts as zero (mass 1e-19).
 REACH = 9.0
+# What is this many standard deviations short of a half-space does not reach it (mass 2e-11, less than filters keep).
+_NEAR = 6.6
+# Nothing of a Gaussian is as many standard deviations away, not even as a number.
+_SURELY = 40.0
 _NOTHING = 1e-30
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+# Closed forms are exact to 1e-16 times what lies beyond the wedge's lines: for shares above this part of it they are as
+# good as quadrature, and for those that are dropped. Where the margins move nearly as one, the point is far out.
+_SURE = 1e-9
+_SINE = 1e-3
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A share of a Gaussian as one of its own: probability, mean (N,) and any square root (N, K) of its covariance."""
+class Margins:
+    """How far p Gaussians lie inside a half-space a'x >= c before a step and after it: negative outside.
 
-    probability: float
+    Attributes:
+        mean: (2, p) a'x - c of the means, before and after.
+        row: (2, k, p) a'F of their square roots.
+    """
+
+    mean: Floats
+    row: Floats
+
+    def where(self, chosen: Ints) -> Margins:
+        """Of the Gaussians with these numbers."""
+        return Margins(those(self.mean, chosen), those(self.row, chosen))
+
+    def can_cross(self) -> Booleans:
+        """(p,) whether more than filters drop can cross."""
+        spread = np.sqrt(np.einsum("kp,kp->p", self.row[1], self.row[1]))
+        return np.asarray((self.mean[1] >= -_NEAR * spread - SMALLEST_STD) | (self.mean[0] > SMALLEST_STD))
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """What crosses into a half-space (first index 0) and what stays (1) of each of p Gaussians.
+
+    Attributes:
+        probability: (2, p), of sum 1; 0 for what filters drop, which has the moments of the whole.
+        mean, factor: (2, ..., p), (2, ..., k, p) of the shares as Gaussians of their own.
+    """
+
+    probability: Floats
     mean: Floats
     factor: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Mass, first and second moments of the two whitened coordinates over a region; not normalised."""
+def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
+    """What crosses into half-spaces and what stays.
 
-    mass: float
-    first: Floats
-    second: Floats
-
-
-def split(mean: Floats, factor: Floats, before: tuple[Floats, float], after: tuple[Floats, float]) -> tuple[Part, Part]:
-    """What crosses into a half-space and what stays.
-
-    Moments are exact up to quadrature (1e-9), those of what crosses without the tail behind the guard. Only if the mean
-    itself starts behind the guard, the mass there is no tail: it counts as inside, and crosses.
+    Moments are exact up to rounding or quadrature (1e-9), those of what crosses without the tail behind the guard. Only
+    if a mean itself starts behind the guard, the mass there is no tail: it counts as inside, and crosses.
 
     Args:
-        mean, factor: (N,) and (N, K) of a Gaussian; the covariance is factor @ factor.T.
-        before, after: ((N,) weights, offset) of the affine margins m0 and m1; positive inside the half-space.
-
-    Returns:
-        (crossing, staying), whose probabilities sum to 1; a part without probability has the moments of the whole.
+        mean, factor: (..., p) and (..., k, p).
     """
-    m0, m1 = float(before[0] @ mean - before[1]), float(after[0] @ mean - after[1])
-    basis, s0, k, t = _whitened(before[0] @ factor, after[0] @ factor)
-    if m1 < -REACH * np.hypot(k, t) - SMALLEST_STD and m0 <= SMALLEST_STD:
-        return Part(0.0, mean, factor), Part(1.0, mean, factor)
-    inside = m0 > SMALLEST_STD
-    crossing, staying, tail = _integrate(m0 - SMALLEST_STD, s0, m1 - SMALLEST_STD, k, t, inside)
-    share = min(1.0, crossing.mass + tail)
-    if crossing.mass < _NOTHING:
-        return Part(0.0, mean, factor), Part(1.0, mean, factor)
-    return _part(share, crossing, mean, factor, basis), _part(1.0 - share, staying, mean, factor, basis)
+    first, second, plane = _whitened(margins)
+    moments, tail = _moments_of_shares(plane, plane.m0 > 0)
+    probability = np.empty(margins.mean.shape)
+    np.minimum(1.0, moments[MASS, 0] + tail, out=probability[0])
+    empty = (moments[MASS, 0] < _NOTHING).nonzero()[0]
+    if empty.size:
+        # Without any mass to fit moments to, nothing crosses.
+        probability[0, empty] = 0.0
+        moments[..., empty] = WHOLE[:, None]
+    np.subtract(1.0, probability[0], out=probability[1])
+    lost = ((probability < NEGLIGIBLE) | (moments[MASS] < _NOTHING)).nonzero()
+    if lost[0].size:
+        probability[lost] = 0.0
+        moments[:, *lost] = WHOLE
+    center, root = _fitted(moments)
+    # The noise along each of the two directions moves the state by as much.
+    moved = [np.einsum("...kp,kp->...p", factor, direction) for direction in (first, second)]
+    apart = (slice(None), *(None,) * (mean.ndim - 1))
+    x, y, (narrowed, slant, rest) = center[0][apart], center[1][apart], root[:, *apart]
+    changed = (moved[0] * (narrowed - 1.0) + moved[1] * slant)[..., None, :] * first
+    changed += factor
+    changed += (moved[1] * (rest - 1.0))[..., None, :] * second
+    return Shares(probability, mean + moved[0] * x + moved[1] * y, changed)
 
 
-def truncate(mean: Floats, factor: Floats, weights: Floats, offset: float) -> tuple[float, Floats, Floats]:
-    """log P(m > 0), mean and factor of a Gaussian given m > 0, with m = weights @ x - offset; exact."""
-    row = weights @ factor
-    std = float(np.sqrt(row @ row + SMALLEST_STD**2))
-    z = float(weights @ mean - offset) / std
-    log_probability = float(log_ndtr(z))
-    mills = float(np.sqrt(2 / np.pi) / erfcx(-z / np.sqrt(2)))
+def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats]:
+    """Means and factors, as wide as they were, of Gaussians given that a margin is above 0; exact.
+
+    Args:
+        mean, factor: (..., p) and (..., k, p).
+        margin, row: (p,) its means and (k, p) the rows of its square roots.
+    """
+    std = np.sqrt(np.einsum("kp,kp->p", row, row) + SMALLEST_STD**2)
+    z = margin / std
+    mills = np.sqrt(2 / np.pi) / erfcx(-z / np.sqrt(2))
+    variance = np.where(z > -100.0, 1.0 - mills * (mills + z), 1.0 / np.minimum(z, -1.0) ** 2)
     direction = row / std
-    variance = 1.0 - mills * (mills + z) if z > -100.0 else 1.0 / z**2
-    shrink = 1.0 - np.sqrt(variance)
-    narrowed = factor - shrink * np.outer(factor @ direction, direction)
-    return log_probability, mean + factor @ direction * mills, lower_factor(narrowed)
+    along = np.einsum("...kp,kp->...p", factor, direction)
+    return mean + along * mills, factor - (along * (1.0 - np.sqrt(variance)))[..., None, :] * direction
 
 
-def mixed(probabilities: ArrayLike, means: Floats, factors: list[Floats]) -> tuple[Floats, Floats]:
-    """Mean (n,) and lower factor (n, n) of a mixture of Gaussians (moment matching); the weights need not sum to 1."""
-    weights = np.asarray(probabilities, dtype=float)
-    weights = weights / weights.sum()
-    mean = weights @ means
-    columns = [np.sqrt(w) * factor for w, factor in zip(weights, factors, strict=True)]
-    spread = np.sqrt(weights)[:, None] * (means - mean)
-    return mean, lower_factor(np.hstack([*columns, spread.T]))
+def log_probability(margin: Floats, row: Floats) -> Floats:
+    """log P(m > 0) (..., p) of margins with means (..., p) and rows (..., k, p)."""
+    z = margin / np.sqrt(np.einsum("...kp,...kp->...p", row, row) + SMALLEST_STD**2)
+    found, some = np.zeros(z.shape), (z < REACH).nonzero()
+    if some[0].size:
+        found[some] = log_ndtr(z[some])
+    return found
 
 
-def _whitened(row0: Floats, row1: Floats) -> tuple[Floats, float, float, float]:
-    """Orthonormal basis (2, K) of the noise that moves the margins: about their means m0 = s0 ζ0, m1 = k ζ0 + t ζ1."""
-    s0 = float(np.linalg.norm(row0))
-    known = s0 < SMALLEST_STD
-    first = row1 if known else row0
-    length = float(np.linalg.norm(first))
-    q0 = first / length if length > 0 else np.zeros_like(first)
-    k = float(row1 @ q0)
-    rest = row1 - k * q0
-    t = float(np.linalg.norm(rest))
-    independent = t > 1e-9 * (abs(k) + SMALLEST_STD)
-    q1 = rest / t if independent else np.zeros_like(rest)
-    return np.stack([q0, q1]), 0.0 if known else s0, k, t if independent else 0.0
+def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Means (n, o) and lower factors (n, n, o) of o mixtures of r Gaussians each (moment matching).
 
-
-def _integrate(m0: float, s0: float, m1: float, k: float, t: float, inside: bool) -> tuple[_Moments, _Moments, float]:
-    """Moments of what crosses and of what stays, and the mass of the tail that crosses.
-
-    Quadrature over ζ0, closed form over ζ1. `inside`: the mass that starts behind the guard is no tail and crosses.
+    Args:
+        weights: (r, o), of sum 1 over r.
+        means, factors: r of (n, o) and (n, k, o).
     """
-    breaks = [-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH]
-    breaks += [-m0 / s0] if s0 > 0 else []
-    for offset, slope in ((m1, k), (m1 - 2 * m0, k - 2 * s0)):
-        if abs(slope) * REACH > SMALLEST_STD:
-            breaks += [(step * t - offset) / slope for step in (-6.0, -2.0, 0.0, 2.0, 6.0)]
-    edges = np.unique(np.clip(breaks, -REACH, REACH))
-    half = np.diff(edges)[:, None] / 2
-    zeta = ((edges[:-1, None] + edges[1:, None]) / 2 + half * _NODES).ravel()
-    mass = (half * _WEIGHTS).ravel() * np.exp(-0.5 * zeta**2) / np.sqrt(2 * np.pi)
-    start, end = m0 + s0 * zeta, m1 + k * zeta
-    behind = start > 0
-    reach = np.where(behind, np.inf if inside else end - 2 * start, end)
-    limit = np.clip(-reach / t, -40.0, 40.0) if t > 0 else np.where(reach > 0, -40.0, 40.0)
+    center = sum((weight * mean for weight, mean in zip(weights, means, strict=True)), start=np.zeros_like(means[0]))
+    roots, (n, k, count) = np.sqrt(weights), factors[0].shape
+    columns = np.empty((n, len(weights) * (k + 1), count))
+    for number, (root, mean, factor) in enumerate(zip(roots, means, factors, strict=True)):
+        np.multiply(factor, root, out=columns[:, number * (k + 1) : (number + 1) * (k + 1) - 1])
+        np.multiply(mean - center, root, out=columns[:, (number + 1) * (k + 1) - 1])
+    return center, lower_factors(columns, overwrite=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """The margins m0 + s0 ζ0 and m1 + k ζ0 + t ζ1 over the plane of whitened noise (all p,)."""
+
+    m0: Floats
+    s0: Floats
+    m1: Floats
+    k: Floats
+    t: Floats
+
+    def where(self, chosen: Booleans) -> _Plane:
+        """Those that a mask (p,) chooses."""
+        return _Plane(self.m0[chosen], self.s0[chosen], self.m1[chosen], self.k[chosen], self.t[chosen])
+
+
+def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
+    """Two orthonormal directions (k, p) of the noise, of which the first alone moves m0, and the margins over them."""
+    row0, row1 = margins.row
+    s0 = length = np.sqrt(np.einsum("kp,kp->p", row0, row0))
+    known = s0 < SMALLEST_STD
+    if np.count_nonzero(known):
+        row0, s0 = np.where(known, row1, row0), np.where(known, 0.0, s0)
+        length = np.sqrt(np.einsum("kp,kp->p", row0, row0))
+        length[length == 0.0] = np.inf
+    first = row0 / length
+    k = np.einsum("kp,kp->p", row1, first)
+    rest = row1 - k * first
+    t = np.sqrt(np.einsum("kp,kp->p", rest, rest))
+    t[t <= 1e-9 * (np.abs(k) + SMALLEST_STD)] = 0.0
+    second = rest / np.where(t > 0.0, t, np.inf)
+    m0, m1 = margins.mean - SMALLEST_STD
+    return first, second, _Plane(m0, s0, m1, k, t)
+
+
+def _moments_of_shares(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
+    """Moments (6, 2, p) of what crosses and of what stays, and the mass of the tail that crosses (p,).
+
+    `inside`: the mass that starts behind the guard is no tail and crosses.
+    """
+    # The smaller angle between the lines that bound the wedges and where both margins move as one, roughly.
+    wedged = plane.t > _SINE * (np.abs(plane.k) + 2 * plane.s0)
+    if np.count_nonzero(wedged) == wedged.size:
+        moments, tail, sure = _closed(plane, inside)
+        if np.count_nonzero(sure) == sure.size:
+            return moments, tail
+        left = ~sure
+    else:
+        moments, tail, left = np.empty((6, 2, len(inside))), np.zeros(len(inside)), ~wedged
+        known = plane.s0 == 0
+        if known.any():
+            moments[..., known] = _from_known_start(plane.where(known), inside[known])
+            left &= ~known
+        if wedged.any():
+            moments[..., wedged], tail[wedged], sure = _closed(plane.where(wedged), inside[wedged])
+            left[wedged] = ~sure
+    if left.any():
+        moments[..., left], tail[left] = _integrate(plane.where(left), inside[left])
+    return moments, tail
+
+
+def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
+    """Moments (6, 2, p) of what crosses and of what stays, where the start is known: all that ends inside crosses."""
+    moves = plane.k > 0
+    offset = np.where(moves, -plane.m1 / np.where(moves, plane.k, 1.0), np.where(plane.m1 > 0, -_SURELY, _SURELY))
+    return half_planes(np.where(inside, -_SURELY, np.clip(offset, -_SURELY, _SURELY)))
+
+
+def _closed(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats, Booleans]:
+    """As `_moments_of_shares`, for margins that both move; and whether the closed forms are sure (p,).
+
+    What crosses is the wedge of m0 < 0 and m1 > 0, the tail that does that of m0 > 0 and m1 > 2 m0.
+    """
+    place, slope, offset = -plane.m0 / plane.s0, np.empty((2, len(inside))), np.empty((2, len(inside)))
+    slope[0], slope[1] = plane.k, plane.k - 2 * plane.s0
+    offset[0], offset[1] = plane.m1, plane.m1 - 2 * plane.m0
+    moments, beyond = wedges(place, slope, plane.t, offset)
+    tail = moments[MASS, 1].copy()
+    moments[:, 1] += moments[:, 0]
+    np.subtract(WHOLE, moments[:, 1], out=moments[:, 1])
+    if np.count_nonzero(inside):
+        # The mass in front of the guard that does not cross is what stays.
+        moments[:, 1, inside] = half_planes(place[inside])[:, 1] - moments[:, 0, inside]
+        moments[:, 0, inside] = WHOLE - moments[:, 1, inside]
+        tail[inside] = 0.0
+    crossing, staying = moments[MASS]
+    sure = (crossing > _SURE * beyond[0]) | (crossing + tail < 0.9 * NEGLIGIBLE)
+    sure &= (staying > _SURE) | (staying < 0.1 * NEGLIGIBLE)
+    return moments, tail, sure
+
+
+def _integrate(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
+    """As `_moments_of_shares`, by quadrature over ζ0 and closed forms over ζ1."""
+    edges = _breaks(plane)
+    # Only intervals that are not empty: (i, nodes) of them, each with the number of its Gaussian.
+    owner, number = np.nonzero(np.diff(edges, axis=1) > 0.0)
+    left, right = edges[owner, number][:, None], edges[owner, number + 1][:, None]
+    half = (right - left) / 2
+    zeta = (left + right) / 2 + half * _NODES
+    mass = half * _WEIGHTS * np.exp(-0.5 * zeta**2) / np.sqrt(2 * np.pi)
+    m0, s0, m1, k, t = (v[owner, None] for v in (plane.m0, plane.s0, plane.m1, plane.k, plane.t))
+    start, reach = m0 + s0 * zeta, m1 + k * zeta
+    behind, known = start > 0, inside[owner, None]
+    reach = np.where(behind, np.where(known, np.inf, reach - 2 * start), reach)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.clip(-reach / t, -_SURELY, _SURELY)
+    limit = np.where(t > 0, spread, np.where(reach > 0, -_SURELY, _SURELY))
     above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
-    counted = mass if inside else mass * ~behind
-    crossing = _moments(counted, zeta, above, density, above + limit * density)
-    staying = _moments(mass, zeta, 1 - above, -density, 1 - above - limit * density)
-    return crossing, staying, float((mass - counted) @ above)
+    counted = np.where(known | ~behind, mass, 0.0)
+    first = np.searchsorted(owner, np.arange(len(inside)))
+    crossing = _summed(first, counted, zeta, above, density, limit)
+    staying = _summed(first, mass, zeta, 1 - above, -density, limit)
+    moments = np.stack([crossing, staying], axis=1)
+    tail = np.add.reduceat(((mass - counted) * above).sum(axis=1), first)
+    return moments, np.asarray(tail)
 
 
-def _moments(mass: Floats, zeta: Floats, zeroth: Floats, first: Floats, second: Floats) -> _Moments:
-    cross = float(mass @ (zeta * first))
-    return _Moments(
-        float(mass @ zeroth),
-        np.array([mass @ (zeta * zeroth), mass @ first]),
-        np.array([[mass @ (zeta**2 * zeroth), cross], [cross, mass @ second]]),
-    )
+def _breaks(plane: _Plane) -> Floats:
+    """(p, 18) sorted ends of the intervals of quadrature; those that are not needed are empty."""
+    m0, s0, m1, k, t = plane.m0, plane.s0, plane.m1, plane.k, plane.t
+    fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
+    columns = [np.broadcast_to(fixed, (len(k), fixed.size))]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        columns.append(np.where(s0 > 0, -m0 / s0, REACH)[:, None])
+        for offset, slope in ((m1, k), (m1 - 2 * m0, k - 2 * s0)):
+            ends = (np.array([-6.0, -2.0, 0.0, 2.0, 6.0]) * t[:, None] - offset[:, None]) / slope[:, None]
+            columns.append(np.where(np.abs(slope)[:, None] * REACH > SMALLEST_STD, ends, REACH))
+    return np.sort(np.clip(np.concatenate(columns, axis=1), -REACH, REACH), axis=1)
 
 
-def _part(share: float, moments: _Moments, mean: Floats, factor: Floats, basis: Floats) -> Part:
-    if share <= 0.0 or moments.mass < _NOTHING:
-        return Part(0.0, mean, factor)
-    center = moments.first / moments.mass
-    values, vectors = np.linalg.eigh(moments.second / moments.mass - np.outer(center, center))
-    inner = factor @ basis.T
-    changed = inner @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    return Part(share, mean + inner @ center, np.hstack([changed, factor - inner @ basis]))
+def _summed(first: Ints, mass: Floats, zeta: Floats, zeroth: Floats, density: Floats, limit: Floats) -> Floats:
+    """(6, p) moments: sums over the intervals of each Gaussian, which begin at `first`."""
+
+    def total(values: Floats, weights: Floats) -> Floats:
+        return np.asarray(np.add.reduceat(np.einsum("ik,ik->i", values, weights), first))
+
+    once = mass * zeta
+    firsts = [total(once, zeroth), total(mass, density)]
+    seconds = [total(once * zeta, zeroth), total(once, density), total(mass, zeroth + limit * density)]
+    return np.stack([total(mass, zeroth), *firsts, *seconds])
+
+
+def _fitted(moments: Floats) -> tuple[Floats, Floats]:
+    """Means (2, ...) and lower factors of the covariances (3, ...: 00, 10, 11) of Gaussians with these moments."""
+    x, y, xx, xy, yy = center = moments[1:] / moments[MASS]
+    root = np.empty((3, *x.shape))
+    # Rounding may leave a covariance a hair short of positive.
+    root[0] = np.sqrt(np.maximum(xx - x * x, 0.0))
+    root[1] = (xy - x * y) / np.where(root[0] > 0, root[0], np.inf)
+    root[2] = np.sqrt(np.maximum(yy - y * y - root[1] ** 2, 0.0))
+    return center[:2], root

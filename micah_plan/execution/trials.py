@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
-from micah_plan.execution.closed_loop import Episode, TrialResult, execute
+from micah_plan.execution.closed_loop import Episode, TrialResult, execute_abreast
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.pilot import AskArm, ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
-from micah_plan.task.plants import DEFAULT_PLANT
+from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -27,6 +27,9 @@ ProblemReplan = Callable[[Problem, HybridBelief], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
 Progress = Callable[[str, float], None]
 Keep = Callable[[Recording], None]
+
+# Trials in the model that run in step with each other.
+_ABREAST = 50
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ def run_trials(
         replan: gives a trajectory from a belief; None: never replan.
         continuation: makes for a plan's trajectory what optimises the rest of it again; None: never.
         progress: called with a message and the fraction done.
-        keep: called with the log of every trial when it ends, and also when an error or Ctrl-C breaks it off.
+        keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when
+            an error or Ctrl-C breaks it off.
 
     Raises:
         InputError: if the plan is not a solution, `trials` is less than 1, there is no such plant, or the plant's code
@@ -102,24 +106,38 @@ def run_trials(
     )
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
-    results: list[TrialResult] = []
-    with _opened(problem, plant) as machine:
-        for trial in range(trials):
-            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,)))
-            episode = Episode(problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps, run=trial)
+
+    make = partial(Episode, problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps)
+    abreast = min(trials, _ABREAST) if isinstance(plant, str) and plant in BUILT_IN and BUILT_IN[plant].abreast else 1
+    results, report = list[TrialResult](), _Report(trials, progress)
+    with ExitStack() as opened:
+        machines = [opened.enter_context(_opened(problem, plant)) for _ in range(abreast)]
+        for first in range(0, trials, abreast):
+            turn = range(first, min(first + abreast, trials))
+            episodes = [make(run=trial) for trial in turn]
+            rngs = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,))) for trial in turn]
             try:
-                result = execute(episode, machine, rng)
-            except BaseException:
-                if keep is not None and episode.recording is not None:
-                    keep(episode.recording)
-                raise
-            results.append(result)
-            if keep is not None:
-                keep(result.recording)
-            if progress is not None:
-                done = sum(result.success for result in results)
-                progress(f"trial {trial + 1} of {trials}: {done} successful", (trial + 1) / trials)
+                results += execute_abreast(episodes, machines[: len(turn)], rngs, report)
+            finally:
+                for log in (episode.recording for episode in episodes):
+                    if keep is not None and log is not None:
+                        keep(log)
     return summarise(results)
+
+
+class _Report:
+    """Tells the progress whenever a trial ends."""
+
+    def __init__(self, trials: int, progress: Progress | None) -> None:
+        self._trials, self._progress = trials, progress
+        self._ended = self._successes = 0
+
+    def __call__(self, result: TrialResult) -> None:
+        self._ended += 1
+        self._successes += result.success
+        if self._progress is not None:
+            text = f"trial {self._ended} of {self._trials}: {self._successes} successful"
+            self._progress(text, self._ended / self._trials)
 
 
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:

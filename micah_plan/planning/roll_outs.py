@@ -16,8 +16,8 @@ from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
-from micah_plan.belief.batch.filter import BeliefBatch, predict, repeated, update
-from micah_plan.belief.filter import initial_belief
+from micah_plan.belief.filter import initial_belief, predict, repeated, update
+from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.input_memory import steps_of_memory, with_input_memory, without_input_memory
 from micah_plan.planning.limits import limited_input, limits_of

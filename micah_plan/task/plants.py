@@ -18,14 +18,16 @@ class BuiltInPlant:
     Attributes:
         maker: ``module:name`` of what makes it when called with a problem, as an entry point would say it.
         sentence: what it is, for help texts.
+        abreast: whether many of them may run in step with each other: they are cheap, and no time passes in them.
     """
 
     maker: str
     sentence: str
+    abreast: bool = False
 
 
 BUILT_IN: Mapping[str, BuiltInPlant] = {
-    "nominal": BuiltInPlant("micah_plan.execution.nominal:NominalPlant.of", "the model with noise"),
+    "nominal": BuiltInPlant("micah_plan.execution.nominal:NominalPlant.of", "the model with noise", abreast=True),
     "mujoco": BuiltInPlant("micah_plan.execution.in_mujoco:in_mujoco", "independent physics"),
 }
 DEFAULT_PLANT = "nominal"

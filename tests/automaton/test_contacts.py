@@ -16,9 +16,7 @@ from micah_plan.automaton.step_noise import process_factor
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
-from micah_plan.belief.batch.filter import predict as predict_all
-from micah_plan.belief.batch.filter import repeated
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.errors import InputError
 
 TASK = with_contacts(stapler(), GRIP, AROUND, NOISE)
@@ -148,7 +146,7 @@ def test_batched_filter_is_the_scalar_one_in_contact():
     many = repeated(TASK, belief, 2)
     for _ in range(8):
         belief = predict(TASK, belief, [0.01, 0.0, -0.008])
-        many = predict_all(TASK, many, np.array([[0.01, 0.0, -0.008]] * 2))
+        many = predict(TASK, many, np.array([[0.01, 0.0, -0.008]] * 2))
     np.testing.assert_allclose(many.weights[1], belief.weights, atol=1e-6)
     best = belief.most_likely
     np.testing.assert_allclose(many.means[1, best], belief.means[best], atol=1e-6)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scalar_belief import scalar_truncation as scalar
 from scipy.stats import multivariate_normal, norm
 
-from micah_plan.belief import truncation as scalar
-from micah_plan.belief.batch import truncation as batch
-from micah_plan.belief.batch.corners import corner, half_plane
+from micah_plan.belief.truncation import Margins, split
+from micah_plan.belief.wedges import MASS, XX, XY, YY, X, Y, half_planes, wedges
 
 COUNT = 300
 
@@ -29,44 +29,57 @@ def joints(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
 @pytest.mark.parametrize("kind", ["anything", "a step with a little noise", "a known start"])
 def test_all_at_once_is_the_quadrature(kind: str) -> None:
     mean, factor, before, start, after, end = joints(kind, np.random.default_rng(4))
-    together = batch.split(mean, factor, (before, start), (after, end))
-    seen = 0
+    rows = np.array([np.einsum("pi,pik->kp", weights, factor) for weights in (before, after)])
+    margins = Margins(np.array([-start, -end]), rows)  # the means are 0
+    together = split(mean.T, factor.transpose(1, 2, 0), margins)
+    can, seen = margins.can_cross(), 0
     for i in range(COUNT):
         alone = scalar.split(mean[i], factor[i], (before[i], start[i]), (after[i], end[i]))
-        for one, all_of_them in zip(alone, together, strict=True):
-            assert all_of_them.probability[i] == pytest.approx(one.probability, rel=1e-6, abs=1e-10)
+        if not can[i]:  # filters do not ask then
+            assert alone[0].probability < 1e-10
+            continue
+        for number, one in enumerate(alone):
+            assert together.probability[number, i] == pytest.approx(one.probability, rel=1e-6, abs=1e-10)
             if one.probability < 1e-7:
                 continue
             seen += 1
-            np.testing.assert_allclose(all_of_them.mean[i], one.mean, rtol=0, atol=1e-6)
-            found = all_of_them.factor[i] @ all_of_them.factor[i].T
-            np.testing.assert_allclose(found, one.factor @ one.factor.T, rtol=1e-5, atol=1e-5)
+            np.testing.assert_allclose(together.mean[number, :, i], one.mean, rtol=0, atol=1e-6)
+            root = together.factor[number, :, :, i]
+            np.testing.assert_allclose(root @ root.T, one.factor @ one.factor.T, rtol=1e-5, atol=1e-5)
     assert seen > COUNT
 
 
 @pytest.mark.parametrize("offset", [-7.0, 0.0, 1.3, 6.5])
 def test_a_half_plane_has_the_moments_of_the_truncated_normal(offset: float) -> None:
-    moments = half_plane(np.array([-1.0]), np.array([offset]))
-    center = moments.first[0, 0] / moments.mass[0]
-    assert moments.mass[0] == pytest.approx(norm.sf(offset), rel=1e-12)
-    assert center == pytest.approx(-norm.pdf(offset) / norm.sf(offset), rel=1e-12)
-    assert moments.second[0, 0, 0] / moments.mass[0] == pytest.approx(1 - offset * center, rel=1e-12)
+    moments = half_planes(np.array([offset]))
+    for side, sign in ((0, 1.0), (1, -1.0)):  # above the offset, and below it
+        mass, center, second = (moments[of, side, 0] for of in (MASS, X, XX))
+        center, second = center / mass, second / mass
+        assert mass == pytest.approx(norm.sf(sign * offset), rel=1e-12)
+        assert center == pytest.approx(sign * norm.pdf(offset) / norm.sf(sign * offset), rel=1e-12)
+        assert second == pytest.approx(1 + offset * center, rel=1e-12)
+        assert moments[YY, side, 0] == pytest.approx(mass, rel=1e-12)
+        assert moments[Y, side, 0] == moments[XY, side, 0] == 0.0
 
 
-@pytest.mark.parametrize(("first", "second"), [(0.0, 0.0), (0.0, 1.2), (-0.7, 0.0), (1.5, -2.0), (2.5, 2.0)])
-@pytest.mark.parametrize("angle", [0.3, 1.2, 2.8])
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_corner_has_the_mass_of_the_bivariate_normal(first: float, second: float, angle: float, sign: float) -> None:
-    normal = np.array([np.cos(angle), np.sin(angle)])
-    moments = corner(np.array([sign]), np.array([first]), normal[None], np.array([second]))
-    tilt = sign * normal[0]
-    expected = multivariate_normal.cdf([-first, -second], cov=[[1.0, tilt], [tilt, 1.0]], abseps=1e-10, releps=1e-10)
-    assert moments.mass[0] == pytest.approx(expected, abs=1e-8)
-    grid = np.linspace(-9.0, 9.0, 901)
+@pytest.mark.parametrize(("place", "height"), [(0.0, 0.0), (0.0, 1.2), (-0.7, 0.0), (1.5, -2.0), (2.5, 2.0)])
+@pytest.mark.parametrize(("left", "right"), [(0.4, 0.4), (1.2, -2.8), (-3.0, 0.1)])
+def test_wedges_have_the_moments_of_the_bivariate_normal(
+    place: float, height: float, left: float, right: float
+) -> None:
+    """Over slope (x - place) + spread (y - height) > 0, left and right of x = place."""
+    spread, slopes = 0.8, np.array([[left], [right]])
+    moments, _ = wedges(np.array([place]), slopes, np.array([spread]), -slopes * place - spread * height)
+    grid = np.linspace(-9.0, 9.0, 900)
     x, y = np.meshgrid(grid, grid, indexing="ij")
     density = np.exp(-0.5 * (x**2 + y**2)) / (2 * np.pi) * (grid[1] - grid[0]) ** 2
-    density *= (sign * x > first) & (normal[0] * x + normal[1] * y > second)
-    np.testing.assert_allclose(moments.first[0], [(density * x).sum(), (density * y).sum()], atol=1e-2)
-    mixed = (density * x * y).sum()
-    pairs = [[(density * x * x).sum(), mixed], [mixed, (density * y * y).sum()]]
-    np.testing.assert_allclose(moments.second[0], pairs, atol=2e-2)
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        slope = slopes[side, 0]
+        size = np.hypot(slope, spread)
+        tilt = sign * slope / size
+        limits = [-sign * place, (-slope * place - spread * height) / size]
+        expected = multivariate_normal.cdf(limits, cov=[[1.0, tilt], [tilt, 1.0]], abseps=1e-10, releps=1e-10)
+        assert moments[MASS, side, 0] == pytest.approx(expected, abs=1e-8)
+        inside = density * (sign * (x - place) > 0) * (slope * (x - place) + spread * (y - height) > 0)
+        for of, value in ((X, x), (Y, y), (XX, x * x), (XY, x * y), (YY, y * y)):
+            assert moments[of, side, 0] == pytest.approx((inside * value).sum(), abs=2e-2)

@@ -7,14 +7,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scalar_belief import scalar_gaussian as gaussian
+from scalar_belief.one_at_a_time import truncate
 from scipy.special import log_ndtr
 from scipy.stats import norm, truncnorm
 from uncertain_joints import SHUT, unsure_door
 
 from micah_plan.automaton.region import above
-from micah_plan.belief import gaussian
 from micah_plan.belief.filter import initial_belief, update
-from micah_plan.belief.truncation import truncate
 from micah_plan.planning.baselines import mixture
 from micah_plan.planning.baselines.mixture import mixture_step
 from micah_plan.planning.limits import Limits

@@ -28,7 +28,7 @@ from micah_plan.automaton.input_memory import (
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.transition import simulate, step
-from micah_plan.belief.batch import filter as batch_filter
+from micah_plan.belief import filter as batch_filter
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.symbolic.compiled import compile_automaton
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
 from held_examples import stamp, tool
-from micah_plan.documents.problem import load_problem
 
+from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planning_examples import planar_problem, with_settings
+from scalar_belief import one_at_a_time
+from scalar_belief import scalar_gaussian as gaussian
 from scipy.sparse import csr_array
 
-from micah_plan.belief import gaussian
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
@@ -187,7 +188,7 @@ def test_the_predicted_variance_is_that_of_the_filter(dark: Problem) -> None:
     mode = dark.automaton.modes[0]
     for _ in range(steps):
         mean, factor = gaussian.predict(mean, factor, (points[1] - points[0]) / steps, (0.03, 0.03))
-        mean, factor, _ = gaussian.update(mean, factor, mean, dark.automaton.sensing(mode).std_at(mean))
+        mean, factor, _ = one_at_a_time.update(mean, factor, mean, dark.automaton.sensing(mode).std_at(mean))
     np.testing.assert_allclose(variance[0], np.square(np.diag(factor)), rtol=1e-9)
 
 

@@ -15,12 +15,12 @@ from planning_examples import (
     planar_problem,
     with_settings,
 )
+from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
 from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
 from micah_plan.automaton.transition import step
-from micah_plan.belief import filter as scalar
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of

@@ -8,6 +8,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scalar_belief import one_at_a_time
+from scalar_belief import scalar_gaussian as gaussian
 from scipy.stats import multivariate_normal
 from uncertain_joints import swinging
 
@@ -16,7 +18,6 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.step_noise import step_noise_std
-from micah_plan.belief import gaussian
 from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
 
 N, M = 3, 2
@@ -153,20 +154,20 @@ def test_belief_functions_equal_their_numpy_twins(
         predicted = gaussian.predict(mean, factor, mode.B @ u, step_noise_std(automaton, mode, u))
         for ours, twin in zip(call(functions.predict, mean, factor, u), predicted, strict=True):
             assert np.allclose(ours, twin, **close)
-        updated = gaussian.update(mean, factor, z, sensing.std_at(mean))
+        updated = one_at_a_time.update(mean, factor, z, sensing.std_at(mean))
         for ours, twin in zip(call(functions.update, mean, factor, z), updated, strict=True):
             assert np.allclose(ours, twin, **close)
-        likely = gaussian.update(*predicted, predicted[0], sensing.std_at(predicted[0]))[:2]
+        likely = one_at_a_time.update(*predicted, predicted[0], sensing.std_at(predicted[0]))[:2]
         for ours, twin in zip(call(functions.belief_step, mean, factor, u), likely, strict=True):
             assert np.allclose(ours, twin, **close)
-        held = gaussian.condition_on_pins(mean, factor, mode.pins)
+        held = one_at_a_time.condition_on_pins(mean, factor, mode.pins)
         for ours, twin in zip(call(functions.condition, mean, factor), held, strict=True):
             assert np.allclose(ours, twin, **close)
     for edge, functions in zip(automaton.edges, compiled.edges.values(), strict=True):
         moved = gaussian.reset(mean, factor, u, edge.reset)
         located = automaton.pins_located_by(edge)
         others = automaton.pins_met_by(edge)
-        twins = gaussian.condition_on_pins(*gaussian.hold_at_pins(*moved, located), others)
+        twins = one_at_a_time.condition_on_pins(*one_at_a_time.hold_at_pins(*moved, located), others)
         ours = call(functions.belief_reset, mean, factor, u)
         # Two pins that follow one coordinate leave a pivot of about the smallest std, which costs digits.
         assert np.allclose(ours[0], twins[0], rtol=1e-8, atol=1e-8 * max(1.0, scale))

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scalar_belief.scalar_crossing import Piece
+from scalar_belief.scalar_gaussian import SMALLEST_STD
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
-from micah_plan.belief.crossing import Piece
-from micah_plan.belief.gaussian import SMALLEST_STD
 
 Floats = NDArray[np.float64]
 

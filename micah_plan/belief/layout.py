@@ -1,0 +1,238 @@
+"""What a filter needs of an automaton in every step, worked out once: guards as rows of matrices, noise, sensing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.sensing import Sensing
+from micah_plan.automaton.step_noise import free_gain_std, free_process_std
+from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# A half-space that many standard deviations away holds a share below 1e-15.
+FAR_STDS = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Half-spaces a'x + b'u >= c, one per row: a (r, n), b (r, m), c (r, 1), strict (r, 1)."""
+
+    a: Floats
+    b: Floats
+    c: Floats
+    strict: Booleans
+
+    @staticmethod
+    def of(half_spaces: Sequence[HalfSpace], n: int, m: int) -> Rows:
+        """Of half-spaces in their order."""
+        a, b = (np.array([getattr(h, name) for h in half_spaces], dtype=float) for name in ("a", "b"))
+        c, strict = (np.array([[getattr(h, name)] for h in half_spaces]) for name in ("c", "strict"))
+        size = len(half_spaces)
+        return Rows(a.reshape(size, n), b.reshape(size, m), c.reshape(size, 1), strict.reshape(size, 1).astype(bool))
+
+    def __len__(self) -> int:
+        return len(self.c)
+
+    @cached_property
+    def terms(self) -> tuple[tuple[int, float], ...]:
+        """(coordinate, weight) of the first row, with those that only others weigh."""
+        return tuple((int(i), float(self.a[0, i])) for i in np.flatnonzero(self.a.any(axis=0)))
+
+    @cached_property
+    def _is_driven(self) -> bool:
+        return bool(self.b.any())
+
+    def offsets(self, u: Floats) -> Floats:
+        """(r, p) c - b'u for inputs u (m, p): the margins of states x (n, p) are a x minus these; (r, 1) without b."""
+        return np.asarray(self.c - self.b @ u) if self._is_driven else self.c
+
+
+@dataclass(frozen=True, eq=False)
+class Exit:
+    """A transition out of a mode.
+
+    Attributes:
+        edge: of the automaton over states and boundaries.
+        target: index of its mode.
+        on_state, on_input: the guard's half-spaces, those on the input alone apart.
+        reset: A, B, c; None: the identity.
+        located, met: the target's pins that the guard locates, and others that are news.
+        freed: (c,) coordinates that have process noise in the target only, and (c, 1) its std; None: an uncertain gain
+            adds to the noise of one of the modes.
+    """
+
+    edge: Edge
+    is_self: bool
+    target: int
+    on_state: Rows
+    on_input: Rows
+    reset: tuple[Floats, Floats, Floats] | None
+    located: tuple[Pin, ...]
+    met: tuple[Pin, ...]
+    freed: tuple[Ints, Floats] | None
+
+    def allowed(self, u: Floats) -> Booleans:
+        """(p,) whether the half-spaces on the input alone hold for inputs u (m, p)."""
+        margin = -self.on_input.offsets(u)
+        return np.asarray(((margin > 0) | ((margin == 0) & ~self.on_input.strict)).all(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Doors:
+    """The guards of several exits, as far as they are on the state.
+
+    Attributes:
+        rows: their half-spaces, one exit after the other; far: (r, n) their absolute weights times FAR_STDS.
+        of_exit: (e, r) 1 where a half-space belongs to an exit's guard; count: (e, 1) of its half-spaces.
+    """
+
+    rows: Rows
+    far: Floats
+    of_exit: Floats
+    count: Floats
+
+    def all_hold(self, holds: Booleans) -> Booleans:
+        """(e, p) whether all half-spaces of each exit hold, where each row does (r, p)."""
+        return np.asarray(self.of_exit @ holds >= self.count)
+
+    def any_holds(self, holds: Booleans) -> Booleans:
+        """(e, p) whether any half-space of each exit holds."""
+        return np.asarray(self.of_exit @ holds > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ModeLayout:
+    """One mode of the automaton over states and boundaries.
+
+    Attributes:
+        mode: itself; index: its number.
+        held: (h,) coordinates that it pins.
+        process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
+        noisy: (c,) coordinates that noise moves.
+        exits: in the order in which they are tried, self transitions last.
+        asking: numbers of the exits with half-spaces on the input alone.
+        doors: the guards of all exits from the first, second ... on.
+        outside: (l, n), (l, 1): weights @ x >= offset is outside of the guards of one half-space on the state alone.
+        sensing: how it measures.
+    """
+
+    mode: Mode
+    index: int
+    held: Ints
+    process: Floats
+    gain: bool
+    noisy: Ints
+    exits: tuple[Exit, ...]
+    asking: tuple[int, ...]
+    doors: tuple[Doors, ...]
+    outside: tuple[Floats, Floats]
+    sensing: Sensing
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """An automaton as its filter sees it.
+
+    Attributes:
+        automaton: over states and boundaries (`with_boundary_states`), of n states of which the first `own` are x.
+        stds: (b,) of its uncertain boundaries in the model.
+        modes: in the automaton's order.
+        std: (n, q) of a measurement in each mode, where it is the same everywhere in all of them; else None.
+        limits: (l, n, q), (l, q): `ModeLayout.outside` of all modes side by side, those with fewer filled up with
+            offsets of minus infinity.
+    """
+
+    automaton: HybridAutomaton
+    own: int
+    stds: Floats
+    modes: tuple[ModeLayout, ...]
+    std: Floats | None
+    limits: tuple[Floats, Floats]
+
+    @property
+    def n(self) -> int:
+        return self.automaton.n
+
+
+def layout_of(automaton: HybridAutomaton) -> Layout:
+    """The layout of an automaton, made once."""
+    known: Layout | None = automaton.derived.get("belief_layout")
+    if known is None:
+        known = automaton.derived["belief_layout"] = _layout(automaton)
+    return known
+
+
+def _layout(automaton: HybridAutomaton) -> Layout:
+    whole = with_boundary_states(automaton)
+    modes = tuple(_mode(whole, index) for index in range(len(whole.modes)))
+    uniform = all(mode.sensing.is_uniform for mode in modes)
+    std = np.array([mode.sensing.std for mode in modes]).T if uniform else None
+    longest = max(len(mode.outside[1]) for mode in modes)
+    weights, offsets = np.zeros((longest, whole.n, len(modes))), np.full((longest, len(modes)), -np.inf)
+    for mode in modes:
+        a, offset = mode.outside
+        weights[: len(a), :, mode.index], offsets[: len(a), mode.index] = a, offset[:, 0]
+    return Layout(whole, automaton.n, threshold_stds(automaton), modes, std, (weights, offsets))
+
+
+def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
+    mode, n, m = whole.modes[index], whole.n, whole.m
+    leaving = whole.edges_from(mode.name)
+    edges = sorted(leaving, key=lambda edge: edge.is_self_transition)
+    exits = tuple(_exit(whole, edge) for edge in edges)
+    single = [e.guard.half_spaces[0] for e in leaving if len(e.guard.half_spaces) == 1]
+    turned = Rows.of([h for h in single if h.on_state and not h.on_input], n, m)
+    process, gain = np.array(free_process_std(whole, mode)), free_gain_std(whole, mode)
+    return ModeLayout(
+        mode=mode,
+        index=index,
+        held=np.array([pin.coordinate for pin in mode.pins], dtype=np.int64),
+        process=process[:, None],
+        gain=bool(gain.any()),
+        noisy=np.flatnonzero((process > 0) | (gain > 0)),
+        exits=exits,
+        asking=tuple(number for number, way in enumerate(exits) if len(way.on_input)),
+        doors=tuple(_doors([way.edge for way in exits[first:]], n, m) for first in range(len(exits))),
+        outside=(-turned.a, -turned.c),
+        sensing=whole.sensing(mode),
+    )
+
+
+def _doors(edges: Sequence[Edge], n: int, m: int) -> Doors:
+    on_state = [_on_state(edge) for edge in edges]
+    rows = Rows.of([h for own in on_state for h in own], n, m)
+    count = np.array([len(own) for own in on_state])
+    of_exit = np.repeat(np.eye(len(edges)), count, axis=1)
+    return Doors(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
+
+
+def _exit(whole: HybridAutomaton, edge: Edge) -> Exit:
+    n, m, modes = whole.n, whole.m, [whole.mode(name) for name in (edge.source, edge.target)]
+    before, after = (np.array(free_process_std(whole, mode))[:, None] for mode in modes)
+    freed = np.flatnonzero((before == 0) & (after > 0))
+    gain = any(free_gain_std(whole, mode).any() for mode in modes)
+    return Exit(
+        edge=edge,
+        is_self=edge.is_self_transition,
+        target=[mode.name for mode in whole.modes].index(edge.target),
+        on_state=Rows.of(_on_state(edge), n, m),
+        on_input=Rows.of([h for h in edge.guard.half_spaces if not h.on_state], n, m),
+        reset=None if edge.reset.is_identity else edge.reset.matrices(n, m),
+        located=whole.pins_located_by(edge),
+        met=whole.pins_met_by(edge),
+        freed=None if gain else (freed, after[freed]),
+    )
+
+
+def _on_state(edge: Edge) -> list[HalfSpace]:
+    return [h for h in edge.guard.half_spaces if h.on_state]

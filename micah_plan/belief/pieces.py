@@ -1,0 +1,157 @@
+"""Shares of beliefs on their way through one step: the joint Gaussian of start and end of what is left of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.belief.gaussian import those
+from micah_plan.belief.truncation import Margins
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Gaussians that have come to the end of the step.
+
+    Attributes:
+        owner: (p,) number of the belief that each is a share of.
+        probability: (p,) of the share.
+        mean, factor: (n, p), (n, k, p) at the end, any square roots.
+    """
+
+    owner: Ints
+    probability: Floats
+    mean: Floats
+    factor: Floats
+
+    def where(self, chosen: Ints) -> Ends:
+        """Those with these numbers."""
+        if chosen.size == self.owner.size:
+            return self
+        moments = those(self.mean, chosen), those(self.factor, chosen)
+        return Ends(self.owner[chosen], self.probability[chosen], *moments)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Shares of beliefs on their way, p of them, all in one mode.
+
+    Attributes:
+        owner: (p,) number of the belief that each is a share of.
+        probability: (p,) of the share.
+        mean, factor: (2, n, p), (2, n, k, p) of start and end of what is left of the step.
+        u: (m, p) inputs that reach the mode.
+        fraction: (p,) expected share of the step that is left.
+        displacement: (n, p) nominal motion from start to end, without noise.
+        held: (n, p) where the modes left at the present instant held the coordinates; NaN: they did not.
+        entered: (q, p) modes that it was in at the present instant; none is entered twice at one instant (no
+            chattering).
+    """
+
+    owner: Ints
+    probability: Floats
+    mean: Floats
+    factor: Floats
+    u: Floats
+    fraction: Floats
+    displacement: Floats
+    held: Floats
+    entered: Booleans
+
+    def where(self, chosen: Ints) -> Pieces:
+        """Those with these numbers, in ascending order."""
+        if chosen.size == self.owner.size:
+            return self
+        return self.shares(chosen, self.probability[chosen], those(self.mean, chosen), those(self.factor, chosen))
+
+    def shares(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
+        """Of those with these numbers, shares that are Gaussians of their own."""
+        if chosen.size == self.owner.size:
+            return replace(self, probability=probability, mean=mean, factor=factor)
+        return Pieces(
+            owner=self.owner[chosen],
+            probability=probability,
+            mean=mean,
+            factor=factor,
+            u=those(self.u, chosen),
+            fraction=self.fraction[chosen],
+            displacement=those(self.displacement, chosen),
+            held=those(self.held, chosen),
+            entered=those(self.entered, chosen),
+        )
+
+    def replaced(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
+        """All, with other Gaussians for those with these numbers."""
+        if chosen.size < self.owner.size:
+            whole = self.probability.copy(), self.mean.copy(), self.factor.copy()
+            for values, own in zip(whole, (probability, mean, factor), strict=True):
+                values[..., chosen] = own
+            probability, mean, factor = whole
+        return replace(self, probability=probability, mean=mean, factor=factor)
+
+    def ends(self) -> Ends:
+        """Where they are if no guard is on the rest of their way."""
+        return Ends(self.owner, self.probability, self.mean[1], self.factor[1])
+
+
+def joined(groups: Sequence[Pieces]) -> Pieces:
+    """All of several groups in one mode."""
+    if len(groups) == 1:
+        return groups[0]
+    parts = {name: [getattr(group, name) for group in groups] for name in vars(groups[0])}
+    factor = side_by_side(parts.pop("factor"))
+    return Pieces(factor=factor, **{name: np.concatenate(own, axis=-1) for name, own in parts.items()})
+
+
+def side_by_side(factors: Sequence[Floats]) -> Floats:
+    """(..., k, p) several factors (..., k', p'), those with fewer columns filled up with zeros."""
+    if len(factors) == 1:
+        return factors[0]
+    widest, count = max(own.shape[-2] for own in factors), sum(own.shape[-1] for own in factors)
+    whole, first = np.zeros((*factors[0].shape[:-2], widest, count)), 0
+    for own in factors:
+        whole[..., : own.shape[-2], first : first + own.shape[-1]] = own
+        first += own.shape[-1]
+    return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """Per piece the half-space of a guard that holds last.
+
+    Attributes:
+        terms: (coordinate, weight or weights (p,)) of its margin.
+        offset: (p,) what their sum is compared with, or (1,).
+        number: (p,) which one of the guard's it is; None: the only one.
+    """
+
+    terms: tuple[tuple[int, Floats | float], ...]
+    offset: Floats
+    number: Ints | None = None
+
+    def where(self, chosen: Ints) -> Binding:
+        """Of the pieces with these numbers."""
+        offset = self.offset if self.offset.size == 1 else self.offset[chosen]
+        if self.number is None:
+            return Binding(self.terms, offset)
+        terms = tuple((i, np.asarray(weights)[chosen]) for i, weights in self.terms)
+        return Binding(terms, offset, self.number[chosen])
+
+    def along(self, rows: Floats) -> Floats:
+        """(..., p) the weighted sum of rows (n, ..., p)."""
+        (i, weight), *others = self.terms
+        found = weight * rows[i]
+        for i, weight in others:
+            found += weight * rows[i]
+        return np.asarray(found)
+
+    def margins(self, mean: Floats, factor: Floats) -> Margins:
+        """Of joint states (2, n, p), (2, n, k, p)."""
+        return Margins(self.along(mean.swapaxes(0, 1)) - self.offset, self.along(factor.swapaxes(0, 1)))
