@@ -48,12 +48,15 @@ def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], gri
         sensor = {"name": f"{role}{len(world.sensors)}", "objtype": what, "objname": name, "intprm": shown, **meets}
         world.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, **sensor)
 
+    carried = world.body(in_hand)  # below this body is all that moves the object, and the object
+    while carried.parent.name != "world":
+        carried = carried.parent
     bodies = list(world.worldbody.bodies)
     fixed = [one.name for one in bodies if one.name.startswith(SCENE) and not len(one.joints)]
     for root in (one.name for one in bodies if not one.name.startswith(SCENE)):
         add(_DEPTH, _LEAST_DISTANCE, root)
         for name in fixed:
-            if name.removeprefix(SCENE) in touchable:
+            if root == carried.name and name.removeprefix(SCENE) in touchable:
                 add(_BY_BOTH, _COUNT, root, name)
                 add(_BY_IN_HAND, _COUNT, in_hand, name, body)
                 add(_BY_MOVING, _COUNT, moving, name, body)
