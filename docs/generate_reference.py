@@ -193,7 +193,8 @@ def _kind(value: Mapping[str, Any]) -> str:
     if "anyOf" in value:
         if any(option.get("maxProperties") == 1 for option in value["anyOf"]):
             return "[half-space](#half-spaces-and-expressions)"
-        if {option.get("type") for option in value["anyOf"]} == {"string", "number"}:
+        is_name = any("maxLength" in option for option in value["anyOf"])
+        if {option.get("type") for option in value["anyOf"]} == {"string", "number"} and not is_name:
             return "[expression](#half-spaces-and-expressions)"
         options = [option for option in value["anyOf"] if option.get("type") != "null"]
         return " or ".join(dict.fromkeys(_kind(option) for option in options))

@@ -24,9 +24,8 @@ def _argument(value: object) -> float | str:
 
 
 # Not a union of kinds: errors would be told twice, at places that the file does not have.
-Argument = Annotated[
-    Any, AfterValidator(_argument), WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})
-]
+_SCHEMA = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "maxLength": 100}]})
+Argument = Annotated[Any, AfterValidator(_argument), _SCHEMA]
 
 
 class PathDocument(Document):
