@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.track import PartTrack
@@ -34,5 +34,4 @@ def find_inliers(track: PartTrack) -> Bools:
 
 def _running_median(values: Floats) -> Floats:
     # Mirrored at the ends: repeated, the first row would be the median of its own neighbourhood.
-    padded = np.pad(values, ((_NEIGHBOURS // 2,) * 2, (0, 0)), mode="reflect")
-    return np.asarray(np.median(sliding_window_view(padded, _NEIGHBOURS, axis=0), axis=-1))
+    return np.asarray(median_filter(values, size=(_NEIGHBOURS, 1), mode="mirror"))

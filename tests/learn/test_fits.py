@@ -7,11 +7,10 @@ import itertools
 import numpy as np
 import pytest
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
-from scipy.ndimage import median_filter
 
 from micah_plan.automaton.joint import Joint, radius, rigid
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
-from micah_plan.learn.inliers import _running_median, find_inliers
+from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.comparison import compare_arrays
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
 from micah_plan.learn.joints.linear_fits import linear_fits
@@ -155,9 +154,3 @@ def test_noise_scales_come_from_the_rows() -> None:
     )
     assert not inlier[truth > 0.1].any()
     assert inlier[truth < 0.01].mean() > 0.95
-
-
-@pytest.mark.parametrize("rows", [1, 2, 5, 60])
-def test_running_medians_are_mirrored_at_the_ends(rows: int) -> None:
-    values = np.random.default_rng(0).standard_normal((rows, 3))
-    np.testing.assert_array_equal(_running_median(values), median_filter(values, size=(7, 1), mode="mirror"))

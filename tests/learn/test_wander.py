@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from micah_plan.learn.joints.mixture import Sort, fit_mixtures
-from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, _finer, finer, memories, noise_posterior
+from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 
 def uneven(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -91,13 +90,3 @@ def test_a_mixture_finds_its_spread_and_its_outliers() -> None:
     assert found.stds[0][0] == pytest.approx(0.01, rel=0.1)
     assert ((found.inlier[0] < 0.5) != wrong).mean() < 0.01
     assert found.log_likelihood[0] > found.log_likelihood[1]
-
-
-def test_values_between_those_tried_are_those_of_a_cubic_spline() -> None:
-    values = np.random.default_rng(1).standard_normal(5 * 6 + 1)
-    found = _finer(values, 5)
-    even, at = (np.linspace(0, 1, n) for n in (5, len(found)))
-    over_times = CubicSpline(even, values[:-1].reshape(5, 6))(at)
-    expected = CubicSpline(np.linspace(0, 1, 6), over_times, axis=1)(np.linspace(0, 1, found.shape[1] - 1))
-    np.testing.assert_allclose(found[:, 1:], expected, atol=1e-12)
-    np.testing.assert_array_equal(found[:, 0], values[-1])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.linalg import block_diag
 from scipy.special import ndtr
 
@@ -169,8 +170,6 @@ def _log_density(one: _Tried, rows: _Rows) -> float:
 def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
     """Angles (f,) between those tried (m,), in order, and their probabilities; no angle is preferred beforehand."""
     fine = _interpolation(len(leads)) @ leads
-    from scipy.interpolate import PchipInterpolator
-
     log_fine = PchipInterpolator(leads, log_density)(fine)
     chance = np.gradient(fine) * np.exp(log_fine - log_fine.max())
     return fine, np.asarray(chance / chance.sum())

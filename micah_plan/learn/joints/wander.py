@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 
 Floats = NDArray[np.float64]
@@ -141,20 +142,8 @@ def _finer(values: Floats, times: int) -> Floats:
 
 @lru_cache(maxsize=8)
 def _spline(points: int) -> Floats:
-    """(f, points) matrix that interpolates values at even points (at least 4), by the not-a-knot cubic spline.
-
-    Written out, as `scipy.interpolate` takes as long to import as most demonstrations take to learn from.
-    """
-    bends, differences = np.zeros((points, points)), np.zeros((points, points))
-    for i in range(1, points - 1):
-        bends[i, i - 1 : i + 2], differences[i, i - 1 : i + 2] = (1, 4, 1), (6, -12, 6)
-    bends[0, :3] = bends[-1, -3:] = (1, -2, 1)
-    bend, value = np.linalg.solve(bends, differences), np.eye(points)
-    at = np.linspace(0, points - 1, _FINE)
-    left = np.minimum(at.astype(int), points - 2)
-    t = (at - left)[:, None]
-    curved = (t**3 - t) * bend[left + 1] + ((1 - t) ** 3 - (1 - t)) * bend[left]
-    return np.asarray((1 - t) * value[left] + t * value[left + 1] + curved / 6)
+    """(f, points) matrix that interpolates values at even points, by a cubic spline."""
+    return np.asarray(CubicSpline(np.linspace(0, 1, points), np.eye(points))(np.linspace(0, 1, _FINE)))
 
 
 def _prior(slowness: Floats) -> Floats:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.graph import KinematicEdge
@@ -66,9 +68,6 @@ def _smoothed(c: Floats) -> Floats:
     """A spline through configurations, as smooth as generalised cross-validation finds best, and blind to outliers."""
     if len(c) < _FEWEST_ROWS:
         return c
-    from scipy.interpolate import make_smoothing_spline
-    from scipy.ndimage import median_filter
-
     miss = c - median_filter(c, size=_WINDOW, mode="nearest")
     outlying = np.abs(miss) > _OUTLIER_STDS * max(_STD_PER_MAD * float(np.median(np.abs(miss))), _SMALLEST)
     outlying[[0, -1]] = False
