@@ -224,7 +224,7 @@ def _exit(whole: HybridAutomaton, edge: Edge) -> Exit:
     return Exit(
         edge=edge,
         is_self=edge.is_self_transition,
-        target=[mode.name for mode in whole.modes].index(edge.target),
+        target=whole.mode_index(edge.target),
         on_state=Rows.of(_on_state(edge), n, m),
         on_input=Rows.of([h for h in edge.guard.half_spaces if not h.on_state], n, m),
         reset=None if edge.reset.is_identity else edge.reset.matrices(n, m),
