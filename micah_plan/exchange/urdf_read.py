@@ -139,12 +139,11 @@ def _automaton(moving: Sequence[_Moving], parts: Sequence[Part]) -> HybridAutoma
     rows: list[HalfSpace] = []
     edges: list[Edge] = []
     for i, (name, _, _, (low, high)) in enumerate(moving):
-        stop = tuple(tuple(float(row == column != i) for column in range(n)) for row in range(n))
         for end, inside, outside in ((low, above, below), (high, below, above)):
             if abs(end) < NO_LIMIT:
                 rows.append(inside(i, end, n, n, name=name))
-                reset = Reset(stop, None, tuple(end if row == i else 0.0 for row in range(n)))
-                edges.append(Edge(MODE, MODE, Region((outside(i, end, n, n, strict=True, name=name),)), reset))
+                stop = Region((outside(i, end, n, n, strict=True, name=name),))
+                edges.append(Edge(MODE, MODE, stop, Reset.to({i: end}, n)))
     gain = tuple(tuple(float(row == column) for column in range(n)) for row in range(n))
     automaton = HybridAutomaton(
         coordinates=coordinates,
