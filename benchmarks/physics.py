@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from saving import add_json, save_json
 
 from micah_plan.documents.problem import load_problem
+from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.plant import Command
-from micah_plan.execution.trials import make_plant, run_trials
+from micah_plan.execution.trials import run_trials
 from micah_plan.workflow import solve
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -93,7 +94,11 @@ def measured(path: Path, repeats: int, seed: int) -> Row:
     """One problem's row."""
     problem = load_problem(path)
     plan = solve(problem, seed=seed)
-    plant: Any = make_plant(problem, "mujoco", plan.arm)
+    if plan.trajectory is None:
+        raise SystemExit(f"{path}: {plan.reason}")
+    posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
+    start = replace(problem.start, mode=plan.trajectory.modes[0], posture=posture)
+    plant: Any = make_plant(replace(problem, start=start), "mujoco")
     core, commands, apply = plant._core, [], plant.apply
 
     def noted(command: Command) -> Any:
