@@ -147,7 +147,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     add_json(parser)
     options = parser.parse_args(arguments)
-    default = [ROOT / "problems" / f"{name}.yaml" for name in ("microwave_close", "cabinet_close", "stapler_on_books")]
+    names = ("microwave_close", "cabinet_close", "light_dark", "stapler_on_books", "foot_under_shelf")
+    default = [ROOT / "problems" / f"{name}.yaml" for name in names]
     rows = []
     print("| problem | physics steps | engine, us | plant, us | trial, us | plant / engine | trial / engine |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
