@@ -67,36 +67,27 @@ def through_guards(
     Args:
         events: transitions that the pieces have taken in this step.
     """
-    if not mode.exits:
-        return [pieces.ends()]
     if events:
         pieces = _slid(mode, pieces)
-    free = _free(mode, pieces, events)
-    may = free & _reached(mode.doors[0], pieces, events)
-    meets: Booleans = np.asarray(may.any(axis=0))
-    busy, quiet = meets.nonzero()[0], list[Ends]()
-    if not busy.size:
-        return [pieces.ends()]
-    if busy.size < meets.size:
-        quiet.append(pieces.ends().where((~meets).nonzero()[0]))
-        pieces, free, may = pieces.where(busy), those(free, busy), those(may, busy)
-    first, is_old = 0, False
-    for number, way in enumerate(mode.exits):
-        if is_old:
-            may, first, is_old = free[number:] & _reached(mode.doors[number], pieces, events), number, False
-        chosen = may[number - first].nonzero()[0]
-        if not chosen.size:
-            continue
-        taken, pieces = _cross(layout, mode, pieces, chosen, way)
+    ended: list[Ends] = []
+    free, first = _free(mode, pieces, events), 0
+    while first < len(mode.exits) and pieces.owner.size:
+        may = free[first:] & _reached(mode.doors[first], pieces, events)
+        meets = np.asarray(may.any(axis=0))
+        busy = meets.nonzero()[0]
+        if busy.size < meets.size:
+            ended.append(pieces.ends().where((~meets).nonzero()[0]))
+            if not busy.size:
+                return ended
+            pieces, free, may = pieces.where(busy), those(free, busy), those(may, busy)
+        ahead = int(may.any(axis=1).argmax())
+        way = mode.exits[first + ahead]
+        taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], way)
         if taken is not None:
             onward.setdefault(way.target, []).append(taken)
         left = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
-        if not left.size:
-            return quiet
-        if left.size < pieces.probability.size:
-            pieces, free = pieces.where(left), those(free, left)
-        is_old = True
-    return [*quiet, pieces.ends()]
+        pieces, free, first = pieces.where(left), those(free, left), first + ahead + 1
+    return [*ended, pieces.ends()] if pieces.owner.size else ended
 
 
 def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
@@ -165,7 +156,7 @@ def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: 
     if crosses.size < chosen.size:
         chosen, binding, taken = chosen[crosses], binding.where(crosses), taken[crosses]
         mean, factor = those(mean, crosses), those(factor, crosses)
-    return transition(layout, mode, pieces.shares(chosen, taken, mean, factor), way, binding), staying
+    return transition(layout, mode, pieces.subset(chosen, taken, mean, factor), way, binding), staying
 
 
 def _binding(mean: Floats, factor: Floats, u: Floats, way: Exit) -> Binding:
@@ -231,7 +222,7 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pi
     for number, a in enumerate(rows.a):
         # The part of the boundary's normal along which the mode can give way.
         normal = a.copy()
-        normal[mode.held] = 0.0
+        normal[list(mode.pinned)] = 0.0
         own = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
         if not own.size or not normal.any():
             continue

@@ -131,7 +131,7 @@ def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tupl
     """
     target, mean, factor, displacement = layout.modes[way.target], pieces.mean, pieces.factor, pieces.displacement
     put_at_pins(mean[0], factor[0], way.located, column)
-    for i in target.held:
+    for i in target.pinned:
         mean[1, i], factor[1, i], displacement[i] = mean[0, i], factor[0, i], 0.0
     for tie in target.mode.ties:
         weights, i = np.array(tie.weights), tie.coordinate

@@ -22,10 +22,11 @@ from micah_plan.automaton.input_memory import passed_arrays
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.crossing import through_guards, whole_step
 from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factors, measured, those
-from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of, belief_of
+from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import Layout, Rows, layout_of
-from micah_plan.belief.pieces import Ends, Pieces, joined, side_by_side
-from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, mixed, truncated
+from micah_plan.belief.matching import assembled, mixed
+from micah_plan.belief.pieces import Ends, Pieces, joined
+from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, truncated
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -66,21 +67,19 @@ def initial_belief(
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
     name = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
     layout = layout_of(automaton)
-    at = next(own for own in layout.modes if own.mode.name == name)
-    b = layout.stds.size
+    index = next(own.index for own in layout.modes if own.mode.name == name)
+    q, b = len(layout.modes), layout.stds.size
     factor = np.block([[factor, np.zeros((n, b))], [np.zeros((b, n)), np.diag(layout.stds)]])
     center = np.concatenate([center, np.zeros(b)])
-    held_mean, held = condition_on_pins(center[:, None], factor[:, :, None], at.mode.pins)
-    weights, means = np.zeros((1, len(layout.modes))), np.zeros((1, len(layout.modes), layout.n))
-    factors = np.zeros((*means.shape, layout.n))
-    weights[0, at.index], means[0, at.index] = 1.0, held_mean[:, 0]
-    factors[0, at.index] = lower_factors(held)[:, :, 0]
-    return _completed(layout, BeliefBatch(weights, means, factors, n))
+    held = condition_on_pins(center[:, None], factor[:, :, None], layout.modes[index].mode.pins)
+    weights, means, factors = np.zeros((q, 1)), np.zeros((n + b, q, 1)), np.zeros((n + b, n + b, q, 1))
+    weights[index], means[:, index], factors[:, :, index] = 1.0, held[0], lower_factors(held[1])
+    return _completed(layout, BeliefBatch.of(weights, means, factors, n)).alone(0)
 
 
 def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
     """The same belief `count` times."""
-    one = batch_of(belief, layout_of(automaton).stds)
+    one = batch_of([belief], layout_of(automaton).stds)
     weights, means, factors = (np.repeat(values, count, axis=-1) for values in one.side_by_side())
     return BeliefBatch.of(weights, means, factors, one.n)
 
@@ -96,7 +95,7 @@ def predict(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> Belief:
         return _predicted(layout, belief, inputs.T)
     if inputs.shape != (automaton.m,):
         raise InputError(f"an input must have shape ({automaton.m},). Got {inputs.shape}")
-    return _completed(layout, _predicted(layout, batch_of(belief, layout.stds), inputs[:, None]))
+    return predict_each(automaton, [belief], inputs[None])[0]
 
 
 def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
@@ -114,35 +113,29 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
         return _updated(layout, belief, found.T, belief.weights.T > 0) if np.isfinite(found).any() else belief
     if found.shape != (automaton.n,):
         raise InputError(f"a measurement must have shape ({automaton.n},). Got {found.shape}")
-    if not np.isfinite(found).any():
-        return belief
-    every = np.ones((len(layout.modes), 1), dtype=bool)
-    after = _updated(layout, batch_of(belief, layout.stds), found[:, None], every)
-    return belief_of(after)
+    return update_each(automaton, [belief], found[None])[0]
 
 
 def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u: Floats) -> list[HybridBelief]:
     """`predict` of several single beliefs in one go, with inputs (t, m)."""
     layout = layout_of(automaton)
-    after = _predicted(layout, _stacked(layout, beliefs), u.T)
-    return [_completed(layout, after.one(number)) for number in range(len(beliefs))]
+    after = _completed(layout, _predicted(layout, batch_of(beliefs, layout.stds), u.T))
+    return [after.alone(number) for number in range(len(beliefs))]
 
 
 def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: Floats) -> list[HybridBelief]:
-    """`update` of several single beliefs in one go, with measurements (t, n); columns that are NaN are so for all."""
-    if not np.isfinite(z).any():
-        return list(beliefs)
-    layout = layout_of(automaton)
-    every = np.ones((len(layout.modes), len(beliefs)), dtype=bool)
-    after = _updated(layout, _stacked(layout, beliefs), z.T, every)
-    return [belief_of(after.one(number)) for number in range(len(beliefs))]
+    """`update` of several single beliefs in one go, with measurements (t, n); one without a measurement stays as it is.
 
-
-def _stacked(layout: Layout, beliefs: Sequence[HybridBelief]) -> BeliefBatch:
-    """Several single beliefs as one batch."""
-    parts = [batch_of(belief, layout.stds).side_by_side() for belief in beliefs]
-    weights, means, factors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
-    return BeliefBatch.of(weights, means, factors, layout.own)
+    Unlike in a batch, modes without weight are measured too.
+    """
+    layout, seeing = layout_of(automaton), np.flatnonzero(np.isfinite(z).any(axis=1))
+    after = list(beliefs)
+    if seeing.size:
+        every = np.ones((len(layout.modes), seeing.size), dtype=bool)
+        batch = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
+        for number, i in enumerate(seeing):
+            after[i] = batch.alone(number)
+    return after
 
 
 def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
@@ -170,92 +163,29 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
             ends = [pieces.ends()] if tired else through_guards(layout, layout.modes[index], pieces, events, onward)
             arrived += [(index, own) for own in ends]
         travelling, events = onward, events + 1
-    return _assembled(layout, arrived, count, remembered)
+    return assembled(layout, arrived, count, remembered)
 
 
-def _assembled(
-    layout: Layout, arrived: Sequence[tuple[int, Ends]], count: int, remembered: Floats | None
-) -> BeliefBatch:
-    """One Gaussian per mode and belief from its pieces (moment matching).
-
-    Args:
-        arrived: with the numbers of their modes.
-        remembered: (n, t) the values of the memories of inputs, which are known; None: there are none.
-    """
-    q, n = len(layout.modes), layout.n
-    weights, means, factors = np.zeros(q * count), np.zeros((n, q * count)), np.zeros((n, n, q * count))
-    numbers = [index * count + own.owner for index, own in arrived]
-    pieces = np.bincount(np.concatenate(numbers), minlength=q * count)
-    alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
-    single, at = _gathered(arrived, numbers, alone)
-    if at.size:
-        weights[at], means[:, at], factors[..., at] = single.probability, single.mean, lower_factors(single.factor)
-    merged = (pieces > 1).nonzero()[0]
-    if merged.size:
-        others = [(pieces[number] > 1).nonzero()[0] for number in numbers]
-        several, at = _gathered(arrived, numbers, others)
-        weights[merged], means[:, merged], factors[..., merged] = _mixtures(several, at, pieces[merged])
-    if remembered is not None:
-        for register in layout.automaton.input_memories:
-            memory = slice(register.first, register.first + register.size)
-            means.reshape(n, q, count)[memory] = remembered[memory, None]
-    shares = weights.reshape(q, count)
-    return BeliefBatch.of(shares / shares.sum(axis=0), means, factors, layout.own)
-
-
-def _gathered(
-    arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
-) -> tuple[Ends, Ints]:
-    """The chosen ones of all groups, and their numbers (p,)."""
-    groups = [ends.where(some) for (_, ends), some in zip(arrived, chosen, strict=True) if some.size]
-    at = [number[some] for number, some in zip(numbers, chosen, strict=True) if some.size]
-    if len(groups) <= 1:
-        return (groups[0], at[0]) if groups else (arrived[0][1], np.zeros(0, dtype=np.int64))
-    owner, probability, mean = (
-        np.concatenate([getattr(group, name) for group in groups], axis=-1) for name in ("owner", "probability", "mean")
-    )
-    return Ends(owner, probability, mean, side_by_side([group.factor for group in groups])), np.concatenate(at)
-
-
-def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
-    """Weights (o,), means (n, o) and factors (n, n, o) of the pieces with one number (p,), in ascending order of it.
-
-    Args:
-        counts: (o,) of the pieces with each number.
-    """
-    order, first = np.argsort(number, kind="stable"), np.cumsum(counts) - counts
-    n, size = len(ends.mean), counts.size
-    weights, means, factors = np.empty(size), np.empty((n, size)), np.empty((n, n, size))
-    fewer = 1
-    for most in (2, 4, int(counts.max())):
-        at = ((counts > fewer) & (counts <= most)).nonzero()[0]
-        if at.size:
-            # Piece r of each number side by side; those that have fewer repeat their last, without weight.
-            ranks = np.arange(most)[:, None]
-            places = order[first[at] + np.minimum(ranks, counts[at] - 1)]
-            shares = np.where(ranks < counts[at], ends.probability[places], 0.0)
-            weights[at] = weight = shares.sum(axis=0)
-            pieces = ([those(values, place) for place in places] for values in (ends.mean, ends.factor))
-            means[:, at], factors[..., at] = mixed(shares / weight, *pieces)
-        fewer = most
-    return weights, means, factors
-
-
-def _completed(layout: Layout, beliefs: BeliefBatch) -> HybridBelief:
-    """The only belief of a batch, with Gaussians for modes without weight too: the mixture's, held at their pins."""
-    weights, means, factors = beliefs.weights[0], beliefs.joint_means[0], beliefs.joint_factors[0]
-    has, without = np.flatnonzero(weights), np.flatnonzero(weights == 0)
-    if without.size:
-        means, factors = means.copy(), factors.copy()
-        mean, factor = means[has[0]][:, None], factors[has[0]][:, :, None]
-        if has.size > 1:
-            mean, factor = mixed(weights[has, None], means[has, :, None], factors[has, :, :, None])
-        for index in without:
-            pins = layout.modes[index].mode.pins
-            held = hold_at_pins(mean, factor, pins)
-            means[index] = held[0][:, 0]
-            factors[index] = (lower_factors(held[1]) if pins else factor)[:, :, 0]
-    return belief_of(BeliefBatch(weights[None], means[None], factors[None], beliefs.n))
+def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
+    """The beliefs with Gaussians for modes without weight too: the mixture's, held at the pins of the mode."""
+    weights, means, factors = beliefs.side_by_side()
+    lacking = weights == 0
+    if not np.count_nonzero(lacking):
+        return beliefs
+    if np.count_nonzero(lacking) == weights.size - weights.shape[1]:  # each is in one mode
+        at = np.argmax(weights, axis=0), np.arange(weights.shape[1])
+        mean, factor = means[:, *at], factors[:, :, *at]
+    else:
+        modes = range(len(weights))
+        mean, factor = mixed(weights, [means[:, q] for q in modes], [factors[:, :, q] for q in modes])
+    means, factors = means.copy(), factors.copy()
+    for mode in layout.modes:
+        own = lacking[mode.index].nonzero()[0]
+        if own.size:
+            held = hold_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
+            means[:, mode.index, own] = held[0]
+            factors[:, :, mode.index, own] = lower_factors(held[1]) if mode.pinned else held[1]
+    return BeliefBatch.of(weights, means, factors, beliefs.n)
 
 
 def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> BeliefBatch:
@@ -267,7 +197,7 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     mean, factor, seen = those(means, at), those(factors, at), np.full((layout.n, owner.size), np.nan)
     seen[: layout.own] = those(z, owner)
     after, narrowed, score = measured(mean, factor, seen, _sensing_std(layout, mode, mean))
-    if len(layout.limits[1]):
+    if len(layout.outside[1]):
         score += _outside(layout, mode, (mean, factor), (after, narrowed))
     scores = np.full(chosen.shape, -np.inf)
     with np.errstate(divide="ignore"):
@@ -308,18 +238,19 @@ def _outside(layout: Layout, mode: Ints, before: Gaussians, after: Gaussians) ->
 
 def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
     """By how much states (n, p), (n, k, p) in these modes (p,) lie outside of guards (l, p), and a'F (l, k, p)."""
-    weights, offsets = (those(values, mode) for values in layout.limits)
-    return np.einsum("lip,ip->lp", weights, mean) - offsets, np.einsum("lip,ikp->lkp", weights, factor)
+    weights, offsets = (those(values, mode) for values in layout.outside)
+    margin = np.einsum("lip,ip->lp", weights, mean) - offsets
+    return margin, np.einsum("lip,ikp->lkp", weights, factor)
 
 
 def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:
     """(n, p) std of a measurement of states (n, p) in these modes (p,)."""
     if layout.std is not None:
         return those(layout.std, mode)
-    std = np.empty_like(mean)
-    for own in layout.modes:
-        chosen = (mode == own.index).nonzero()[0]
-        std[:, chosen] = own.sensing.std_at(those(mean, chosen).T).T
+    std = np.empty(mean.shape)
+    for index, own in enumerate(layout.sensing):
+        chosen = (mode == index).nonzero()[0]
+        std[:, chosen] = own.std_at(those(mean, chosen).T).T
     return std
 
 

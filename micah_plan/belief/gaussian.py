@@ -20,6 +20,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgeqrf
 
 from micah_plan.automaton.hybrid import Pin
 
@@ -29,8 +30,8 @@ Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bo
 
 # As in the compiled functions: the smallest std that the arithmetic resolves [rad or m].
 SMALLEST_STD = 1e-9
-# Up to so many matrices LAPACK's call for each costs less than the operations on all of them.
-_FEW = 64
+# Up to so many matrices a call for each costs less than the operations on all of them.
+_FEW = 8
 
 
 def those(values: Values, chosen: Ints) -> Values:
@@ -50,18 +51,19 @@ def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
     n, k, count = matrices.shape
     if n == 1:
         return np.asarray(np.sqrt(np.einsum("ikp,ikp->p", matrices, matrices))[None, None])
-    return (
-        _by_reflections(matrices)
-        if count <= _FEW and k >= n
-        else _by_projections(matrices if overwrite else matrices.copy())
-    )
+    if count <= _FEW and k >= n:
+        return _by_reflections(matrices)
+    return _by_projections(matrices if overwrite else matrices.copy())
 
 
 def _by_reflections(matrices: Floats) -> Floats:
     """Householder's, one matrix after the other."""
-    factors: Floats = np.asarray(np.linalg.qr(matrices.transpose(2, 1, 0), mode="r")).transpose(2, 1, 0)
-    signs = np.where(np.einsum("iip->ip", factors) < 0, -1.0, 1.0)
-    return np.asarray(factors * signs)
+    n, _, count = matrices.shape
+    lower = np.empty((n, n, count))
+    for i in range(count):
+        # LAPACK itself: for matrices this small the checks of np.linalg.qr take several times as long as the work.
+        lower[..., i] = dgeqrf(matrices[..., i].T)[0][:n].T
+    return np.asarray(lower * np.tri(n)[..., None] * np.where(np.einsum("iip->ip", lower) < 0, -1.0, 1.0))
 
 
 def _by_projections(matrices: Floats) -> Floats:
@@ -93,7 +95,8 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
     means, factors = means.copy(), factors.copy()
     square, scale = np.zeros(means.shape[1]), np.ones(means.shape[1])
     seen = np.isfinite(z) & np.isfinite(std)
-    for i in np.flatnonzero(seen.any(axis=1)):
+    coordinates = np.flatnonzero(seen.any(axis=1))
+    for i in coordinates:
         deviation, away, row = np.maximum(std[i], SMALLEST_STD), z[i] - means[i], factors[i].copy()
         if np.count_nonzero(seen[i]) < len(away):
             # Where it is not seen it tells nothing: nothing couples it to the state, and its density is 1.
@@ -115,7 +118,7 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
         means += gain * (whitened / deviation)
         square += whitened**2
         scale *= deviation
-    likelihood = -0.5 * square - np.log(scale) - 0.5 * np.count_nonzero(seen.any(axis=1)) * math.log(2 * math.pi)
+    likelihood = -0.5 * square - np.log(scale) - 0.5 * coordinates.size * math.log(2 * math.pi)
     return means, factors, likelihood
 
 

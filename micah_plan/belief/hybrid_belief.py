@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,13 +38,19 @@ class BeliefBatch:
         return BeliefBatch(weights.T, joint_means.transpose(2, 1, 0), joint_factors.transpose(3, 2, 0, 1), n)
 
     def side_by_side(self) -> tuple[Floats, Floats, Floats]:
-        """Weights (q, t), means (n + b, q, t) and factors (n + b, n + b, q, t), as arithmetic over all wants them."""
+        """Weights (q, t), means (n + b, q, t) and factors (n + b, n + b, q, t): the belief's number last."""
         return self.weights.T, self.joint_means.transpose(2, 1, 0), self.joint_factors.transpose(2, 3, 1, 0)
 
-    def one(self, number: int) -> BeliefBatch:
-        """The batch of only one of them."""
-        own = slice(number, number + 1)
-        return BeliefBatch(self.weights[own], self.joint_means[own], self.joint_factors[own], self.n)
+    def alone(self, number: int) -> HybridBelief:
+        """One of them, of whose modes all must have a Gaussian; not to be written to."""
+        n = self.n
+        weights, means, factors = self.weights[number], self.joint_means[number], self.joint_factors[number]
+        parts = [weights, means[:, :n], factors[:, :n, :n]]
+        if means.shape[1] > n:
+            parts += [means[:, n:], factors[:, n:]]
+        for array in parts:
+            array.setflags(write=False)
+        return HybridBelief(*parts)
 
     @property
     def means(self) -> Floats:
@@ -105,27 +112,24 @@ class HybridBelief:
         return None if self.shift_rows is None else np.asarray(np.linalg.norm(self.shift_rows, axis=2))
 
 
-def batch_of(belief: HybridBelief, stds: Floats) -> BeliefBatch:
-    """A batch of one; boundaries of which it has learned nothing are known to stds (b,), as the model says."""
-    means, factors = belief.means, belief.factors
-    q, n = means.shape
-    if stds.size:
-        shifts, rows = belief.shifts, belief.shift_rows
-        if shifts is None or rows is None:
-            shifts = np.zeros((q, stds.size))
-            rows = np.repeat(np.hstack([np.zeros((stds.size, n)), np.diag(stds)])[None], q, axis=0)
-        upper = np.concatenate([factors, np.zeros((q, n, stds.size))], axis=2)
-        means, factors = np.hstack([means, shifts]), np.concatenate([upper, rows], axis=1)
-    return BeliefBatch(belief.weights[None], means[None], factors[None], n)
+def batch_of(beliefs: Sequence[HybridBelief], stds: Floats) -> BeliefBatch:
+    """Single beliefs as a batch; boundaries of which they have learned nothing are known as well as in the model.
+
+    Args:
+        stds: (b,) of the uncertain boundaries in the model.
+    """
+    joint = [_joint(belief, stds) for belief in beliefs] if stds.size else [(own.means, own.factors) for own in beliefs]
+    means, factors = (np.array(values) for values in zip(*joint, strict=True))
+    return BeliefBatch(np.array([belief.weights for belief in beliefs]), means, factors, means.shape[2] - stds.size)
 
 
-def belief_of(beliefs: BeliefBatch) -> HybridBelief:
-    """The first belief of a batch, not to be written to."""
-    n = beliefs.n
-    weights, means, factors = beliefs.weights[0], beliefs.joint_means[0], beliefs.joint_factors[0]
-    parts = [weights, means[:, :n], factors[:, :n, :n]]
-    if means.shape[1] > n:
-        parts += [means[:, n:], factors[:, n:]]
-    for array in parts:
-        array.setflags(write=False)
-    return HybridBelief(*parts)
+def _joint(belief: HybridBelief, stds: Floats) -> tuple[Floats, Floats]:
+    """(q, n + b) means and (q, n + b, n + b) factors over states and boundaries."""
+    (q, n), b = belief.means.shape, stds.size
+    means, factors = np.zeros((q, n + b)), np.zeros((q, n + b, n + b))
+    means[:, :n], factors[:, :n, :n] = belief.means, belief.factors
+    if belief.shifts is None or belief.shift_rows is None:
+        factors[:, n:, n:] = np.diag(stds)
+    else:
+        means[:, n:], factors[:, n:] = belief.shifts, belief.shift_rows
+    return means, factors

@@ -62,18 +62,16 @@ class Exit:
     """A transition out of a mode.
 
     Attributes:
-        edge: of the automaton over states and boundaries.
-        target: index of its mode.
+        target: number of its mode; is_self: whether that is the mode itself.
         on_state, on_input: the guard's half-spaces, those on the input alone apart.
-        reset: A, B, c; None: the identity.
+        reset: A (n, n), B (n, m), c (n,); None: the identity.
         located, met: the target's pins that the guard locates, and others that are news.
-        freed: (c,) coordinates that have process noise in the target only, and (c, 1) its std; None: an uncertain gain
-            adds to the noise of one of the modes.
+        freed: coordinates (c,) that have process noise in the target only, and (c, 1) its std; None: an uncertain gain
+            adds to the noise in one of the modes.
     """
 
-    edge: Edge
-    is_self: bool
     target: int
+    is_self: bool
     on_state: Rows
     on_input: Rows
     reset: tuple[Floats, Floats, Floats] | None
@@ -116,27 +114,21 @@ class ModeLayout:
 
     Attributes:
         mode: itself; index: its number.
-        held: (h,) coordinates that it pins.
+        pinned: coordinates that it holds.
         process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
-        noisy: (c,) coordinates that noise moves.
+        noisy: coordinates that noise moves.
         exits: in the order in which they are tried, self transitions last.
-        asking: numbers of the exits with half-spaces on the input alone.
-        doors: the guards of all exits from the first, second ... on.
-        outside: (l, n), (l, 1): weights @ x >= offset is outside of the guards of one half-space on the state alone.
-        sensing: how it measures.
+        doors: the guards of the exits from the first, from the second ... on.
     """
 
     mode: Mode
     index: int
-    held: Ints
+    pinned: tuple[int, ...]
     process: Floats
     gain: bool
-    noisy: Ints
+    noisy: tuple[int, ...]
     exits: tuple[Exit, ...]
-    asking: tuple[int, ...]
     doors: tuple[Doors, ...]
-    outside: tuple[Floats, Floats]
-    sensing: Sensing
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,17 +139,18 @@ class Layout:
         automaton: over states and boundaries (`with_boundary_states`), of n states of which the first `own` are x.
         stds: (b,) of its uncertain boundaries in the model.
         modes: in the automaton's order.
-        std: (n, q) of a measurement in each mode, where it is the same everywhere in all of them; else None.
-        limits: (l, n, q), (l, q): `ModeLayout.outside` of all modes side by side, those with fewer filled up with
-            offsets of minus infinity.
+        sensing: how each mode measures; std: (n, q) of that where it is the same everywhere in all modes, else None.
+        outside: weights (l, n, q) and offsets (l, q): a mode's states lie where weights @ x >= offset, outside of its
+            guards of one half-space on the state alone. Modes with fewer have offsets of minus infinity.
     """
 
     automaton: HybridAutomaton
     own: int
     stds: Floats
     modes: tuple[ModeLayout, ...]
+    sensing: tuple[Sensing, ...]
     std: Floats | None
-    limits: tuple[Floats, Floats]
+    outside: tuple[Floats, Floats]
 
     @property
     def n(self) -> int:
@@ -174,43 +167,50 @@ def layout_of(automaton: HybridAutomaton) -> Layout:
 
 def _layout(automaton: HybridAutomaton) -> Layout:
     whole = with_boundary_states(automaton)
-    modes = tuple(_mode(whole, index) for index in range(len(whole.modes)))
-    uniform = all(mode.sensing.is_uniform for mode in modes)
-    std = np.array([mode.sensing.std for mode in modes]).T if uniform else None
-    longest = max(len(mode.outside[1]) for mode in modes)
-    weights, offsets = np.zeros((longest, whole.n, len(modes))), np.full((longest, len(modes)), -np.inf)
-    for mode in modes:
-        a, offset = mode.outside
-        weights[: len(a), :, mode.index], offsets[: len(a), mode.index] = a, offset[:, 0]
-    return Layout(whole, automaton.n, threshold_stds(automaton), modes, std, (weights, offsets))
+    sensing = tuple(whole.sensing(mode) for mode in whole.modes)
+    uniform = all(own.is_uniform for own in sensing)
+    return Layout(
+        automaton=whole,
+        own=automaton.n,
+        stds=threshold_stds(automaton),
+        modes=tuple(_mode(whole, index) for index in range(len(whole.modes))),
+        sensing=sensing,
+        std=np.array([own.std for own in sensing]).T if uniform else None,
+        outside=_outside(whole),
+    )
+
+
+def _outside(whole: HybridAutomaton) -> tuple[Floats, Floats]:
+    """`Layout.outside`."""
+    guards = [[edge.guard.half_spaces for edge in whole.edges_from(mode.name)] for mode in whole.modes]
+    rows = [[own[0] for own in mode if len(own) == 1 and own[0].on_state and not own[0].on_input] for mode in guards]
+    longest, q = max(map(len, rows)), len(rows)
+    weights, offsets = np.zeros((longest, whole.n, q)), np.full((longest, q), -np.inf)
+    for index, own in enumerate(rows):
+        for number, half_space in enumerate(own):
+            weights[number, :, index], offsets[number, index] = -np.array(half_space.a), -half_space.c
+    return weights, offsets
 
 
 def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
-    mode, n, m = whole.modes[index], whole.n, whole.m
-    leaving = whole.edges_from(mode.name)
-    edges = sorted(leaving, key=lambda edge: edge.is_self_transition)
-    exits = tuple(_exit(whole, edge) for edge in edges)
-    single = [e.guard.half_spaces[0] for e in leaving if len(e.guard.half_spaces) == 1]
-    turned = Rows.of([h for h in single if h.on_state and not h.on_input], n, m)
+    mode = whole.modes[index]
+    edges = sorted(whole.edges_from(mode.name), key=lambda edge: edge.is_self_transition)
     process, gain = np.array(free_process_std(whole, mode)), free_gain_std(whole, mode)
     return ModeLayout(
         mode=mode,
         index=index,
-        held=np.array([pin.coordinate for pin in mode.pins], dtype=np.int64),
+        pinned=tuple(pin.coordinate for pin in mode.pins),
         process=process[:, None],
         gain=bool(gain.any()),
-        noisy=np.flatnonzero((process > 0) | (gain > 0)),
-        exits=exits,
-        asking=tuple(number for number, way in enumerate(exits) if len(way.on_input)),
-        doors=tuple(_doors([way.edge for way in exits[first:]], n, m) for first in range(len(exits))),
-        outside=(-turned.a, -turned.c),
-        sensing=whole.sensing(mode),
+        noisy=tuple(int(i) for i in np.flatnonzero((process > 0) | (gain > 0))),
+        exits=tuple(_exit(whole, edge) for edge in edges),
+        doors=tuple(_doors(whole, edges[first:]) for first in range(len(edges))),
     )
 
 
-def _doors(edges: Sequence[Edge], n: int, m: int) -> Doors:
+def _doors(whole: HybridAutomaton, edges: Sequence[Edge]) -> Doors:
     on_state = [_on_state(edge) for edge in edges]
-    rows = Rows.of([h for own in on_state for h in own], n, m)
+    rows = Rows.of([h for own in on_state for h in own], whole.n, whole.m)
     count = np.array([len(own) for own in on_state])
     of_exit = np.repeat(np.eye(len(edges)), count, axis=1)
     return Doors(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
@@ -222,9 +222,8 @@ def _exit(whole: HybridAutomaton, edge: Edge) -> Exit:
     freed = np.flatnonzero((before == 0) & (after > 0))
     gain = any(free_gain_std(whole, mode).any() for mode in modes)
     return Exit(
-        edge=edge,
-        is_self=edge.is_self_transition,
         target=whole.mode_index(edge.target),
+        is_self=edge.is_self_transition,
         on_state=Rows.of(_on_state(edge), n, m),
         on_input=Rows.of([h for h in edge.guard.half_spaces if not h.on_state], n, m),
         reset=None if edge.reset.is_identity else edge.reset.matrices(n, m),

@@ -69,9 +69,9 @@ class Pieces:
         """Those with these numbers, in ascending order."""
         if chosen.size == self.owner.size:
             return self
-        return self.shares(chosen, self.probability[chosen], those(self.mean, chosen), those(self.factor, chosen))
+        return self.subset(chosen, self.probability[chosen], those(self.mean, chosen), those(self.factor, chosen))
 
-    def shares(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
+    def subset(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
         """Of those with these numbers, shares that are Gaussians of their own."""
         if chosen.size == self.owner.size:
             return replace(self, probability=probability, mean=mean, factor=factor)

@@ -12,14 +12,13 @@ digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr, ndtr
 
-from micah_plan.belief.gaussian import SMALLEST_STD, lower_factors, those
+from micah_plan.belief.gaussian import SMALLEST_STD, those
 from micah_plan.belief.wedges import MASS, WHOLE, half_planes, wedges
 
 Floats = NDArray[np.float64]
@@ -135,22 +134,6 @@ def log_probability(margin: Floats, row: Floats) -> Floats:
     if some[0].size:
         found[some] = log_ndtr(z[some])
     return found
-
-
-def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Means (n, o) and lower factors (n, n, o) of o mixtures of r Gaussians each (moment matching).
-
-    Args:
-        weights: (r, o), of sum 1 over r.
-        means, factors: r of (n, o) and (n, k, o).
-    """
-    center = sum((weight * mean for weight, mean in zip(weights, means, strict=True)), start=np.zeros_like(means[0]))
-    roots, (n, k, count) = np.sqrt(weights), factors[0].shape
-    columns = np.empty((n, len(weights) * (k + 1), count))
-    for number, (root, mean, factor) in enumerate(zip(roots, means, factors, strict=True)):
-        np.multiply(factor, root, out=columns[:, number * (k + 1) : (number + 1) * (k + 1) - 1])
-        np.multiply(mean - center, root, out=columns[:, (number + 1) * (k + 1) - 1])
-    return center, lower_factors(columns, overwrite=True)
 
 
 @dataclass(frozen=True, eq=False)
