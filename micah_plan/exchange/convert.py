@@ -18,7 +18,7 @@ from micah_plan.exchange.urdf_write import urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.ros.log import NANOSECONDS, Logged, header_at, write_log
+from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write_log
 
 TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]
@@ -99,9 +99,8 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
     kept = [k for k in range(len(positions)) if k == len(positions) - 1 or not trajectory.is_transition[k]]
     points = []
     for step, k in enumerate(kept):
-        time = round(step * period * NANOSECONDS)
         point = {"positions": positions[k].tolist(), "velocities": [], "accelerations": [], "effort": []}
-        points.append({**point, "time_from_start": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}})
+        points.append({**point, "time_from_start": split_time(round(step * period * NANOSECONDS))})
     return {"header": header_at(0, "base"), "joint_names": names, "points": points}
 
 

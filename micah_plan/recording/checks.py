@@ -4,6 +4,7 @@ quaternions, actions."""
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
@@ -64,12 +65,7 @@ def checked(recording: Recording, *, minimum_rows: int = 1, place: Place = row_a
     """
     _check_texts(recording, place)
     _check_values(recording, place)
-    order, starts, ends = _groups(recording)
-    _check_time(recording, order, starts, place)
-    last = np.zeros(len(recording), dtype=bool)
-    last[order[ends]] = True
-    _check_actions(recording, last, place)
-    _check_length(recording, order, starts, ends, minimum_rows, place)
+    _check_rows(recording, minimum_rows, place)
     if recording.quaternion is None:
         return recording
     return replace(recording, quaternion=_normalised(recording.quaternion, place))
@@ -85,28 +81,21 @@ def check_header(names: Collection[str], where: str) -> None:
     Raises:
         InputError: with the column that is at fault; the file is left to the caller.
     """
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    for name, times in Counter(names).items():
+        if times > 1:
             raise InputError(f"column {shown(name)} appears twice", where=where, remedy="rename or remove one of them")
-        seen.add(name)
     for name in REQUIRED:
-        if name not in seen:
-            problem = f"column '{name}' is missing, found {shown(','.join(names))}"
-            raise InputError(problem, where=where, remedy=_header_remedy(names))
+        if name not in names:
+            text = ",".join(names)
+            separators = len(names) == 1 and (";" in text or "\t" in text)
+            remedy = "separate the columns by commas" if separators else _HEADER_REMEDY
+            raise InputError(f"column '{name}' is missing, found {shown(text)}", where=where, remedy=remedy)
     for group in OPTIONAL_GROUPS:
-        missing = [name for name in group if name not in seen]
+        missing = [name for name in group if name not in names]
         if missing and len(missing) < len(group):
-            present = next(name for name in group if name in seen)
+            present = next(name for name in group if name in names)
             problem = f"column '{missing[0]}' is missing although '{present}' is there"
             raise InputError(problem, where=where, remedy=f"add it or remove all of {','.join(group)}")
-
-
-def _header_remedy(names: Collection[str]) -> str:
-    text = "".join(names)
-    if len(names) == 1 and (";" in text or "\t" in text):
-        return "separate the columns by commas"
-    return _HEADER_REMEDY
 
 
 def numeric_columns(recording: Recording) -> list[tuple[str, Floats]]:
@@ -124,8 +113,7 @@ def numeric_columns(recording: Recording) -> list[tuple[str, Floats]]:
 def _check_texts(recording: Recording, place: Place) -> None:
     for name, texts in (("part", recording.part), *recording.extra.items()):
         if (name != "part" and name.strip() in KNOWN) or _UNSTORABLE.search(name):
-            remedy = "rename it"
-            raise InputError(f"{shown(name)} is no name that an extra column can have", remedy=remedy)
+            raise InputError(f"{shown(name)} is no name that an extra column can have", remedy="rename it")
         if _UNSTORABLE.search("".join(texts)):
             row = next(i for i, text in enumerate(texts) if _UNSTORABLE.search(text))
             problem = f"expected text on one line, found {shown(texts[row])}"
@@ -155,65 +143,41 @@ def _check_values(recording: Recording, place: Place) -> None:
         if partly.any():
             row = int(np.argmax(partly))
             column = names[int(np.argmax(empty[row]))]
-            problem = f"expected {','.join(names)} all filled or all empty, found only '{column}' empty"
-            if empty[row].sum() > 1:
-                problem = f"expected {','.join(names)} all filled or all empty, found only some of them filled"
+            found = "some of them filled" if empty[row].sum() > 1 else f"'{column}' empty"
+            problem = f"expected {','.join(names)} all filled or all empty, found only {found}"
             raise InputError(problem, where=place(row, column), remedy="fill in the others or empty all three")
 
 
-def _groups(recording: Recording) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Rows sorted by (run, part), file order kept within; first and last place of each group in that order."""
-    numbers: dict[tuple[int, str], int] = {}
-    keys = zip(recording.run.tolist(), recording.part, strict=True)
-    group = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
-    order = np.argsort(group, kind="stable")
-    change = np.flatnonzero(np.diff(group[order])) + 1
-    n = len(group)
-    starts = np.concatenate([[0], change]) if n else change
-    ends = np.concatenate([change, [n]]) - 1 if n else change
-    return order, starts.astype(np.intp), ends.astype(np.intp)
-
-
-def _check_time(recording: Recording, order: NDArray[np.intp], starts: NDArray[np.intp], place: Place) -> None:
-    step = np.diff(recording.time[order], prepend=0.0)
-    step[starts] = 1.0
-    wrong = np.flatnonzero(step <= 0.0)
-    if not wrong.size:
-        return
-    at = wrong[np.argmin(order[wrong])]
-    row, before = int(order[at]), int(order[at - 1])
-    says = "stands still" if step[at] == 0.0 else "goes backwards"
-    problem = f"time {says}: {float(recording.time[row])!r} s after {float(recording.time[before])!r} s"
-    remedy = "sort the rows by time, drop repeated rows, or give each run its number in a column 'run'"
-    raise InputError(problem + _of(recording, row), where=place(row, "t"), remedy=remedy)
-
-
-def _check_actions(recording: Recording, last: NDArray[np.bool_], place: Place) -> None:
-    if recording.action is None:
-        return
-    misplaced = np.isnan(recording.action[:, 0]) & ~last
-    if misplaced.any():
-        row = int(np.argmax(misplaced))
-        problem = "the action is empty, which is only allowed in the last row of a run" + _of(recording, row)
-        remedy = "fill in the commanded displacement (0 where nothing was commanded) or remove ax,ay,az"
-        raise InputError(problem, where=place(row, ACTION[0]), remedy=remedy)
-
-
-def _check_length(
-    recording: Recording,
-    order: NDArray[np.intp],
-    starts: NDArray[np.intp],
-    ends: NDArray[np.intp],
-    minimum_rows: int,
-    place: Place,
-) -> None:
+def _check_rows(recording: Recording, minimum_rows: int, place: Place) -> None:
+    """Time, actions and number of rows within each run and part."""
     if not len(recording):
         raise InputError("expected rows of measurements, found none", remedy="record at least one row")
-    short = np.flatnonzero(ends - starts + 1 < minimum_rows)
-    if short.size:
-        at = short[0]
-        row, count = int(order[ends[at]]), int(ends[at] - starts[at] + 1)
-        problem = f"expected at least {minimum_rows} rows, found {count}" + _of(recording, row)
+    numbers: dict[tuple[int, str], int] = {}
+    keys = zip(recording.run.tolist(), recording.part, strict=True)
+    group = np.array([numbers.setdefault(key, len(numbers)) for key in keys])
+    order, sizes = np.argsort(group, kind="stable"), np.bincount(group)
+    last = order[np.cumsum(sizes) - 1]
+    step = np.diff(recording.time[order], prepend=0.0)
+    step[np.cumsum(sizes) - sizes] = 1.0
+    if (step <= 0.0).any():
+        at = min(np.flatnonzero(step <= 0.0), key=lambda i: order[i])
+        row, before = int(order[at]), int(order[at - 1])
+        says = "stands still" if step[at] == 0.0 else "goes backwards"
+        problem = f"time {says}: {float(recording.time[row])!r} s after {float(recording.time[before])!r} s"
+        remedy = "sort the rows by time, drop repeated rows, or give each run its number in a column 'run'"
+        raise InputError(problem + _of(recording, row), where=place(row, "t"), remedy=remedy)
+    if recording.action is not None:
+        empty = np.isnan(recording.action[:, 0])
+        empty[last] = False
+        if empty.any():
+            row = int(np.argmax(empty))
+            problem = "the action is empty, which is only allowed in the last row of a run" + _of(recording, row)
+            remedy = "fill in the commanded displacement (0 where nothing was commanded) or remove ax,ay,az"
+            raise InputError(problem, where=place(row, ACTION[0]), remedy=remedy)
+    if (sizes < minimum_rows).any():
+        short = int(np.argmax(sizes < minimum_rows))
+        row = int(last[short])
+        problem = f"expected at least {minimum_rows} rows, found {sizes[short]}" + _of(recording, row)
         raise InputError(problem, where=place(row, "t"), remedy="record a longer motion or leave these rows out")
 
 

@@ -35,13 +35,7 @@ from micah_plan.recording.value import DEFAULT_PART, Recording
 
 
 def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """Read a recording CSV.
-
-    Quaternions whose norm is within 1 % of one are normalised.
-
-    Args:
-        path: the file.
-        minimum_rows: how many rows every run needs of each of its parts.
+    """`read_recording` of a CSV file.
 
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.

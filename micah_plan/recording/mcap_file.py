@@ -32,12 +32,7 @@ Sample = tuple[int, tuple[float, ...]]
 
 
 def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
-    """Read a recording from an MCAP file.
-
-    Args:
-        path: the file.
-        minimum_rows: how many rows every part needs.
-        topics: of poses, or child frames of transforms, to read; empty: all.
+    """`read_recording` of an MCAP file; `topics` are those of poses, or child frames of transforms.
 
     Raises:
         InputError: if it is no MCAP file, has no poses, or poses in several frames.

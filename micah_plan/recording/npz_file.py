@@ -7,12 +7,9 @@ Keys: ``time``, ``position`` and optionally ``quaternion``, ``action``, ``force`
 from __future__ import annotations
 
 import io
-import lzma
 import math
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,35 +25,11 @@ from micah_plan.recording.value import DEFAULT_PART, Recording
 _NUMBERS = {"time": 1, "position": 2, "quaternion": 2, "action": 2, "force": 2}
 _TEXTS = {"part": 1, "extra_names": 1, "extra": 2}
 _DIMENSIONS = {**_NUMBERS, "run": 1, **_TEXTS}
-_BROKEN = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    EOFError,
-    OSError,
-    KeyError,
-    IndexError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    OverflowError,
-    SyntaxError,
-    tokenize.TokenError,
-    MemoryError,
-    Warning,
-)  # what zipfile and NumPy are seen to raise on damaged archives
 _REMEDY = "write it again with write_recording or numpy.savez"
 
 
 def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """Read a recording from an NPZ archive; pickled objects are refused, and so is what unpacks to over 256 MiB.
-
-    Quaternions whose norm is within 1 % of one are normalised.
-
-    Args:
-        path: the file.
-        minimum_rows: how many rows every run needs of each of its parts.
+    """`read_recording` of an NPZ archive; pickled objects are refused, and so is what unpacks to over 256 MiB.
 
     Raises:
         InputError: with file, row (from 0), column and remedy, for whatever is not as the format says.
@@ -66,10 +39,10 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
         raise InputError("the file is empty", source=path, remedy="write a recording into it")
     with located_in(path):
         try:
-            arrays = _arrays(data)
-            _check_arrays(arrays)
-            return checked(_recording(arrays), minimum_rows=minimum_rows)
-        except _BROKEN as error:
+            return checked(_recording(_arrays(data)), minimum_rows=minimum_rows)
+        except InputError:
+            raise
+        except Exception as error:  # damaged archives make zipfile, its codecs and NumPy raise nearly anything
             said = shown(str(error) or type(error).__name__)
             problem = f"expected an NPZ archive of arrays, found one that cannot be read ({said})"
             raise InputError(problem, remedy=_REMEDY) from None
@@ -102,7 +75,7 @@ def write_npz(recording: Recording, path: str | Path) -> None:
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of the archive, after its directory was checked."""
+    """The arrays of the archive, checked before and after they are unpacked."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
         warnings.simplefilter("error")
         members = archive.infolist()
@@ -119,6 +92,7 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
                 found = f"the array {shown(name)}" + (" twice" if name in arrays else "")
                 raise InputError(f"expected arrays among {known}, found {found}", remedy="rename or remove it")
             arrays[name] = _array(archive.read(member), name)
+    _check_arrays(arrays)
     return arrays
 
 
@@ -159,13 +133,11 @@ def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _recording(arrays: Mapping[str, NDArray[Any]]) -> Recording:
-    extra = {}
-    if "extra" in arrays:
-        extra = dict(zip(arrays["extra_names"].tolist(), map(tuple, arrays["extra"].tolist()), strict=True))
+    texts = {name: arrays[name].tolist() if name in arrays else [] for name in _TEXTS}
     return Recording(
         **{name: arrays[name] for name in (*_NUMBERS, "run") if name in arrays},
-        part=tuple(arrays["part"].tolist()) if "part" in arrays else (),
+        part=tuple(texts["part"]),
         has_run="run" in arrays,
         has_part="part" in arrays,
-        extra=extra,
+        extra=dict(zip(texts["extra_names"], map(tuple, texts["extra"]), strict=True)),
     )

@@ -1,17 +1,20 @@
-"""One way in and out for recordings: the reader and writer that fit a file, imported when a file needs them."""
+"""One way in and out for recordings: the reader and writer that fit a file."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
+from micah_plan.recording.csv_file import read_csv, write_csv
+from micah_plan.recording.mcap_file import read_mcap, write_mcap
+from micah_plan.recording.npz_file import read_npz, write_npz
+from micah_plan.recording.tum_file import read_tum, write_tum
+from micah_plan.recording.value import Recording
 
-if TYPE_CHECKING:
-    from micah_plan.recording.value import Recording
-
+_READERS = {".csv": read_csv, ".npz": read_npz, ".tum": read_tum}
+_WRITERS = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum, ".mcap": write_mcap}
 _REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays) or .mcap (ROS 2 messages)"
 
 
@@ -19,7 +22,7 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
     """Read a recording from a .csv, .tum, .txt, .npz or .mcap file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
-    TUM trajectory.
+    TUM trajectory. Quaternions whose norm is within 1 % of one are normalised.
 
     Args:
         path: the file.
@@ -32,25 +35,15 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".mcap":
-        from micah_plan.recording.mcap_file import read_mcap
-
         return read_mcap(path, minimum_rows=minimum_rows, topics=topics)
     if topics:
         raise InputError("only .mcap files have topics", source=path, remedy="leave out the topics")
-    if suffix == ".npz":
-        from micah_plan.recording.npz_file import read_npz
-
-        return read_npz(path, minimum_rows=minimum_rows)
-    if suffix == ".csv" or (suffix == ".txt" and _has_commas(path)):
-        from micah_plan.recording.csv_file import read_csv
-
-        return read_csv(path, minimum_rows=minimum_rows)
-    if suffix in {".txt", ".tum"}:
-        from micah_plan.recording.tum_file import read_tum
-
-        return read_tum(path, minimum_rows=minimum_rows)
-    read_bytes(path)  # that it does not exist or is a directory is the better message
-    raise _unknown(path, suffix)
+    if suffix == ".txt":
+        suffix = ".csv" if _has_commas(path) else ".tum"
+    if suffix not in _READERS:
+        read_bytes(path)  # that it does not exist or is a directory is the better message
+        raise _unknown(path, suffix)
+    return _READERS[suffix](path, minimum_rows=minimum_rows)
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
@@ -59,18 +52,10 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written or its format cannot hold all that the recording has.
     """
-    from micah_plan.recording.csv_file import write_csv
-    from micah_plan.recording.mcap_file import write_mcap
-    from micah_plan.recording.npz_file import write_npz
-    from micah_plan.recording.tum_file import write_tum
-
     suffix = Path(path).suffix.lower()
-    writer = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum, ".mcap": write_mcap}.get(
-        suffix
-    )
-    if writer is None:
+    if suffix not in _WRITERS:
         raise _unknown(path, suffix)
-    writer(recording, path)
+    _WRITERS[suffix](recording, path)
 
 
 def _has_commas(path: str | Path) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from micah_plan.files import read_bytes
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 _END_OF_LINE = re.compile(r"\r\n|\n|\r")
-NUMBER_REMEDY = "write a decimal number such as 0.25"
 
 
 def read_lines(path: str | Path) -> list[str]:
@@ -46,14 +46,13 @@ def _line_of(data: bytes, offset: int) -> int:
     return len(re.findall(rb"\r\n|\n|\r", data[:offset])) + 1
 
 
+@dataclass(eq=False)
 class UnreadableValue(Exception):  # noqa: N818 - the value is at fault; it becomes an InputError once its place is known
     """A text that is no number: the row in the column, what is wrong and what to do."""
 
-    def __init__(self, row: int, problem: str, remedy: str) -> None:
-        super().__init__(problem)
-        self.row = row
-        self.problem = problem
-        self.remedy = remedy
+    row: int
+    problem: str
+    remedy: str
 
 
 def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.float64]:
@@ -71,10 +70,7 @@ def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.fl
 def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float64] | None:
     """The fast path for columns in order; None if a value needs the closer look that finds the message."""
     try:
-        if may_be_empty:
-            values = np.array([float(text) if text else np.nan for text in texts])
-        else:
-            values = np.array([float(text) for text in texts])
+        values = np.array([np.nan if may_be_empty and not text else float(text) for text in texts])
     except ValueError:
         return None
     joined = "".join(texts)
@@ -85,22 +81,19 @@ def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float6
 
 
 def _float(row: int, text: str, may_be_empty: bool) -> float:
-    if not text:
-        if may_be_empty:
-            return float("nan")
-        raise UnreadableValue(row, "expected a number, found nothing", "fill in the value or remove the row")
+    if may_be_empty and not text:
+        return float("nan")
+    expected, remedy = "a number", "fill in the value or remove the row"
     if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
-        raise UnreadableValue(
-            row, f"expected a finite number, found {shown(text)}", "fill in the value or remove the row"
-        )
-    if not is_number(text):
-        raise UnreadableValue(row, f"expected a number, found {shown(text)}", NUMBER_REMEDY)
-    value = float(text)
-    if not np.isfinite(value):
-        raise UnreadableValue(
-            row, f"expected a number in range, found {shown(text)}", "give measured values in SI units"
-        )
-    return value
+        expected = "a finite number"
+    elif text and not is_number(text):
+        remedy = "write a decimal number such as 0.25"
+    elif text:
+        value = float(text)
+        if np.isfinite(value):
+            return value
+        expected, remedy = "a number in range", "give measured values in SI units"
+    raise UnreadableValue(row, f"expected {expected}, found {shown(text) if text else 'nothing'}", remedy)
 
 
 def is_number(text: str) -> bool:

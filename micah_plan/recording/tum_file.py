@@ -20,11 +20,7 @@ _COLUMNS = ("t", *POSITION, *QUATERNION)
 
 
 def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """Read a TUM trajectory; quaternions whose norm is within 1 % of one are normalised.
-
-    Args:
-        path: the file.
-        minimum_rows: how many rows it needs.
+    """`read_recording` of a TUM trajectory.
 
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.
@@ -42,9 +38,16 @@ def write_tum(recording: Recording, path: str | Path) -> None:
     """
     with located_in(path):
         recording = checked(recording)
-        surplus = [name for name, there in _surplus(recording).items() if there]
-        if surplus:
-            problem = f"a TUM file holds the poses of one run and part only, found {', '.join(surplus)}"
+        surplus = {
+            "run numbers": recording.has_run or recording.run.any(),
+            "part names": recording.has_part,
+            "actions": recording.has_actions,
+            "forces": recording.force is not None,
+            f"columns {shown(','.join(recording.extra))}": recording.extra,
+        }
+        if any(surplus.values()):
+            found = ", ".join(name for name, there in surplus.items() if there)
+            problem = f"a TUM file holds the poses of one run and part only, found {found}"
             raise InputError(problem, remedy="write a .csv or .npz file")
         if recording.quaternion is None:
             raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")
@@ -75,13 +78,3 @@ def _parsed(lines: list[str], minimum_rows: int) -> Recording:
         raise InputError(error.problem, where=place(row_index, _COLUMNS[column]), remedy=error.remedy) from None
     recording = Recording(time=values[:, 0], position=values[:, 1:4], quaternion=values[:, 4:])
     return checked(recording, minimum_rows=minimum_rows, place=place)
-
-
-def _surplus(recording: Recording) -> dict[str, bool]:
-    return {
-        "run numbers": recording.has_run or bool(recording.run.any()),
-        "part names": recording.has_part,
-        "actions": recording.has_actions,
-        "forces": recording.force is not None,
-        f"columns {shown(','.join(recording.extra))}": bool(recording.extra),
-    }

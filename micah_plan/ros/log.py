@@ -10,18 +10,15 @@ concatenated as MCAP's ``ros2msg`` encoding asks for.
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from micah_plan.errors import InputError, MissingDependencyError, shown
 from micah_plan.files import LARGEST_FILE_BYTES
 
 NANOSECONDS = 1_000_000_000
-_BROKEN = (ValueError, KeyError, IndexError, EOFError, RuntimeError, struct.error, OverflowError, MemoryError)
 _REMEDY = "record it again, or repair it with `mcap recover`"
-
 
 MessageType = Literal[
     "geometry_msgs/msg/PoseStamped",
@@ -31,7 +28,16 @@ MessageType = Literal[
     "trajectory_msgs/msg/JointTrajectory",
 ]
 
-_PIECES: Mapping[str, str] = {
+_DEFINITIONS: Mapping[str, str] = {
+    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/msg/Vector3Stamped": "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "sensor_msgs/msg/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
+    ),
+    "trajectory_msgs/msg/JointTrajectory": (
+        "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint[] points"
+    ),
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
@@ -48,37 +54,7 @@ _PIECES: Mapping[str, str] = {
         "builtin_interfaces/Duration time_from_start"
     ),
 }
-_HEADER = ("std_msgs/Header", "builtin_interfaces/Time")
-_POSE = ("geometry_msgs/Point", "geometry_msgs/Quaternion")
-_MESSAGES: Mapping[MessageType, tuple[str, tuple[str, ...]]] = {
-    "geometry_msgs/msg/PoseStamped": (
-        "std_msgs/Header header\ngeometry_msgs/Pose pose",
-        (*_HEADER, "geometry_msgs/Pose", *_POSE),
-    ),
-    "geometry_msgs/msg/Vector3Stamped": (
-        "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
-        (*_HEADER, "geometry_msgs/Vector3"),
-    ),
-    "tf2_msgs/msg/TFMessage": (
-        "geometry_msgs/TransformStamped[] transforms",
-        (
-            "geometry_msgs/TransformStamped",
-            *_HEADER,
-            "geometry_msgs/Transform",
-            "geometry_msgs/Vector3",
-            "geometry_msgs/Quaternion",
-        ),
-    ),
-    "sensor_msgs/msg/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
-        _HEADER,
-    ),
-    "trajectory_msgs/msg/JointTrajectory": (
-        "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint[] points",
-        (*_HEADER, "trajectory_msgs/JointTrajectoryPoint", "builtin_interfaces/Duration"),
-    ),
-}
-MESSAGE_TYPES: tuple[MessageType, ...] = tuple(_MESSAGES)
+MESSAGE_TYPES: tuple[MessageType, ...] = get_args(MessageType)
 
 
 @dataclass(frozen=True)
@@ -126,22 +102,29 @@ def read_log(content: bytes) -> Iterator[Logged]:
         MissingDependencyError: without the extra ``ros``.
     """
     _require()
-    from mcap.exceptions import McapError
-    from zstandard import ZstdError
-
     try:
         yield from _messages(content)
     except InputError:
         raise
-    except (McapError, ZstdError, *_BROKEN) as error:
+    except Exception as error:  # damaged files make the libraries raise nearly anything
         said = shown(str(error) or type(error).__name__)
         raise InputError(f"expected an MCAP file, found one that cannot be read ({said})", remedy=_REMEDY) from None
 
 
 def definition(name: MessageType) -> str:
-    """The definition of a message and of all that it is made of."""
-    own, used = _MESSAGES[name]
-    return "".join([f"{own}\n", *(f"{'=' * 80}\nMSG: {piece}\n{_PIECES[piece]}\n" for piece in used)])
+    """The definition of a message and of all that it is made of, each once."""
+    used = dict.fromkeys(_used(name))
+    pieces = (f"{'=' * 80}\nMSG: {piece}\n{_DEFINITIONS[piece]}\n" for piece in used)
+    return "".join([f"{_DEFINITIONS[name]}\n", *pieces])
+
+
+def _used(name: str) -> Iterator[str]:
+    """The types of a message's fields, each followed by those of its own."""
+    for line in _DEFINITIONS[name].splitlines():
+        kind = line.split()[0].removesuffix("[]")
+        if kind in _DEFINITIONS:
+            yield kind
+            yield from _used(kind)
 
 
 def stamp_ns(header: Any, logged: int) -> int:
@@ -152,7 +135,12 @@ def stamp_ns(header: Any, logged: int) -> int:
 
 def header_at(time: int, frame: str) -> dict[str, Any]:
     """A ``std_msgs/Header`` to write; `time` in ns."""
-    return {"stamp": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}, "frame_id": frame}
+    return {"stamp": split_time(time), "frame_id": frame}
+
+
+def split_time(time: int) -> dict[str, int]:
+    """A time [ns] as messages write it."""
+    return {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}
 
 
 def _require() -> None:
@@ -175,17 +163,14 @@ def _messages(content: bytes) -> Iterator[Logged]:
     }
     for record in _records(content):
         if isinstance(record, Schema):
-            named = next((kind for kind in MESSAGE_TYPES if kind == record.name), None)
-            if named is not None:
-                kinds[record.id] = named
+            if record.name in decoders:
+                kinds[record.id] = record.name
         elif isinstance(record, Channel):
             if record.schema_id in kinds and record.message_encoding == "cdr":
                 channels[record.id] = record.topic, kinds[record.schema_id]
         elif isinstance(record, Message) and record.channel_id in channels:
             topic, kind = channels[record.channel_id]
-            decode = decoders[kind]
-            if decode is not None:
-                yield Logged(topic, kind, record.log_time, decode(record.data))
+            yield Logged(topic, kind, record.log_time, decoders[kind](record.data))
 
 
 def _records(content: bytes) -> Iterator[Any]:
