@@ -60,13 +60,9 @@ def sweep(
 
 
 def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager[Workers]:
-    if scheduler is None:
-        from micah_plan.sweep.workers import process_workers
+    from micah_plan.sweep.workers import dask_workers, process_workers
 
-        return process_workers(count)
-    from micah_plan.sweep.dask_workers import dask_workers
-
-    return dask_workers(scheduler)
+    return process_workers(count) if scheduler is None else dask_workers(scheduler)
 
 
 def _how_to_go_on(asked: Sweep, output: Path) -> str:

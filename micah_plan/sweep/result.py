@@ -65,7 +65,8 @@ class CaseRun:
     attempts: int = 1
 
 
-NUMBERS = tuple(item.name for item in fields(CaseResult) if item.name not in ("outcome", "reason", "modes"))
+_KINDS = {"outcome": "string", "reason": "string", "modes": "string", "successes": "int64"}
+NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name) != "string")
 
 
 def timings_path(output: Path) -> Path:
@@ -91,12 +92,10 @@ def results_table(sweep: Sweep, cases: Sequence[Case], results: Sequence[CaseRes
         kind = _kind(values)
         columns[key] = kind, [_cell(case.overrides[i][1], kind) for case in cases]
     columns["seed"] = "int64", [case.seed for case in cases]
-    columns["outcome"] = "string", [result.outcome for result in results]
-    columns["reason"] = "string", [result.reason for result in results]
-    columns["modes"] = "string", [" > ".join(result.modes) for result in results]
-    for name in NUMBERS:
-        kind = "int64" if name == "successes" else "double"
-        columns[name] = kind, [_cell(getattr(result, name), kind) for result in results]
+    for item in fields(CaseResult):
+        kind = _KINDS.get(item.name, "double")
+        cells = [getattr(result, item.name) for result in results]
+        columns[item.name] = kind, [" > ".join(c) if item.name == "modes" else _cell(c, kind) for c in cells]
     return _written(columns, suffix)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from micah_plan.outputs import TABLE, Output, check_outputs
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun, results_table, timings_path, timings_table
 from micah_plan.sweep.solve_case import worker_died
-from micah_plan.sweep.workers import ExecutorWorkers, Workers, process_workers
+from micah_plan.sweep.workers import Workers, process_workers
 from micah_plan.task.sweep import Case, Sweep
 
 MOST_ATTEMPTS = 3
@@ -66,10 +66,9 @@ def run_sweep(
         MissingDependencyError: if a library is missing for the table or the plant.
         SweepStoppedError: if the executor broke or was closed; run again to go on.
     """
-    place: AbstractContextManager[Workers] = process_workers(workers)
     if executor is not None:
-        place = nullcontext(ExecutorWorkers(executor, _EXECUTOR_IN_FLIGHT))
-    with place as chosen:
+        return run_on(sweep, Path(output), Workers(executor, _EXECUTOR_IN_FLIGHT), progress)
+    with process_workers(workers) as chosen:
         return run_on(sweep, Path(output), chosen, progress)
 
 
@@ -81,11 +80,13 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
         distinct = {case.key: case for case in cases}
         unfinished = [case for key, case in distinct.items() if key not in journal.finished]
         resumed = len(distinct) - len(unfinished)
-        told = _told(progress, resumed, len(distinct))
+        outcomes: Counter[str] = Counter({"from before": resumed} if resumed else {})
+        _tell(progress, outcomes, len(distinct))
         with closing(finished_cases(unfinished, workers)) as ended:
             for case, run in ended:
                 journal.append(case.key, run)
-                told(run)
+                outcomes[run.result.outcome] += 1
+                _tell(progress, outcomes, len(distinct))
         runs = [journal.finished[case.key] for case in cases]
     results = tuple(run.result for run in runs)
     replace_file(output, results_table(sweep, cases, results, output.suffix))
@@ -107,21 +108,11 @@ def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
     results_table(sweep, (), (), output.suffix)
 
 
-def _told(progress: Progress | None, finished: int, total: int) -> Callable[[CaseRun], None]:
-    """What says how many cases are finished, when it is told of one more."""
-    outcomes: Counter[str] = Counter({"from before": finished} if finished else {})
-
-    def say() -> None:
-        if progress is not None:
-            parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "starting workers"
-            progress(f"{outcomes.total()} of {total} cases ({parts})", outcomes.total() / max(1, total))
-
-    def tell(run: CaseRun) -> None:
-        outcomes[run.result.outcome] += 1
-        say()
-
-    say()
-    return tell
+def _tell(progress: Progress | None, outcomes: Counter[str], total: int) -> None:
+    """Say how many cases are finished, by outcome."""
+    if progress is not None:
+        parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "starting workers"
+        progress(f"{outcomes.total()} of {total} cases ({parts})", outcomes.total() / max(1, total))
 
 
 def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[Case, CaseRun], None, None]:

@@ -1,41 +1,30 @@
-"""Where cases are solved: processes of this machine, or any executor that is given."""
+"""Where cases are solved: processes of this machine, a Dask cluster, any executor. The only importer of distributed."""
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
-from micah_plan.errors import MicahError
+from micah_plan.errors import InputError, MicahError, MissingDependencyError
 from micah_plan.sweep.result import CaseRun
 from micah_plan.sweep.solve_case import solve_case
 from micah_plan.task.sweep import Case
 
 T = TypeVar("T")
 
-
-class Workers(Protocol):
-    """What a sweep needs of them."""
-
-    @property
-    def in_flight(self) -> int:
-        """How many cases to hand over at a time: enough that no worker waits for the next."""
-
-    def submit(self, case: Case) -> Future[CaseRun]:
-        """Hand over a case."""
-
-    def renew(self) -> bool:
-        """Start again after workers died and took the executor along; False if that cannot be done here."""
+_CONNECT_S = 10.0
 
 
-class ExecutorWorkers:
-    """An executor that somebody else made and will close."""
+class Workers:
+    """The workers of an executor that somebody else made and will close."""
 
     def __init__(self, executor: Executor, in_flight: int) -> None:
         """Args: the executor, and how many cases to hand over at a time."""
@@ -43,16 +32,19 @@ class ExecutorWorkers:
 
     @property
     def in_flight(self) -> int:
+        """How many cases to hand over at a time: enough that no worker waits for the next."""
         return self._in_flight
 
     def submit(self, case: Case) -> Future[CaseRun]:
+        """Hand over a case."""
         return self._executor.submit(solve_case, case)
 
     def renew(self) -> bool:
+        """Start again after workers died and took the executor along; False if that cannot be done here."""
         return False
 
 
-class ProcessWorkers:
+class ProcessWorkers(Workers):
     """A pool of fresh processes (spawned: CasADi and OMPL do not survive a fork), and another one when it breaks.
 
     A worker lives as long as this process holds one end of a pipe: it goes when it is told to, and also when this
@@ -62,14 +54,10 @@ class ProcessWorkers:
     def __init__(self, count: int) -> None:
         """Args: how many processes."""
         self._count = count
-        self._begin()
-
-    @property
-    def in_flight(self) -> int:
-        return 2 * self._count
+        super().__init__(self._begin(), in_flight=2 * count)
 
     def submit(self, case: Case) -> Future[CaseRun]:
-        return self._submit(solve_case, case)
+        return self._submit(self._executor, solve_case, case)
 
     def renew(self) -> bool:
         if self._first_begun.exception() is not None:
@@ -77,28 +65,30 @@ class ProcessWorkers:
                 "no worker process can start; a script that runs a sweep must do it below `if __name__ == '__main__':`"
             )
         self.close()
-        self._begin()
+        self._executor = self._begin()
         return True
 
     def close(self) -> None:
         """End the processes, whatever they are doing."""
         self._held.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._executor.shutdown(wait=True, cancel_futures=True)
         self._watched.close()
 
-    def _submit(self, function: Callable[..., T], *arguments: object) -> Future[T]:
+    def _begin(self) -> Executor:
+        context = multiprocessing.get_context("spawn")
+        self._watched, self._held = context.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(self._count, context, _live_with_parent, (self._watched,))
+        self._first_begun = self._submit(pool, os.getpid)
+        return pool
+
+    @staticmethod
+    def _submit(pool: Executor, function: Callable[..., T], *arguments: object) -> Future[T]:
         # The pool starts processes here; they inherit what this thread blocks.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return self._pool.submit(function, *arguments)
+            return pool.submit(function, *arguments)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-    def _begin(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._watched, self._held = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(self._count, context, _live_with_parent, (self._watched,))
-        self._first_begun = self._submit(os.getpid)
 
 
 @contextmanager
@@ -123,3 +113,57 @@ def _live_with_parent(watched: Connection) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+class DaskWorkers(Workers):
+    """The workers that a scheduler has at each time. Dask itself gives the cases of a dead worker to others."""
+
+    def __init__(self, client: Any, executor: Executor) -> None:
+        """Args: a connected `distributed.Client`, and its executor."""
+        super().__init__(executor, in_flight=2)
+        self._client = client
+
+    @property
+    def in_flight(self) -> int:
+        # A scheduler that does not answer is noticed by the cases that it had.
+        with suppress(OSError, RuntimeError, ValueError):
+            self._in_flight = 2 * max(1, sum(self._client.ncores().values()))
+        return self._in_flight
+
+
+@contextmanager
+def dask_workers(address: str) -> Iterator[DaskWorkers]:
+    """The workers of the scheduler at an address such as ``tcp://10.0.0.1:8786``; left alone with the block.
+
+    Raises:
+        MissingDependencyError: if distributed is not installed.
+        InputError: if no scheduler answers there, or it has no workers.
+    """
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise MissingDependencyError("a Dask cluster needs distributed: pip install 'micah-plan[cluster]'") from None
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        said = " ".join(str(error).split())[:200]
+        remedy = "start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`"
+        raise InputError(f"no Dask scheduler answers at {address} ({said})", remedy=remedy) from None
+    # Without the tracebacks that Dask logs when workers and schedulers go: the sweep says in a line what matters.
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        with client:
+            if not client.ncores():
+                problem = f"the Dask scheduler at {address} has no workers"
+                raise InputError(problem, remedy="start some: dask worker ADDRESS --nthreads 1")
+            executor = client.get_executor(pure=False)
+            try:
+                yield DaskWorkers(client, executor)
+            finally:
+                executor.shutdown(wait=False)
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
