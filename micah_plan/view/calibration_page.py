@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,64 +31,26 @@ _SIDE = 1.5
 """Where the axis of directions ends: dots of commands forward lie around 1, those backward around -1."""
 
 
-@dataclass(frozen=True)
-class _Effect:
-    """An effect in words; `ambiguity` is empty if no other effect explains the recording as well."""
-
-    name: str
-    sentences: str
-    source: str
-    ambiguity: str
-
-
-@dataclass(frozen=True)
-class _Coordinate:
-    """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
-
-    name: str
-    summary: str
-    pairs: tuple[tuple[Svg, Svg], ...]
-    ranking: Bars
-    runs: Table
-
-
-@dataclass(frozen=True)
-class _Report:
-    """What the template shows, as texts, tables and drawings."""
-
-    title: str
-    kind: str
-    badge: tuple[str, Status]
-    message: str
-    notes: tuple[str, ...]
-    modes: tuple[str, ...]
-    parameters: Table
-    effects: tuple[_Effect, ...]
-    errors: Table
-    unexplained: str
-    coordinates: tuple[_Coordinate, ...]
-    experiment: str
-
-
 def calibration_page(found: Calibration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
     modes = [mode for one in found.traces for mode in one.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
-    report = _Report(
-        title=title,
-        kind="calibration: measured motion against the model",
-        badge=_BADGES[found.verdict],
-        message=SENTENCES[found.verdict],
-        notes=found.notes,
-        modes=tuple(f"{_capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes),
-        parameters=_parameters(found),
-        effects=tuple(map(_effect, found.effects)),
-        errors=_errors(found),
-        unexplained=f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be explained.",
-        coordinates=tuple(map(_coordinate, found.traces)),
-        experiment=f"{_capital(found.experiment)}.",
-    )
-    return render("calibration.html.j2", page=report)
+    page = {
+        "title": title,
+        "kind": "calibration: measured motion against the model",
+        "badge": _BADGES[found.verdict],
+        "message": SENTENCES[found.verdict],
+        "notes": found.notes,
+        "modes": [f"{_capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
+        "parameters": _parameters(found),
+        "effects": [_effect(one) for one in found.effects],
+        "errors": _errors(found),
+        "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
+        "explained.",
+        "coordinates": [_coordinate(one) for one in found.traces],
+        "experiment": f"{_capital(found.experiment)}.",
+    }
+    return render("calibration.html.j2", page=page)
 
 
 def _parameters(found: Calibration) -> Table:
@@ -102,7 +64,8 @@ def _parameters(found: Calibration) -> Table:
     return Table(("effect", "parameter", "value", "95 % interval", "evidence [nats]"), tuple(rows), (4,))
 
 
-def _effect(found: FoundEffect) -> _Effect:
+def _effect(found: FoundEffect) -> dict[str, str]:
+    """An effect in words; `ambiguity` is empty if no other effect explains the recording as well."""
     sentences = [found.sentence]
     if found.effect.modes:
         sentences.append(f"It acts only in {', '.join(found.effect.modes)}.")
@@ -112,7 +75,8 @@ def _effect(found: FoundEffect) -> _Effect:
         run, time = found.since
         sentences.append(f"It is seen from {quantity(time, 's')} into run {run}.")
     others = f"This recording does not distinguish it from {', '.join(found.tied)}. To do so: {found.experiment}."
-    return _Effect(found.effect.name, " ".join(sentences), found.source, others if found.tied else "")
+    words = {"name": found.effect.name, "sentences": " ".join(sentences), "source": found.source}
+    return {**words, "ambiguity": others if found.tied else ""}
 
 
 def _errors(found: Calibration) -> Table:
@@ -127,7 +91,8 @@ def _errors(found: Calibration) -> Table:
     return Table((head, "before", "after", "noise alone"), rows, (1, 2, 3))
 
 
-def _coordinate(one: LaneTrace) -> _Coordinate:
+def _coordinate(one: LaneTrace) -> dict[str, Any]:
+    """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
     lane = one.lane
     steps, runs = count(int(lane.counted.sum()), "step"), count(len(np.unique(lane.run)), "run")
     chance = percent(one.white_probability)
@@ -142,7 +107,8 @@ def _coordinate(one: LaneTrace) -> _Coordinate:
         Bar(name, with_spread(gain, error, "nats"), gain / best[0][1], BLUE, faint=name not in chosen)
         for name, gain, error in best
     ]
-    return _Coordinate(lane.coordinate, summary, _residuals(one), Bars("", tuple(bars)), _runs(one))
+    charts = {"pairs": _residuals(one), "ranking": Bars("", tuple(bars)), "runs": _runs(one)}
+    return {"name": lane.coordinate, "summary": summary, **charts}
 
 
 def _runs(one: LaneTrace) -> Table:
