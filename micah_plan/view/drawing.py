@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import origin
+from micah_plan.scene.body import corners
 from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
@@ -145,23 +146,18 @@ def draw_shapes(
         scene.primitive(f"{path}/{slug(shape.kind, number)}", shape, color=color, opacity=opacity)
 
 
+def draw_copy(
+    scene: Scene, path: str, shapes: tuple[Primitive, ...], pose: RigidTransform, color: str, opacity: float
+) -> None:
+    """A pale copy of a body at one pose (single), which the camera sees."""
+    draw_shapes(scene, path, shapes, color=color, opacity=opacity)
+    scene.place(path, pose)
+    scene.reserve(shape_corners(shapes, pose))
+
+
 def shape_corners(shapes: tuple[Primitive, ...], pose: RigidTransform) -> Floats:
     """(k, 3) corners of boxes around the shapes of a body at a pose (single), for `Scene.reserve`."""
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    corners = [np.zeros((0, 3))]
-    for shape in shapes:
-        half = _half_lengths(shape)
-        local = RigidTransform.from_components(shape.position, Rotation.from_quat(shape.quaternion))
-        corners.append((pose * local).apply(signs * half))
-    return np.concatenate(corners)
-
-
-def _half_lengths(shape: Primitive) -> Floats:
-    if shape.kind == "box":
-        return np.array(shape.size) / 2
-    if shape.kind == "cylinder":
-        return np.array([shape.size[0], shape.size[0], shape.size[1] / 2])
-    return np.full(3, shape.size[0])
+    return np.concatenate([np.zeros((0, 3)), *(pose.apply(corners(shape)) for shape in shapes)])
 
 
 def _round_length(length: float) -> float:

@@ -26,7 +26,7 @@ from micah_plan.quantities import count, percent, plain
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.view.keyframes import step_times, stretches
+from micah_plan.view.motion import step_times, stretches
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK, mode_colors
 from micah_plan.view.placement import thresholds
 

@@ -13,6 +13,7 @@ from micah_plan.quantities import interval, plain, quantity
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import (
     JointLook,
+    draw_copy,
     draw_frame,
     draw_ground,
     draw_joint,
@@ -23,8 +24,7 @@ from micah_plan.view.drawing import (
     shape_corners,
     shown_links,
 )
-from micah_plan.view.keyframes import Keyframes
-from micah_plan.view.motion import Moved, animate_attached, animate_bodies, handle_path
+from micah_plan.view.motion import Keyframes, Moved, handle_path, poses_over_time
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, GUARD, INK, mode_colors
 from micah_plan.view.placement import (
@@ -49,8 +49,9 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
     scene = Scene()
     size = object_size(automaton)
     keys, bands = sweep(automaton)
-    draw_object(scene, automaton, keys)
-    draw_mode_joints(scene, automaton, keys, size)
+    moved = poses_over_time(automaton, keys)
+    draw_object(scene, automaton, keys, moved)
+    draw_mode_joints(scene, automaton, keys, moved, size)
     marks = thresholds(automaton)
     _draw_thresholds(scene, automaton, marks, size)
     spacing = draw_ground_and_frame(scene, size)
@@ -106,31 +107,33 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     return Keyframes(np.array(times), tuple(modes), np.stack(states)), tuple(bands)
 
 
-def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved | None = None) -> None:
-    """The moving parts, animated (along `moved`, if given), and the fixed parts."""
-    animate_bodies(scene, automaton, keys, moved)
+def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved) -> None:
+    """The moving parts, animated, and the fixed parts."""
+    for number, link in shown_links(automaton):
+        path, poses, shapes = f"object/{slug(link.child, number)}", moved[link.child], link_shapes(automaton, number)
+        draw_shapes(scene, path, shapes)
+        scene.animate(path, keys.times, poses)
+        for i in range(0, len(poses), max(1, len(poses) // 12)):
+            scene.reserve(shape_corners(shapes, poses[i]))
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))
 
 
-def draw_mode_joints(
-    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, size: float, moved: Moved | None = None
-) -> None:
+def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved, size: float) -> None:
     """The joints of all modes, each link's in the frame of its parent, in the colours of the modes."""
     colors = mode_colors(automaton)
-    paths = {}
     shown = {BASE, *(part.name for part in automaton.parts), *(link.child for _, link in shown_links(automaton))}
-    for number, link in shown_links(automaton):
-        if link.parent not in shown:
-            continue
-        path = paths[number] = f"joints/{slug(link.child, number)}"
+    drawn = [(number, link) for number, link in shown_links(automaton) if link.parent in shown]
+    for number, link in drawn:
         point = handle_in_part(automaton, link.child)
         for order, mode in enumerate(automaton.modes):
+            path = f"joints/{slug(link.child, number)}/{slug(mode.name, order)}"
             limits = coordinate_range(automaton, mode, link.coordinate)[:2]
-            joint, look = mode.joints[number], JointLook(colors[mode.name], size, point=point)
-            draw_joint(scene, f"{path}/{slug(mode.name, order)}", joint, limits, look)
-    animate_attached(scene, automaton, keys, paths, moved)
+            draw_joint(scene, path, mode.joints[number], limits, JointLook(colors[mode.name], size, point=point))
+    for number, link in drawn:
+        if link.parent in moved:
+            scene.animate(f"joints/{slug(link.child, number)}", keys.times, moved[link.parent])
 
 
 def draw_ground_and_frame(scene: Scene, size: float) -> float:
@@ -169,10 +172,7 @@ def _draw_thresholds(scene: Scene, automaton: HybridAutomaton, marks: tuple[Thre
             if mark.coordinate not in chain_coordinates(automaton, link.child):
                 continue
             path = f"guards/{order}/{slug(link.child, number)}"
-            shapes = link_shapes(automaton, number)
-            draw_shapes(scene, path, shapes, color=GUARD, opacity=0.22)
-            scene.place(path, poses[link.child])
-            scene.reserve(shape_corners(shapes, poses[link.child]))
+            draw_copy(scene, path, link_shapes(automaton, number), poses[link.child], GUARD, 0.22)
             handle = handle_in_part(automaton, link.child)
             axis = np.array(mode.joints[number].axis)
             if np.any(axis) and mode.joints[number].kind != "prismatic":

@@ -1,29 +1,95 @@
-"""An automaton's parts set in motion: everything in the scene that follows the keyframes."""
+"""What a scene shows when: states at keyframes, a planned belief on the clock of the page, and poses of the parts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import part_poses, poses_of_states
-from micah_plan.view.drawing import draw_shapes, link_shapes, shape_corners, shown_links
-from micah_plan.view.keyframes import Keyframes
+from micah_plan.automaton.kinematics import poses_of_states
+from micah_plan.task.plan import Trajectory
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
-from micah_plan.view.scene import Scene, slug, transforms
 
 Floats = NDArray[np.float64]
 Moved = Mapping[str, RigidTransform]
+"""(k,) poses by part."""
+
+_DURATION_S = 10.0
+_FRAMES_PER_STEP = 3
+_TRANSITION_S = 0.02
+_REST_S = 0.8
 
 
-def poses_over_time(
-    automaton: HybridAutomaton, keys: Keyframes, offset: Floats | None = None
-) -> dict[str, RigidTransform]:
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """States to show in time order.
+
+    Attributes:
+        times: (k,) [s], strictly increasing.
+        modes: (k,) mode names.
+        states: (k, n) [rad or m].
+        factors: (k, n, n) Cholesky factors of the belief's covariance; empty if there is no belief.
+    """
+
+    times: Floats
+    modes: tuple[str, ...]
+    states: Floats
+    factors: Floats = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    @property
+    def duration(self) -> float:
+        return float(self.times[-1])
+
+
+def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
+    """(K,) number of time steps before each knot; a transition takes none."""
+    return np.concatenate([[0], np.cumsum(~trajectory.is_transition)]).astype(np.int64)
+
+
+def knot_times(trajectory: Trajectory) -> Floats:
+    """(K,) [s] on the page's clock, strictly increasing."""
+    steps = step_times(trajectory)
+    passed = np.concatenate([[0], np.cumsum(trajectory.is_transition)])
+    return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed * _TRANSITION_S)
+
+
+def duration(trajectory: Trajectory) -> float:
+    """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen."""
+    return float(knot_times(trajectory)[-1]) + _REST_S
+
+
+def keyframes(trajectory: Trajectory) -> Keyframes:
+    """Mean and factor on the page's clock: steps of equal length, a transition in passing."""
+    frames = np.append(np.where(trajectory.is_transition, 1, _FRAMES_PER_STEP), 1)  # the last knot is the last frame
+    knot = np.repeat(np.arange(len(frames)), frames)
+    following = np.minimum(knot + 1, knot[-1])
+    share = np.concatenate([np.arange(count) / count for count in frames])
+
+    def between(values: Floats) -> Floats:
+        weight = share.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((1 - weight) * values[knot] + weight * values[following])
+
+    return Keyframes(
+        between(knot_times(trajectory)),
+        tuple(trajectory.modes[k] for k in knot),
+        between(trajectory.means),
+        between(trajectory.factors),
+    )
+
+
+def stretches(modes: Sequence[str]) -> list[tuple[int, int]]:
+    """First index of every stretch of one mode, and the first of the next (of the last stretch its own last)."""
+    starts = [k for k in range(len(modes)) if k == 0 or modes[k] != modes[k - 1]]
+    return list(zip(starts, [*starts[1:], len(modes) - 1], strict=True))
+
+
+def poses_over_time(automaton: HybridAutomaton, keys: Keyframes, offset: float | Floats = 0.0) -> Moved:
     """(k,) poses by part; `offset` (k, n) is added to the states."""
-    states = keys.states if offset is None else keys.states + offset
+    states = keys.states + offset
     matrices = {link.child: np.empty((len(states), 4, 4)) for link in automaton.links}
     for name in dict.fromkeys(keys.modes):  # all states of a mode at once
         rows = np.flatnonzero([own == name for own in keys.modes])
@@ -37,44 +103,6 @@ def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Float
     return np.asarray(poses_over_time(automaton, keys)[part].apply(handle_in_part(automaton, part)))
 
 
-def animate_bodies(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved | None = None) -> None:
-    """The moving parts with their shapes; `moved` has their poses where those are not the states' own."""
-    moved = poses_over_time(automaton, keys) if moved is None else moved
-    for number, link in shown_links(automaton):
-        path, poses = f"object/{slug(link.child, number)}", moved[link.child]
-        shapes = link_shapes(automaton, number)
-        draw_shapes(scene, path, shapes)
-        scene.animate(path, keys.times, poses)
-        for i in range(0, len(poses), max(1, len(poses) // 12)):
-            scene.reserve(shape_corners(shapes, poses[i]))
-
-
-def animate_attached(
-    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, paths: Mapping[int, str], moved: Moved | None = None
-) -> None:
-    """What is drawn in the frame of a link's parent (`paths`, by number of the link) moves with that parent."""
-    poses = poses_over_time(automaton, keys) if moved is None else moved
-    for number, path in paths.items():
-        link = automaton.links[number]
-        if link.parent in poses:
-            scene.animate(path, keys.times, poses[link.parent])
-
-
-def animate_ghosts(
-    scene: Scene, automaton: HybridAutomaton, keys: Keyframes, sigmas: float, layer: str, color: str
-) -> None:
-    """Pale copies of the parts where each coordinate is `sigmas` standard deviations ahead of and behind the mean."""
-    if keys.factors is None:
-        return
-    spread = sigmas * np.sqrt((keys.factors**2).sum(axis=2))
-    for side, sign in (("ahead", 1.0), ("behind", -1.0)):
-        moved = poses_over_time(automaton, keys, sign * spread)
-        for number, link in shown_links(automaton):
-            path = f"{layer}/{side}/{slug(link.child, number)}"
-            draw_shapes(scene, path, link_shapes(automaton, number), color=color, opacity=0.16)
-            scene.animate(path, keys.times, moved[link.child])
-
-
 def belief_ellipsoids(
     automaton: HybridAutomaton, keys: Keyframes, part: str, factor: float, floor: float
 ) -> tuple[RigidTransform, Floats]:
@@ -82,24 +110,16 @@ def belief_ellipsoids(
 
     J is the handle's Jacobian and P the belief's covariance; radii smaller than `floor` are drawn as `floor`.
     """
-    poses, radii = [], []
-    before: Floats | None = None
-    for name, x, L in zip(keys.modes, keys.states, _factors(keys), strict=True):
-        mode = automaton.mode(name)
-        spread = handle_jacobian(automaton, mode, x, part) @ L
-        axes, size = ellipsoid(spread @ spread.T, factor, floor)
-        if before is not None:
-            axes, size = _matched(axes, size, before)
-        before = axes
-        center = part_poses(automaton, mode, x)[part].apply(handle_in_part(automaton, part))
-        poses.append(RigidTransform.from_components(center, Rotation.from_matrix(axes)))
+    axes: list[Floats] = []
+    radii: list[Floats] = []
+    for name, x, L in zip(keys.modes, keys.states, keys.factors, strict=True):
+        spread = handle_jacobian(automaton, automaton.mode(name), x, part) @ L
+        found = ellipsoid(spread @ spread.T, factor, floor)
+        turned, size = _matched(*found, axes[-1]) if axes else found
+        axes.append(turned)
         radii.append(size)
-    return transforms(poses), np.stack(radii)
-
-
-def _factors(keys: Keyframes) -> Floats:
-    n = keys.states.shape[1]
-    return np.zeros((len(keys.states), n, n)) if keys.factors is None else keys.factors
+    rotations = Rotation.from_matrix(np.stack(axes))
+    return RigidTransform.from_components(handle_path(automaton, keys, part), rotations), np.stack(radii)
 
 
 def _matched(axes: Floats, radii: Floats, before: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.quantities import count, percent, plain
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.view.keyframes import duration, knot_times, step_times, stretches
+from micah_plan.view.motion import duration, knot_times, step_times, stretches
 from micah_plan.view.page import Chart
 from micah_plan.view.palette import BELIEF, GOAL, mode_colors
 from micah_plan.view.placement import thresholds

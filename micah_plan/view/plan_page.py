@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,20 @@ from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 from micah_plan.view.camera import camera
-from micah_plan.view.drawing import draw_shapes, link_shapes, object_size, shape_corners, shown_links
-from micah_plan.view.keyframes import Keyframes, duration, keyframes, knot_times, step_times, stretches
+from micah_plan.view.drawing import draw_copy, draw_shapes, link_shapes, object_size, shown_links
 from micah_plan.view.model_page import draw_ground_and_frame, draw_mode_joints, draw_object, ground_legend
-from micah_plan.view.motion import Moved, animate_ghosts, belief_ellipsoids, handle_path
+from micah_plan.view.motion import (
+    Keyframes,
+    Moved,
+    belief_ellipsoids,
+    duration,
+    handle_path,
+    keyframes,
+    knot_times,
+    poses_over_time,
+    step_times,
+    stretches,
+)
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
@@ -31,25 +41,13 @@ from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw
 
 Floats = NDArray[np.float64]
 
-_PATH, _HELD_PATH = 0.006, 0.014
+# Relative to the size of the object: thickness of paths, and the smallest radius that an ellipsoid is drawn with.
+_PATH, _HELD_PATH, _FLOOR = 0.006, 0.014, 0.025
 _BADGES: dict[str, tuple[str, Status]] = {
     "solved": ("SOLVED", "good"),
     "no_plan": ("NO PLAN", "bad"),
     "not_verified": ("NOT VERIFIED", "bad"),
 }
-
-
-@dataclass(frozen=True)
-class _Sigmas:
-    """How far the belief is drawn.
-
-    Attributes:
-        ghosts: standard deviations that the plan keeps as a margin, k with Phi(k) = confidence.
-        floor: smallest radius that an ellipsoid is drawn with [m].
-    """
-
-    ghosts: float
-    floor: float
 
 
 def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
@@ -60,16 +58,15 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
         plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
     scene = Scene()
     size = object_size(automaton)
-    sigmas = _Sigmas(problem.settings.sigmas, 0.025 * size)
-    keys = keyframes(plan.trajectory) if plan.trajectory else _still(problem)
-    moved = None if problem.hold is None else settled_over_time(problem, keys)
+    keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
+    goal = _goal(problem, keys)
+    moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
     draw_object(scene, automaton, keys, moved)
-    draw_mode_joints(scene, automaton, keys, size, moved)
-    _draw_state(scene, "start", problem, np.array(problem.start.mean), _start_mode(problem), START)
-    _draw_state(scene, "goal", problem, *_goal(problem, keys), GOAL)
+    draw_mode_joints(scene, automaton, keys, moved, size)
+    _draw_state(scene, "start", problem, _start_mode(problem), np.array(problem.start.mean), START)
+    _draw_state(scene, "goal", problem, goal.modes[0], goal.states[0], GOAL)
     if plan.trajectory:
-        _draw_belief(scene, problem, keys, sigmas, size)
-        animate_ghosts(scene, automaton, keys, sigmas.ghosts, "spread", BELIEF)
+        _draw_belief(scene, problem, keys, size)
     if problem.hold is not None:
         _draw_changes(scene, problem, keys)
     if plan.trajectory and plan.arm:
@@ -77,17 +74,16 @@ def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
     draw_bodies(scene, problem.scene)
     spacing = draw_ground_and_frame(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
-    points = np.concatenate([handle_path(automaton, keys, part) for part in parts])
-    goal_points = np.concatenate([_handle_at(automaton, *_goal(problem, keys), part) for part in parts])
+    points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
     page = ScenePage(
         title=title,
         kind="plan",
-        camera=camera(scene, np.concatenate([points, goal_points]), body_boxes(problem.scene)),
+        camera=camera(scene, points, body_boxes(problem.scene)),
         badge=_BADGES[plan.outcome],
         message=plan.reason,
         chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
         facts=_facts(plan, problem),
-        legend=_legend(plan, problem, sigmas, spacing),
+        legend=_legend(plan, problem, size, spacing),
         details=_details(plan, problem),
         timeline=_timeline(plan.trajectory, automaton) if plan.trajectory else Timeline(),
         hidden=["spread"],
@@ -101,52 +97,36 @@ def _start_mode(problem: Problem) -> str:
     return start_mode(problem.automaton, problem.start)[0] or problem.automaton.modes[0].name
 
 
-def _bands(trajectory: Trajectory, automaton: HybridAutomaton) -> tuple[Band, ...]:
-    colors, entered = mode_colors(automaton), [first for first, _ in stretches(trajectory.modes)]
-    starts = [float(knot_times(trajectory)[first]) for first in entered]
-    names = [trajectory.modes[first] for first in entered]
-    ends = [*starts[1:], duration(trajectory)]
-    return tuple(Band(a, b, colors[name], name) for a, b, name in zip(starts, ends, names, strict=True))
+def _still(mode: str, x: Floats) -> Keyframes:
+    return Keyframes(np.zeros(1), (mode,), x[None])
 
 
-def _still(problem: Problem) -> Keyframes:
-    return Keyframes(np.zeros(1), (_start_mode(problem),), np.array([problem.start.mean]))
-
-
-def _goal(problem: Problem, keys: Keyframes) -> tuple[Floats, str]:
-    """A state (n,) in the middle of the goal set, the free coordinates as at the end, and a mode to draw it in."""
+def _goal(problem: Problem, keys: Keyframes) -> Keyframes:
+    """A state in the middle of the goal set, the free coordinates as at the end, and a mode to draw it in."""
     x = keys.states[-1].copy()
     for index, value, _ in problem.goal.target:
         x[index] = value
     inside = [q for q in problem.automaton.modes_at(x, 1e-9) if q in problem.goal.modes or not problem.goal.modes]
-    return x, (inside[0] if inside else (problem.goal.modes or (keys.modes[-1],))[0])
+    return _still((*inside, *problem.goal.modes, keys.modes[-1])[0], x)
 
 
-def _draw_state(scene: Scene, layer: str, problem: Problem, x: Floats, mode: str, color: str) -> None:
+def _draw_state(scene: Scene, layer: str, problem: Problem, mode: str, x: Floats, color: str) -> None:
     """A pale copy of the moving parts at one state."""
-    automaton = problem.automaton
     poses = settled_poses(problem, mode, x)
-    for number, link in shown_links(automaton):
-        path = f"{layer}/{slug(link.child, number)}"
-        shapes = link_shapes(automaton, number)
-        draw_shapes(scene, path, shapes, color=color, opacity=0.28)
-        scene.place(path, poses[link.child])
-        scene.reserve(shape_corners(shapes, poses[link.child]))
+    for number, link in shown_links(problem.automaton):
+        shapes = link_shapes(problem.automaton, number)
+        draw_copy(scene, f"{layer}/{slug(link.child, number)}", shapes, poses[link.child], color, 0.28)
 
 
-def _handle_at(automaton: HybridAutomaton, x: Floats, mode: str, part: str) -> Floats:
-    return handle_path(automaton, Keyframes(np.zeros(1), (mode,), x[None]), part)
-
-
-def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigmas, size: float) -> None:
-    """The ellipsoid of each part's handle along the plan, and the path of its centre."""
+def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, size: float) -> None:
+    """The ellipsoid of each part's handle along the plan, the path of its centre, and pale copies k σ off the mean."""
     automaton = problem.automaton
     colors = mode_colors(automaton)
     thickness = (_PATH if problem.hold is None else _HELD_PATH) * size
     for number, link in shown_links(automaton):
         freedoms = len(chain_coordinates(automaton, link.child))
         factor = float(np.sqrt(chi2.ppf(problem.settings.confidence, freedoms)))
-        poses, radii = belief_ellipsoids(automaton, keys, link.child, factor, sigmas.floor)
+        poses, radii = belief_ellipsoids(automaton, keys, link.child, factor, _FLOOR * size)
         path = f"belief/{slug(link.child, number)}"
         scene.unit_sphere(path, BELIEF, opacity=0.65)
         scene.animate(path, keys.times, poses, scales=radii)
@@ -157,6 +137,13 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, sigmas: _Sigma
         for order, (first, last) in enumerate(stretches(keys.modes)):
             ends = straightened(centers[first : last + 1])
             scene.mesh(f"path/{slug(link.child, number)}/{order}", tube(ends, thickness), colors[keys.modes[first]])
+    spread = problem.settings.sigmas * np.sqrt((keys.factors**2).sum(axis=2))
+    for side, sign in (("ahead", 1.0), ("behind", -1.0)):
+        moved = poses_over_time(automaton, keys, sign * spread)
+        for number, link in shown_links(automaton):
+            path = f"spread/{side}/{slug(link.child, number)}"
+            draw_shapes(scene, path, link_shapes(automaton, number), color=BELIEF, opacity=0.16)
+            scene.animate(path, keys.times, moved[link.child])
 
 
 def _draw_changes(scene: Scene, problem: Problem, keys: Keyframes) -> None:
@@ -164,24 +151,24 @@ def _draw_changes(scene: Scene, problem: Problem, keys: Keyframes) -> None:
     colors = mode_colors(problem.automaton)
     for number, (first, _) in enumerate(stretches(keys.modes)[1:]):
         mode = keys.modes[first]
-        _draw_state(scene, f"changes/{number}", problem, keys.states[first], mode, colors[mode])
+        _draw_state(scene, f"changes/{number}", problem, mode, keys.states[first], colors[mode])
 
 
-def _legend(plan: Plan, problem: Problem, sigmas: _Sigmas, spacing: float) -> list[LegendEntry]:
-    confidence = percent(problem.settings.confidence)
+def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[LegendEntry]:
+    confidence, sigmas = percent(problem.settings.confidence), plain(problem.settings.sigmas)
     entries = []
     if plan.trajectory:
         entries += [
             LegendEntry(
                 BELIEF,
                 f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least "
-                f"{quantity(sigmas.floor, 'm')})",
+                f"{quantity(_FLOOR * size, 'm')})",
                 "belief",
                 "dot",
                 "b",
                 "belief",
             ),
-            LegendEntry(BELIEF, f"object at the mean ± {plain(sigmas.ghosts)} σ", "spread", "area", "s", "spread"),
+            LegendEntry(BELIEF, f"object at the mean ± {sigmas} σ", "spread", "area", "s", "spread"),
             LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]
         if problem.hold is not None:
@@ -236,16 +223,21 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
 
 
 def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
-    steps = step_times(trajectory)
+    steps, times, end = step_times(trajectory), knot_times(trajectory), duration(trajectory)
     stds = np.sqrt((trajectory.factors**2).sum(axis=2))
-    found = []
-    for k, time in enumerate(knot_times(trajectory)):
+    readouts = []
+    for k, time in enumerate(times):
         lines = [f"step {steps[k]} of {steps[-1]}, mode {trajectory.modes[k]}"]
         for i, c in enumerate(automaton.coordinates):
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
             lines.append(f"{c.name} = {with_spread(mean, std, c.unit, degrees=False)} (1 σ)")
-        found.append((float(time), tuple(lines)))
-    return Timeline(duration(trajectory), _bands(trajectory, automaton), tuple(found))
+        readouts.append((float(time), tuple(lines)))
+    colors, entered = mode_colors(automaton), [first for first, _ in stretches(trajectory.modes)]
+    bands = [
+        Band(float(times[first]), float(until), colors[trajectory.modes[first]], trajectory.modes[first])
+        for first, until in zip(entered, [*times[entered[1:]], end], strict=True)
+    ]
+    return Timeline(end, tuple(bands), tuple(readouts))
 
 
 def settled_over_time(problem: Problem, keys: Keyframes) -> Moved:

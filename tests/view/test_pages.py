@@ -22,9 +22,8 @@ from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph
 from micah_plan.task.plan import Plan
-from micah_plan.view.keyframes import Keyframes
 from micah_plan.view.model_page import model_page
-from micah_plan.view.motion import belief_ellipsoids, poses_over_time
+from micah_plan.view.motion import Keyframes, belief_ellipsoids, poses_over_time
 from micah_plan.view.plan_page import plan_page
 from micah_plan.view.recording_page import recording_page
 

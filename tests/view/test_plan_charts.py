@@ -11,7 +11,7 @@ from scipy.stats import norm
 from view_objects import OPEN_AT, problem, solved, trajectory, words_of
 
 from micah_plan.task.plan import ArmTrajectory, Plan
-from micah_plan.view.keyframes import duration, knot_times, step_times, stretches
+from micah_plan.view.motion import duration, knot_times, step_times, stretches
 from micah_plan.view.plan_charts import plan_charts
 
 Element = ElementTree.Element
