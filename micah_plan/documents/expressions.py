@@ -22,7 +22,8 @@ from pydantic import Field, PlainValidator
 from pydantic_core import PydanticCustomError
 
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.documents.layout import checked_name
+from micah_plan.documents.fields import checked_name
+from micah_plan.documents.layout import Mark, Scope
 from micah_plan.documents.located import Located, choices
 from micah_plan.errors import InputError, shown
 
@@ -43,6 +44,10 @@ class Variables:
     coordinates: tuple[str, ...]
     inputs: tuple[str, ...]
 
+    @staticmethod
+    def of(scope: Scope) -> Variables:
+        return Variables(tuple(scope["coordinate"]), tuple(scope["input"]))
+
     def listed(self) -> list[str]:
         return [_written(name) for name in self.coordinates] + [f"{INPUT} {_written(name)}" for name in self.inputs]
 
@@ -53,8 +58,8 @@ class Affine:
 
     a: tuple[float, ...]
     b: tuple[float, ...]
-    constant: float
-    has_constant: bool
+    constant: float = 0.0
+    has_constant: bool = False
 
 
 def parse_affine(text: str, variables: Variables) -> Affine:
@@ -273,30 +278,28 @@ def _expression(value: Any) -> str:
     raise PydanticCustomError("expression", "expected an expression such as 1.2 or 'door + 0.1'")
 
 
-Expression = Annotated[str, PlainValidator(_expression, json_schema_input_type=str | float)]
-HalfSpaceEntry = Annotated[
-    Any, PlainValidator(_half_space_entry, json_schema_input_type=str | Annotated[dict[str, str], Field(max_length=1)])
-]
-RegionEntries = list[HalfSpaceEntry]
+def _affine_of(text: str, at: Located, scope: Scope) -> Affine:
+    with at.locating_errors():
+        return parse_affine(text, Variables.of(scope))
 
 
-def affine_of(text: str, names: Variables, located: Located) -> Affine:
-    """The affine expression that an entry holds; `expressions.affine_text` writes it."""
-    with located.locating_errors():
-        return parse_affine(text, names)
+def _affine_entry(value: Affine, scope: Scope) -> str | float:
+    """The text of an expression, or the number that it is."""
+    is_number = not any((*value.a, *value.b))
+    return value.constant if is_number else affine_text(value.a, value.b, value.constant, Variables.of(scope))
 
 
-def region_of(entries: Sequence[tuple[str, str | None]], names: Variables, located: Located) -> Region:
-    """The region that a list of half-spaces describes."""
-    half_spaces = []
+def _region_of(entries: Sequence[tuple[str, str | None]], at: Located, scope: Scope) -> Region:
+    names, half_spaces = Variables.of(scope), []
     for i, (text, name) in enumerate(entries):
-        with located.at(i).locating_errors():
+        with at.at(i).locating_errors():
             half_spaces.append(parse_half_space(text, names, name))
     return Region(tuple(half_spaces))
 
 
-def region_data(region: Region, names: Variables) -> list[str | dict[str, str]]:
-    """The entries of a region, which `region_of` reads back; names only where they are not the canonical ones."""
+def _region_entries(region: Region, scope: Scope) -> list[str | dict[str, str]]:
+    """The entries of a region; names only where they are not the canonical ones."""
+    names = Variables.of(scope)
     entries: list[str | dict[str, str]] = []
     for half_space in region.half_spaces:
         if (len(half_space.a), len(half_space.b)) != (len(names.coordinates), len(names.inputs)):
@@ -305,3 +308,12 @@ def region_data(region: Region, names: Variables) -> list[str | dict[str, str]]:
         own_name = half_space.name not in ("", canonical_name(half_space, names))
         entries.append({half_space.name: text} if own_name else text)
     return entries
+
+
+Expression = Annotated[
+    str, PlainValidator(_expression, json_schema_input_type=str | float), Mark(_affine_of, _affine_entry)
+]
+HalfSpaceEntry = Annotated[
+    Any, PlainValidator(_half_space_entry, json_schema_input_type=str | Annotated[dict[str, str], Field(max_length=1)])
+]
+RegionEntries = Annotated[list[HalfSpaceEntry], Mark(_region_of, _region_entries)]

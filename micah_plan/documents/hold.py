@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.automaton.contacts.values import Grip, HeldPart
-from micah_plan.documents.layout import ZERO, Document, Name, Positive, Vector3, doc, plain
+from micah_plan.automaton.contacts.values import AXES, Grip, HeldPart
+from micah_plan.documents.fields import ZERO, Name, Positive, Vector3, named
+from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
-from micah_plan.documents.parts import ShapeDocument, shapes_of
+from micah_plan.documents.parts import ShapeDocument
 from micah_plan.task.problem import Hold
-
-_AXES = "xyz"
 
 
 class HeldPartDocument(Document):
+    makes = HeldPart
+
     name: Name = doc("Of the part.")
     shapes: Annotated[list[ShapeDocument], Field(min_length=1)] = doc(
         "Its solids in the hinge frame, with the joint at the datum: y along the hinge, the moving part turns from x "
@@ -30,8 +31,18 @@ class ReachDocument(Document):
 
 
 class ContactDocument(Document):
-    body: Name = doc("Body of the scene.")
+    body: Annotated[Name, named("body")] = doc("Body of the scene.")
     face: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = doc("Which side of it, by where it looks.")
+
+    def read(self, at: Located, scope: Scope) -> tuple[str, int, int]:
+        """(body, axis, sign) of the face."""
+        sign, axis = self.face
+        return self.own(at, scope)["body"], AXES.index(axis), 1 if sign == "+" else -1
+
+    @classmethod
+    def written(cls, value: tuple[str, int, int], scope: Scope) -> Mapping[str, Any]:
+        body, axis, sign = value
+        return {"body": body, "face": "+-"[sign < 0] + AXES[axis]}
 
 
 class HoldDocument(Document):
@@ -48,54 +59,22 @@ class HoldDocument(Document):
         "Faces that the moving part may touch; anything else is to be kept clear of.", list
     )
 
+    def check(self, at: Located) -> None:
+        lower, upper = self.reach.lower, self.reach.upper
+        if any(low >= high for low, high in zip(lower, upper, strict=True)):
+            problem = f"expected lower corners below the upper ones, found {lower} and {upper}"
+            raise at.at("reach").error(problem, "give the hand room")
+        if self.held.name == self.moving.name:
+            raise at.at("moving", "name").error("both parts have the same name", "name them apart")
 
-def hold_of(document: HoldDocument | None, bodies: Sequence[str], located: Located) -> Hold | None:
-    """What is under the key `hold`.
+    def read(self, at: Located, scope: Scope) -> Hold:
+        own = self.own(at, scope)
+        contacts, reach = own.pop("contacts"), own.pop("reach")
+        return Hold(Grip(**own), contacts, **reach)
 
-    Args:
-        bodies: names of those of the scene.
-
-    Raises:
-        InputError: for shapes that are none, an unknown body, parts of one name and a reach without room.
-    """
-    if document is None:
-        return None
-    for i, contact in enumerate(document.contacts):
-        located.at("contacts", i, "body").number(contact.body, bodies, "body")
-    lower, upper = document.reach.lower, document.reach.upper
-    if any(low >= high for low, high in zip(lower, upper, strict=True)):
-        problem = f"expected lower corners below the upper ones, found {lower} and {upper}"
-        raise located.at("reach").error(problem, "give the hand room")
-    if document.held.name == document.moving.name:
-        raise located.at("moving", "name").error("both parts have the same name", "name them apart")
-    held, moving = (
-        HeldPart(part.name, shapes_of(part.shapes, located.at(key, "shapes")))
-        for key, part in (("held", document.held), ("moving", document.moving))
-    )
-    grip = Grip(
-        held=held,
-        moving=moving,
-        point=document.point,
-        rotation=document.rotation,
-        travel=document.travel,
-        pivots=document.pivots,
-        datum=document.datum,
-        coordinate=document.coordinate,
-    )
-    return Hold(grip, tuple(_contact_of(contact) for contact in document.contacts), lower, upper)
+    @classmethod
+    def written(cls, value: Hold, scope: Scope) -> Mapping[str, Any]:
+        return {**vars(value.grip), "reach": value, "contacts": value.contacts}
 
 
-def hold_data(hold: Hold) -> dict[str, Any]:
-    """The entry of a hold with every setting written out, which `hold_of` reads back."""
-    contacts = [{"body": body, "face": "+-"[sign < 0] + _AXES[axis]} for body, axis, sign in hold.contacts]
-    data = {**vars(hold.grip), "reach": hold, "contacts": contacts}
-    data = plain(HoldDocument, data, keep=HoldDocument.model_fields.keys() - {"datum"})
-    if "datum" in data:
-        data["datum"] = data.pop("datum")
-    return data
-
-
-def _contact_of(document: ContactDocument) -> tuple[str, int, int]:
-    """(body, axis, sign) of a face."""
-    sign, axis = document.face
-    return document.body, _AXES.index(axis), 1 if sign == "+" else -1
+HoldDocument.keeps = HoldDocument.model_fields.keys() - {"datum"}

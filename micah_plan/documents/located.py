@@ -7,10 +7,12 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from micah_plan.errors import InputError, shown
 
+T = TypeVar("T")
 KeyPath = tuple[str | int, ...]
 _LONGEST_PATH = 120
 _LONGEST_LIST = 200
@@ -65,32 +67,41 @@ class Located:
         except InputError as error:
             raise self.error(error.problem, error.remedy) from None
 
-    def unknown(self, what: str, name: str, allowed: Iterable[str]) -> InputError:
-        """An error about a name that does not exist, with the names that do and the nearest of them."""
-        return self.error(f"unknown {what} {shown(name)}", choices(name, allowed))
+    @property
+    def folder(self) -> Path:
+        """The folder that the file lies in."""
+        return Path(self.source).parent
 
-    def number(self, name: str, names: Iterable[str], what: str) -> int:
-        """Number of a name among those that exist.
+    @property
+    def name(self) -> str:
+        """The last key on the way to this place."""
+        return str(self.prefix[-1])
+
+    def named(self, name: str, names: Sequence[str], what: str) -> str:
+        """A name that is among those that exist.
 
         Raises:
-            InputError: if it is none of them.
+            InputError: if it is none of them; the message says what they are names of.
         """
-        known = list(names)
-        if name not in known:
-            raise self.unknown(what, name, known)
-        return known.index(name)
+        if name not in names:
+            raise self.error(f"unknown {what} {shown(name)}", choices(name, names))
+        return name
 
-    def in_order(self, values: Mapping[str, float], names: Sequence[str], what: str) -> tuple[float, ...]:
-        """The values in the order of the names, each of which must be there once.
+    def number(self, name: str, names: Sequence[str], what: str) -> int:
+        """As `named`, but its number."""
+        return names.index(self.named(name, names, what))
+
+    def in_order(self, values: Mapping[str, T], names: Sequence[str], what: str, entry: str = "value") -> tuple[T, ...]:
+        """The values, or other entries, in the order of the names, each of which must be there once.
 
         Raises:
             InputError: for an unknown or a missing name.
         """
         for name in values:
-            self.at(name).number(name, names, what)
+            self.at(name).named(name, names, what)
         missing = [name for name in names if name not in values]
         if missing:
-            raise self.error(f"missing value of {what} {', '.join(map(repr, missing))}", "give every one a value")
+            raise self.error(f"missing {entry} of {what} {', '.join(map(repr, missing))}", f"give every one a {entry}")
         return tuple(values[name] for name in names)
 
 

@@ -1,26 +1,19 @@
-"""Modes: their joints, dynamics, sets and measurement, the entries `modes` of a model file."""
+"""Modes and the transitions between them: the entries `modes` and `transitions` of a model file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode, Pin, Tie
-from micah_plan.documents.expressions import (
-    Expression,
-    RegionEntries,
-    Variables,
-    affine_of,
-    affine_text,
-    region_data,
-    region_of,
-)
-from micah_plan.documents.joint import JointDocument, joint_data, joint_of
-from micah_plan.documents.layout import Document, Name, NonNegative, Positive, doc, plain, unique
+import numpy as np
+
+from micah_plan.automaton.hybrid import Edge, Mode, Pin, Reset, Tie
+from micah_plan.documents.expressions import Affine, Expression, RegionEntries
+from micah_plan.documents.fields import ITEMS, CoordinateName, Matrix, ModeName, Name, NonNegative, Positive, Row, each
+from micah_plan.documents.joint import JointDocument, check_size
+from micah_plan.documents.layout import Document, Scope, doc, unique
 from micah_plan.documents.located import Located
 from micah_plan.errors import InputError
-
-T = TypeVar("T")
 
 
 class PinDocument(Document):
@@ -29,97 +22,118 @@ class PinDocument(Document):
 
 
 class ModeDocument(Document):
-    joints: dict[Name, JointDocument] = doc("The joint of every link in this mode, by child part.")
-    step: dict[Name, Expression] = doc(
+    joints: Annotated[dict[Name, JointDocument], each("linked part", "joint")] = doc(
+        "The joint of every link in this mode, by child part."
+    )
+    step: dict[CoordinateName, Expression] = doc(
         "Change of each coordinate in one step as a linear expression, e.g. `door: input door`; a coordinate that is "
         "left out does not move."
     )
     invariant: RegionEntries = doc("Half-spaces in all of which the mode's dynamics hold.")
     inputs: RegionEntries = doc("Half-spaces that admissible inputs lie in.", list)
-    pins: dict[Name, PinDocument] = doc("Coordinates that the mode holds fixed, e.g. by a latch.", dict)
-    ties: dict[Name, Expression] = doc(
+    pins: dict[CoordinateName, PinDocument] = doc("Coordinates that the mode holds fixed, e.g. by a latch.", dict)
+    ties: dict[CoordinateName, Expression] = doc(
         "Coordinates that follow others, as an affine expression of them, e.g. `theta: 0.9 - 6.8*z`: an angle that "
         "follows a height while an edge touches a table.",
         dict,
     )
-    observation_std: dict[Name, Positive] = doc(
+    observation_std: Annotated[dict[CoordinateName, Positive], ITEMS] = doc(
         "Std of one measurement in this mode, of coordinates that it measures in its own way, wherever it is [rad or "
         "m]; default: as under `noise`.",
         dict,
     )
 
+    def read(self, at: Located, scope: Scope) -> Mode:
+        own, coordinates = self.own(at, scope), scope["coordinate"]
+        rows = [(0.0,) * len(scope["input"]) for _ in coordinates]
+        for i, change in own.pop("step").items():
+            if any(change.a) or change.constant:
+                remedy = "write only inputs, such as 'input door' or '0.5*input door'"
+                raise at.at("step", coordinates[i]).error("a step is linear in the inputs", remedy)
+            rows[i] = change.b
+        for i, tie in own["ties"].items():
+            if any(tie.b):
+                problem = "a tie is about coordinates, not inputs"
+                raise at.at("ties", coordinates[i]).error(problem, "write e.g. '0.9 - 6.8*z'")
+        pins = tuple(Pin(i, **pin) for i, pin in own.pop("pins").items())
+        ties = tuple(Tie(i, tie.a, tie.constant) for i, tie in own.pop("ties").items())
+        return Mode(at.name, **own, input_matrix=tuple(rows), pins=pins, ties=ties)
 
-def mode_of(name: str, document: ModeDocument, names: Variables, parts: Sequence[str], located: Located) -> Mode:
-    """The mode that an entry describes.
+    @classmethod
+    def written(cls, value: Mode, scope: Scope) -> Mapping[str, Any]:
+        n, m = len(scope["coordinate"]), len(scope["input"])
+        if value.B.shape != (n, m):
+            raise InputError(f"automaton: mode '{value.name}' needs B {(n, m)}. Got {value.B.shape}")
+        return {
+            **vars(value),
+            "step": {i: Affine((0.0,) * n, row) for i, row in enumerate(value.input_matrix) if any(row)},
+            "pins": unique((pin.coordinate, pin) for pin in value.pins),
+            "ties": unique((tie.coordinate, Affine(tie.weights, (0.0,) * m, float(tie.offset))) for tie in value.ties),
+        }
 
-    Args:
-        parts: the child parts of the links, in order.
-    """
-    joints = located.at("joints")
-    for child in document.joints:
-        joints.at(child).number(child, parts, "linked part")
-    missing = [child for child in parts if child not in document.joints]
-    if missing:
-        raise joints.error(f"missing joint of part '{missing[0]}'", "every mode has a joint for every link")
 
-    pins = tuple(Pin(i, **dict(pin)) for i, pin in _numbered(document.pins, names, located.at("pins")))
-    return Mode(
-        name=name,
-        joints=tuple(joint_of(document.joints[child], joints.at(child)) for child in parts),
-        input_matrix=_step_of(document.step, names, located.at("step")),
-        invariant=region_of(document.invariant, names, located.at("invariant")),
-        inputs=region_of(document.inputs, names, located.at("inputs")),
-        pins=pins,
-        observation_std=tuple(_numbered(document.observation_std, names, located.at("observation_std"))),
-        ties=tuple(_tie_of(own, text, names, located.at("ties", own)) for own, text in document.ties.items()),
+class MatricesDocument(Document):
+    makes = Reset
+
+    A: Matrix | None = doc("(n, n); default: identity.", None)
+    B: Matrix | None = doc("(n, m); default: zero.", None)
+    c: Row | None = doc("(n); default: zero.", None)
+
+    def own(self, at: Located, scope: Scope) -> dict[str, Any]:
+        n, m = len(scope["coordinate"]), len(scope["input"])
+        c = None if self.c is None else (self.c,)
+        for key, rows, height, width in (("A", self.A, n, n), ("B", self.B, n, m), ("c", c, 1, n)):
+            if rows is not None:
+                check_size(rows, height, width, at.at(key))
+        return super().own(at, scope)
+
+
+class TransitionDocument(Document):
+    source: ModeName = doc("Mode that it leaves.")
+    target: ModeName = doc("Mode that it enters; the same as `source` for a clamp.")
+    guard: RegionEntries = doc("Half-spaces that must all hold.")
+    reset: dict[CoordinateName, Expression] = doc(
+        "New value of a coordinate as an affine expression, e.g. `door: 1.2` or `door: door + 0.1`; a coordinate that"
+        " is left out keeps its value.",
+        dict,
+    )
+    reset_matrices: MatricesDocument | None = doc("The reset as x+ = A x + B u + c, instead of `reset`.", None)
+    threshold_std: NonNegative = doc(
+        "How well the guard's thresholds on coordinates are known: their standard deviation [rad or m].", 0.0
     )
 
+    def read(self, at: Located, scope: Scope) -> Edge:
+        if self.reset and self.reset_matrices is not None:
+            problem = "both 'reset' and 'reset_matrices' are given"
+            raise at.at("reset_matrices").error(problem, "keep one of them")
+        own = self.own(at, scope)
+        values, matrices = own.pop("reset"), own.pop("reset_matrices")
+        return Edge(**own, reset=_reset_of(values, scope) if matrices is None else matrices)
 
-def mode_data(mode: Mode, automaton: HybridAutomaton, names: Variables) -> dict[str, Any]:
-    """The entry of a mode, which `mode_of` reads back."""
-    if len(mode.joints) != len(automaton.links) or mode.B.shape != (automaton.n, automaton.m):
-        raise InputError(
-            f"automaton: mode '{mode.name}' needs {len(automaton.links)} joints and B {(automaton.n, automaton.m)}. "
-            f"Got {len(mode.joints)} and {mode.B.shape}"
-        )
-    at_rest, still = (0.0,) * automaton.n, (0.0,) * automaton.m
-    data = {
-        "joints": {link.child: joint_data(joint) for link, joint in zip(automaton.links, mode.joints, strict=True)},
-        "step": {
-            name: affine_text(at_rest, row, None, names)
-            for name, row in zip(names.coordinates, mode.input_matrix, strict=True)
-            if any(row)
-        },
-        "invariant": region_data(mode.invariant, names),
-        "inputs": region_data(mode.inputs, names),
-        "pins": unique((names.coordinates[pin.coordinate], pin) for pin in mode.pins),
-        "ties": unique(
-            (names.coordinates[t.coordinate], affine_text(t.weights, still, float(t.offset), names)) for t in mode.ties
-        ),
-        "observation_std": unique((names.coordinates[i], std) for i, std in mode.observation_std),
-    }
-    return plain(ModeDocument, data)
+    @classmethod
+    def written(cls, value: Edge, scope: Scope) -> Mapping[str, Any]:
+        """With the reset as expressions where they mean exactly this one, else as its matrices."""
+        n, m = len(scope["coordinate"]), len(scope["input"])
+        a, b, c = value.reset.matrices(n, m)
+        if a.shape != (n, n) or b.shape != (n, m) or c.shape != (n,):
+            raise InputError(f"automaton: a reset has matrices of sizes {a.shape}, {b.shape}, {c.shape}")
+        values = {}
+        for i, unmoved in enumerate(np.eye(n)):
+            is_number = not (a[i].any() or b[i].any())
+            if is_number or c[i] or b[i].any() or not np.array_equal(a[i], unmoved):
+                values[i] = Affine(tuple(a[i].tolist()), tuple(b[i].tolist()), float(c[i]), is_number or bool(c[i]))
+        is_exact = _reset_of(values, scope) == value.reset
+        return {**vars(value), **({"reset": values} if is_exact else {"reset": {}, "reset_matrices": value.reset})}
 
 
-def _numbered(entries: Mapping[str, T], names: Variables, located: Located) -> list[tuple[int, T]]:
-    """Entries by coordinate, with its number instead of its name."""
-    return [(located.at(name).number(name, names.coordinates, "coordinate"), item) for name, item in entries.items()]
-
-
-def _step_of(step: Mapping[str, str], names: Variables, located: Located) -> tuple[tuple[float, ...], ...]:
-    rows = [(0.0,) * len(names.inputs) for _ in names.coordinates]
-    for name, text in step.items():
-        index = located.at(name).number(name, names.coordinates, "coordinate")
-        change = affine_of(text, names, located.at(name))
-        if any(change.a) or change.constant:
-            remedy = "write only inputs, such as 'input door' or '0.5*input door'"
-            raise located.at(name).error("a step is linear in the inputs", remedy)
-        rows[index] = change.b
-    return tuple(rows)
-
-
-def _tie_of(name: str, text: str, names: Variables, located: Located) -> Tie:
-    value = affine_of(text, names, located)
-    if any(value.b):
-        raise located.error("a tie is about coordinates, not inputs", "write e.g. '0.9 - 6.8*z'")
-    return Tie(located.number(name, names.coordinates, "coordinate"), value.a, value.constant)
+def _reset_of(values: Mapping[int, Affine], scope: Scope) -> Reset:
+    """The affine map of expressions: A, B and c are there only if the expressions say something of them."""
+    n, m = len(scope["coordinate"]), len(scope["input"])
+    a, b, c = np.eye(n), np.zeros((n, m)), np.zeros(n)
+    for i, value in values.items():
+        a[i], b[i], c[i] = value.a, value.b, value.constant
+    return Reset(
+        None if np.array_equal(a, np.eye(n)) else tuple(map(tuple, a.tolist())),
+        tuple(map(tuple, b.tolist())) if b.any() else None,
+        tuple(c.tolist()) if any(value.has_constant for value in values.values()) else None,
+    )

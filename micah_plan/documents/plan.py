@@ -19,19 +19,8 @@ from pydantic import AliasChoices
 from micah_plan import __version__
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import with_memory_states
-from micah_plan.documents.layout import (
-    Count,
-    Document,
-    Line,
-    Lines,
-    Listed,
-    Name,
-    Names,
-    NonNegative,
-    Probability,
-    doc,
-    plain,
-)
+from micah_plan.documents.fields import Count, Line, Lines, Listed, Name, Names, NonNegative, Probability
+from micah_plan.documents.layout import Document, doc, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.model import automaton_of, model_data
 from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
@@ -96,6 +85,8 @@ class ArmDocument(Document):
 
 class PlanDocument(Document):
     """A plan with the whole problem that it solves, so that it can be executed and shown without other files."""
+
+    keeps = ("success_interval", "findings")
 
     format: Literal["micah-plan/plan/1"] = doc("Format and version of this file.")
     version: Line = doc("Version of micah_plan that wrote it.")
@@ -225,14 +216,14 @@ def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
         "problem": problem_data(problem, "model"),
         "model": model_data(problem.automaton),
     }
-    return plain(PlanDocument, vars(plan) | own, keep={"success_interval", "findings"})
+    return plain(PlanDocument, vars(plan) | own)
 
 
 def _stored(located: Located) -> StoredPlan:
     document = validated(located, PlanDocument)
     automaton = automaton_of(located.at("model"))
     stated = located.at("problem")
-    problem = problem_of(validated(stated, ProblemDocument), automaton, stated, Path(located.source).parent)
+    problem = problem_of(validated(stated, ProblemDocument), automaton, stated)
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     trajectory = arm = None
     if document.trajectory is not None:

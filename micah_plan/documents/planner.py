@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from micah_plan.documents.layout import Document, Name, NonNegative, Positive, doc
+from micah_plan.documents.fields import EachInput, NonNegative, Positive
+from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.task.settings import Method, PlannerSettings
 
@@ -16,6 +16,8 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class PlannerDocument(Document):
+    makes = PlannerSettings
+
     method: Method = doc(
         "The planner: POMDP-HD, or a baseline to compare it with; all are verified alike.", PlannerSettings.method
     )
@@ -25,7 +27,7 @@ class PlannerDocument(Document):
         "How many times a mode sequence may come back to a mode that it has been in, e.g. to leave a wall.",
         PlannerSettings.revisits,
     )
-    max_step: dict[Name, Positive] | None = doc(
+    max_step: EachInput[Positive] | None = doc(
         "Largest input per step, by input [rad or m]; default: from the model.", None
     )
     max_knots: Annotated[int, Field(ge=2, le=100_000)] = doc(
@@ -53,6 +55,9 @@ class PlannerDocument(Document):
         "Steps after which execution plans anew from its belief; 0: only where the belief leaves the plan.",
         PlannerSettings.replan_every,
     )
+
+
+PlannerDocument.keeps = PlannerDocument.model_fields.keys() - {"max_step"}
 
 
 class PlantDocument(Document):
@@ -93,28 +98,5 @@ class PlantDocument(Document):
     joint_effort: Positive | None = doc("Of the robot's joints whose file states none [N m or N].", None)
     rotor_inertia: NonNegative | None = doc("Of the robot's motors, as the joints feel it [kg m^2 or kg].", None)
 
-
-def settings_of(
-    document: PlannerDocument, confidence: float, inputs: Sequence[str], located: Located
-) -> PlannerSettings:
-    """The settings of a problem.
-
-    Args:
-        document: the entry `planner`.
-        confidence: the entry beside it.
-        inputs: names of the model's inputs.
-    """
-    max_step = document.max_step
-    steps = None if max_step is None else located.at("max_step").in_order(max_step, inputs, "input")
-    return PlannerSettings(**dict(document) | {"confidence": confidence, "max_step": steps})
-
-
-def settings_data(settings: PlannerSettings, inputs: Sequence[str]) -> dict[str, Any]:
-    """The entries `confidence` and `planner` with every setting written out, which `settings_of` reads back."""
-    planner = dict(vars(settings))
-    confidence = planner.pop("confidence")
-    if settings.max_step is None:
-        del planner["max_step"]
-    else:
-        planner["max_step"] = dict(zip(inputs, settings.max_step, strict=True))
-    return {"confidence": confidence, "planner": planner}
+    def read(self, at: Located, scope: Scope) -> dict[str, float]:
+        return self.model_dump(exclude_none=True)

@@ -3,32 +3,38 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, WithJsonSchema
+from pydantic_core import PydanticCustomError
 
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.hold import HoldDocument, hold_data, hold_of
-from micah_plan.documents.layout import Document, Line, Name, Names, Positive, doc
+from micah_plan.documents.fields import (
+    BY_NAME,
+    ITEMS,
+    CoordinateName,
+    EachCoordinate,
+    Line,
+    ModeName,
+    ModeNames,
+    Name,
+    Names,
+    Positive,
+    checked_name,
+)
+from micah_plan.documents.hold import HoldDocument
+from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located, overridden
 from micah_plan.documents.model import usable_model
-from micah_plan.documents.noise import ProblemNoiseDocument, noise_of
-from micah_plan.documents.path import PathDocument, path_data, path_of
-from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument, settings_data, settings_of
+from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
+from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
 from micah_plan.documents.problem_checks import check_problem
-from micah_plan.documents.scene import (
-    BodyDocument,
-    GraspDocument,
-    RobotDocument,
-    grasp_data,
-    grasp_of,
-    robot_data,
-    robot_of,
-    scene_data,
-    scene_of,
-)
+from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 from micah_plan.errors import InputError
@@ -36,6 +42,7 @@ from micah_plan.files import read_bytes
 from micah_plan.scene.body import Body
 from micah_plan.scene.surroundings import surroundings_of
 from micah_plan.task.goal import Goal
+from micah_plan.task.path import PathConstraint, check_constraint
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
@@ -44,9 +51,11 @@ PROBLEM_FORMAT = "micah-plan/problem/1"
 
 
 class StartDocument(Document):
-    mean: dict[Name, float] = doc("Mean of every coordinate [rad or m].")
-    std: dict[Name, Positive] = doc("Standard deviation of every coordinate [rad or m].")
-    mode: Name | None = doc("Mode at first; default: the first whose invariant holds the mean.", None)
+    makes = Start
+
+    mean: EachCoordinate[float] = doc("Mean of every coordinate [rad or m].")
+    std: EachCoordinate[Positive] = doc("Standard deviation of every coordinate [rad or m].")
+    mode: ModeName | None = doc("Mode at first; default: the first whose invariant holds the mean.", None)
 
 
 class TargetDocument(Document):
@@ -55,12 +64,51 @@ class TargetDocument(Document):
 
 
 class GoalDocument(Document):
-    target: dict[Name, TargetDocument] = doc("Wanted value of any subset of the coordinates.", dict)
-    modes: Names = doc("Modes that count as reached; empty: any.", tuple)
+    keeps = ("target", "modes")
+
+    target: dict[CoordinateName, TargetDocument] = doc("Wanted value of any subset of the coordinates.", dict)
+    modes: ModeNames = doc("Modes that count as reached; empty: any.", tuple)
+
+    def read(self, at: Located, scope: Scope) -> Goal:
+        target = self.own(at, scope)["target"]
+        # An object that has hit something has not arrived, wherever it is.
+        unharmed = tuple(mode for mode in scope["mode"] if mode != COLLIDED) if COLLIDED in scope["mode"] else ()
+        return Goal(tuple((i, *wanted.values()) for i, wanted in target.items()), self.modes or unharmed)
+
+    @classmethod
+    def written(cls, value: Goal, scope: Scope) -> Mapping[str, Any]:
+        target = {index: {"value": wanted, "tolerance": room} for index, wanted, room in value.target}
+        return {"target": target, "modes": value.modes}
+
+
+def _argument(value: object) -> float | str:
+    if isinstance(value, str):
+        return checked_name(value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise PydanticCustomError("argument", "expected a finite number or a name")
+    return float(value)
+
+
+# Not a union of kinds: errors would be told twice, at places that the file does not have.
+_SCHEMA = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "maxLength": 100}]})
+Argument = Annotated[Any, AfterValidator(_argument), _SCHEMA]
+
+
+class PathDocument(Document):
+    makes = PathConstraint
+    keeps = ("arguments", "modes")
+
+    name: Name = doc("Of a path function: stay_above, stay_below, keep_away, or one that Python code has registered.")
+    arguments: Annotated[dict[Name, Argument], ITEMS] = doc(
+        "What it takes: numbers, or names of coordinates and inputs.", dict
+    )
+    modes: Names = doc("Modes in which it holds; empty: all.", tuple)
 
 
 class ProblemDocument(Document):
     """Move an articulated object from an uncertain start into a goal set."""
+
+    keeps = ("confidence", "planner", "plant")
 
     format: Literal["micah-plan/problem/1"] = doc("Format and version of this file.")
     model: Line = doc("Model file, relative to this file.")
@@ -76,10 +124,30 @@ class ProblemDocument(Document):
     )
     path: list[PathDocument] = doc("What is asked of the path, beyond the boundaries of the model.", list)
     planner: PlannerDocument = doc("Settings of the planner.", PlannerDocument)
-    scene: dict[Name, BodyDocument] = doc("Bodies around the object, by name: table, shelf, book.", dict)
+    scene: Annotated[dict[Name, BodyDocument], BY_NAME] = doc(
+        "Bodies around the object, by name: table, shelf, book.", dict
+    )
     robot: RobotDocument | None = doc("Arm that holds the object; default: none.", None)
     grasp: GraspDocument | None = doc("What it holds; needed with a robot.", None)
     plant: PlantDocument = doc("Physical parameters for MuJoCo.", PlantDocument)
+
+    def check(self, at: Located) -> None:
+        if self.robot is not None and self.grasp is None:
+            raise at.at("robot").error("a robot without a grasp", "add 'grasp': say what it holds")
+        if self.grasp is not None and self.robot is None:
+            raise at.at("grasp").error("a grasp without a robot", "add 'robot': say which robot holds it")
+
+    @classmethod
+    def written(cls, value: Problem, scope: Scope) -> Mapping[str, Any]:
+        """With every setting; the noise is that of the model, and not repeated."""
+        settings = {"confidence": value.settings.confidence, "planner": value.settings}
+        return {"format": PROBLEM_FORMAT, **vars(value), **settings, "path": value.constraints}
+
+
+# As plan files have them.
+_ORDER = (
+    *("format", "model", "start", "goal", "path", "confidence", "planner", "plant", "scene", "robot", "grasp", "hold"),
+)
 
 
 def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Problem:
@@ -134,7 +202,7 @@ class ProblemReader:
         except InputError as error:
             raise located.at("model").error(f"model {model_path}: {error.problem}", error.remedy) from None
         automaton = self._automaton(model, model_path, document, located)
-        problem = problem_of(document, automaton, located, self._path.parent)
+        problem = problem_of(document, automaton, located)
         digests = {"problem": _digest(content), "model": _digest(model)}
         if problem.robot is not None:
             digests["robot"] = _digest(problem.robot.text.encode())
@@ -142,8 +210,11 @@ class ProblemReader:
 
     def _automaton(self, model: bytes, path: Path, document: ProblemDocument, located: Located) -> HybridAutomaton:
         """The model, times its contacts if the object is held."""
-        hold = hold_of(document.hold, list(document.scene), located.at("hold"))
-        scene = () if hold is None else scene_of(document.scene, located.at("scene"), self._path.parent)
+        hold: Hold | None = None
+        scene: tuple[Body, ...] = ()
+        if document.hold is not None:
+            hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
+            scene = tuple(body.read(located.at("scene", name), {}) for name, body in document.scene.items())
         inputs = (model, path, hold, scene)
         if self._made is None or self._made[0] != inputs:
             automaton = usable_model(model, str(path))
@@ -151,35 +222,27 @@ class ProblemReader:
         return self._made[1]
 
 
-def problem_of(
-    document: ProblemDocument, automaton: HybridAutomaton, located: Located, folder: Path = Path()
-) -> Problem:
+def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
     """The problem that a file describes, without its source and digests; whether it is possible is not checked here.
 
     Args:
         document: the validated layout.
         automaton: the model that it names.
-        located: the data that the document was validated from, for the places in messages.
-        folder: of the file; the robot and meshes are looked for from there.
+        located: the data that the document was validated from; the robot and meshes are looked for beside its file.
 
     Raises:
         InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
             for files of the robot and the scene that cannot be used.
     """
-    settings = settings_of(document.planner, document.confidence, automaton.input_names, located.at("planner"))
-    robot = robot_of(document.robot, located.at("robot"), folder)
-    noise = noise_of(document.noise, automaton.coordinate_names, located.at("noise"), automaton.noise)
+    own = document.own(located, {**_scope(automaton), "body": tuple(document.scene)})
+    for i, constraint in enumerate(own["path"]):
+        with located.at("path", i).locating_errors():
+            check_constraint(constraint, automaton)
     return Problem(
-        automaton=replace(automaton, noise=noise),
-        start=_start_of(document.start, automaton, located.at("start")),
-        goal=_goal_of(document.goal, automaton, located.at("goal")),
-        settings=settings,
-        plant={key: value for key, value in document.plant if value is not None},
-        scene=scene_of(document.scene, located.at("scene"), folder),
-        robot=robot,
-        grasp=grasp_of(document.grasp, robot, automaton, located),
-        hold=hold_of(document.hold, list(document.scene), located.at("hold")),
-        constraints=path_of(document.path, automaton, located.at("path")),
+        automaton=replace(automaton, noise=noise_with(automaton.noise, own["noise"])),
+        settings=replace(own["planner"], confidence=document.confidence),
+        constraints=own["path"],
+        **{key: own[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold")},
     )
 
 
@@ -190,43 +253,20 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         problem: its noise is that of its automaton and not repeated here.
         model: what to write as the name of the model file.
     """
-    names = problem.automaton.coordinate_names
-    start = {key: dict(zip(names, getattr(problem.start, key), strict=True)) for key in ("mean", "std")}
-    target = {names[index]: {"value": value, "tolerance": room} for index, value, room in problem.goal.target}
+    data = plain(ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, _scope(problem.automaton))
+    for key, late in (("hold", "datum"), ("robot", "text")):
+        if late in data.get(key, {}):
+            data[key][late] = data[key].pop(late)
+    return {key: data[key] for key in _ORDER if key in data}
+
+
+def _scope(automaton: HybridAutomaton) -> Scope:
     return {
-        "format": PROBLEM_FORMAT,
-        "model": model,
-        "start": start if problem.start.mode is None else {**start, "mode": problem.start.mode},
-        "goal": {"target": target, "modes": list(problem.goal.modes)},
-        **({"path": path_data(problem.constraints)} if problem.constraints else {}),
-        **settings_data(problem.settings, problem.automaton.input_names),
-        "plant": dict(problem.plant),
-        **({"scene": scene_data(problem.scene)} if problem.scene else {}),
-        **({} if problem.robot is None else {"robot": robot_data(problem.robot)}),
-        **({} if problem.grasp is None else {"grasp": grasp_data(problem.grasp)}),
-        **({} if problem.hold is None else {"hold": hold_data(problem.hold)}),
+        "coordinate": automaton.coordinate_names,
+        "input": automaton.input_names,
+        "mode": automaton.mode_names,
+        "part": tuple(link.child for link in automaton.links),
     }
-
-
-def _start_of(document: StartDocument, automaton: HybridAutomaton, located: Located) -> Start:
-    names = automaton.coordinate_names
-    mean, std = (located.at(key).in_order(getattr(document, key), names, "coordinate") for key in ("mean", "std"))
-    if document.mode is not None:
-        located.at("mode").number(document.mode, automaton.mode_names, "mode")
-    return Start(mean, std, document.mode)
-
-
-def _goal_of(document: GoalDocument, automaton: HybridAutomaton, located: Located) -> Goal:
-    names, modes = automaton.coordinate_names, automaton.mode_names
-    for i, mode in enumerate(document.modes):
-        located.at("modes", i).number(mode, modes, "mode")
-    target = tuple(
-        (located.at("target", name).number(name, names, "coordinate"), wanted.value, wanted.tolerance)
-        for name, wanted in document.target.items()
-    )
-    # An object that has hit something has not arrived, wherever it is.
-    unharmed = tuple(mode for mode in modes if mode != COLLIDED) if COLLIDED in modes else ()
-    return Goal(target, document.modes or unharmed)
 
 
 def _with_contacts(

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
-from micah_plan.documents.joint import check_unit
-from micah_plan.documents.layout import (
+from micah_plan.automaton.hybrid import Primitive
+from micah_plan.documents.fields import (
     IDENTITY,
+    ITEMS,
     ZERO,
     Color,
-    Document,
     Line,
     Name,
+    PartName,
     Positive,
     Quaternion,
     Sizes,
     Vector3,
-    doc,
-    plain,
 )
+from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.documents.parts import check_sizes
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
@@ -36,6 +35,8 @@ from micah_plan.scene.robot_description import Grasp, RobotDescription
 
 
 class BodyShapeDocument(Document):
+    keeps = ("color",)
+
     kind: Literal["box", "cylinder", "sphere", "mesh"] = doc("Kind of solid; a mesh is its convex hull.")
     size: Sizes | None = doc("In m. Box: full lengths x, y, z. Cylinder: radius, length along z. Sphere: radius.", None)
     path: Line | None = doc("Of a mesh: an .stl or .obj file in the problem file's folder or below it.", None)
@@ -44,6 +45,34 @@ class BodyShapeDocument(Document):
     position: Vector3 = doc("Centre in the body's frame [m].", ZERO)
     quaternion: Quaternion = doc("Orientation in the body's frame, scalar last.", IDENTITY)
     color: Color = doc("Colour as #rrggbb.", "#9aa5b1")
+
+    def read(self, at: Located, scope: Scope) -> Shape:
+        own = self.own(at, scope)
+        pose = {key: own[key] for key in ("position", "quaternion", "color")}
+        if self.kind == "mesh":
+            return Hull(self._vertices(at), **pose)
+        for key in ("path", "vertices"):
+            if own[key] is not None:
+                raise at.at(key).error(f"a {self.kind} has no {key}", "write kind: mesh, or leave it out")
+        if self.size is None:
+            raise at.error("missing key 'size'", "add it")
+        check_sizes(self.kind, self.size, at)
+        return Primitive(self.kind, self.size, **pose)
+
+    def _vertices(self, at: Located) -> tuple[tuple[float, float, float], ...]:
+        if (self.path is None) == (self.vertices is None):
+            raise at.error("expected either 'path' or 'vertices' of a mesh", "name a mesh file")
+        if self.size is not None:
+            raise at.at("size").error("a mesh has no size", "give a scale instead")
+        with at.at("vertices" if self.path is None else "path").locating_errors():
+            if self.path is None:
+                return convex_corners(np.array(self.vertices, dtype=float).reshape(-1, 3))
+            return load_hull(contained(self.path, at.folder), self.scale)
+
+    @classmethod
+    def written(cls, value: Shape, scope: Scope) -> Mapping[str, Any]:
+        """Meshes with their corners."""
+        return {**vars(value), **({"kind": "mesh"} if isinstance(value, Hull) else {})}
 
 
 class BodyDocument(Document):
@@ -54,143 +83,48 @@ class BodyDocument(Document):
         "Of a body that is loose [kg]: in MuJoCo it can be pushed over; default: it is fixed.", None
     )
 
+    def read(self, at: Located, scope: Scope) -> Body:
+        return Body(at.name, **self.own(at, scope))
+
 
 class RobotDocument(Document):
     path: Line = doc("URDF or MJCF file, relative to this file.")
     tool: Name = doc("Frame that holds: a link, body or site of the robot.")
     position: Vector3 = doc("Of the robot's root in the base frame [m].", ZERO)
     quaternion: Quaternion = doc("Its orientation in the base frame, scalar last.", IDENTITY)
-    held: dict[Name, float] = doc(
+    held: Annotated[dict[Name, float], ITEMS] = doc(
         "Positions of joints that do not move the tool [rad or m]; default: the middle of their range.", dict
     )
-    rest: dict[Name, float] = doc("Posture to prefer [rad or m]; default: the middle of the ranges.", dict)
-    packages: dict[Name, Line] = doc("Folders that `package://NAME/` in mesh paths stands for.", dict)
+    rest: Annotated[dict[Name, float], ITEMS] = doc(
+        "Posture to prefer [rad or m]; default: the middle of the ranges.", dict
+    )
+    packages: Annotated[dict[Name, Line], ITEMS] = doc("Folders that `package://NAME/` in mesh paths stands for.", dict)
     srdf: Line | None = doc("SRDF file with pairs of links that need no check.", None)
     text: str | None = doc("Content of the file at `path`; plan files carry it.", None)
     srdf_text: str | None = doc("Content of the file at `srdf`; plan files carry it.", None)
 
+    def read(self, at: Located, scope: Scope) -> RobotDescription:
+        """With the content of its files; whether they are a robot is not checked here."""
+        own = self.own(at, scope)
+        path, srdf, text = at.folder / self.path, own.pop("srdf_text") or "", own.pop("text")
+        if self.srdf is not None:
+            srdf = _text(at.folder / self.srdf, at.at("srdf"))
+        text = _text(path, at.at("path")) if text is None else text
+        own |= {"text": text, "srdf": srdf, "folder": str(path.parent), "root": str(at.folder)}
+        return RobotDescription(**own)
+
+    @classmethod
+    def written(cls, value: RobotDescription, scope: Scope) -> Mapping[str, Any]:
+        """With the content of its files but for the meshes."""
+        return {**vars(value), "srdf": None, "srdf_text": value.srdf or None}
+
 
 class GraspDocument(Document):
-    part: Name = doc("Part that the tool holds.")
+    makes = Grasp
+
+    part: PartName = doc("Part that the tool holds.")
     position: Vector3 = doc("Of the tool in the part's frame [m].", ZERO)
     quaternion: Quaternion = doc("Orientation of the tool in the part's frame, scalar last.", IDENTITY)
-
-
-def scene_of(documents: Mapping[str, BodyDocument], located: Located, folder: Path) -> tuple[Body, ...]:
-    """The bodies under the key `scene`.
-
-    Args:
-        folder: of the file; meshes lie in it or below it.
-
-    Raises:
-        InputError: for wrong numbers of sizes, quaternions not of unit length and meshes that cannot be used.
-    """
-    bodies = []
-    for name, document in documents.items():
-        check_unit(document.quaternion, located.at(name, "quaternion"))
-        shapes = [_shape_of(one, located.at(name, "shapes", i), folder) for i, one in enumerate(document.shapes)]
-        bodies.append(Body(name, **dict(document) | {"shapes": tuple(shapes)}))
-    return tuple(bodies)
-
-
-def scene_data(scene: Sequence[Body]) -> dict[str, Any]:
-    """The entry of bodies, meshes with their corners, which `scene_of` reads back as the same bodies."""
-    return {
-        body.name: plain(BodyDocument, {**vars(body), "shapes": [_shape_data(shape) for shape in body.shapes]})
-        for body in scene
-    }
-
-
-def robot_of(document: RobotDocument | None, located: Located, folder: Path) -> RobotDescription | None:
-    """The robot under the key `robot`, with the content of its files; whether they are a robot is not checked here.
-
-    Raises:
-        InputError: if a file cannot be read.
-    """
-    if document is None:
-        return None
-    check_unit(document.quaternion, located.at("quaternion"))
-    path, srdf, text = folder / document.path, document.srdf_text or "", document.text
-    if document.srdf is not None:
-        srdf = _text(folder / document.srdf, located.at("srdf"))
-    own = {key: tuple(getattr(document, key).items()) for key in ("held", "rest", "packages")}
-    return RobotDescription(
-        path=document.path,
-        text=_text(path, located.at("path")) if text is None else text,
-        tool=document.tool,
-        position=document.position,
-        quaternion=document.quaternion,
-        srdf=srdf,
-        folder=str(path.parent),
-        root=str(folder),
-        **own,
-    )
-
-
-def robot_data(robot: RobotDescription) -> dict[str, Any]:
-    """The entry of a robot with the content of its files, which `robot_of` reads back; its meshes are not in it."""
-    own = {key: dict(getattr(robot, key)) for key in ("held", "rest", "packages")}
-    data = plain(RobotDocument, {**vars(robot), **own, "srdf": None, "srdf_text": robot.srdf or None})
-    data["text"] = data.pop("text")  # the longest last
-    return data
-
-
-def grasp_of(
-    document: GraspDocument | None, robot: RobotDescription | None, automaton: HybridAutomaton, located: Located
-) -> Grasp | None:
-    """What the robot holds, if there is one.
-
-    Args:
-        located: the problem file.
-
-    Raises:
-        InputError: for a part that the model does not have, and for a robot without grasp or a grasp without robot.
-    """
-    if document is None:
-        if robot is not None:
-            raise located.at("robot").error("a robot without a grasp", "add 'grasp': say what it holds")
-        return None
-    located = located.at("grasp")
-    if robot is None:
-        raise located.error("a grasp without a robot", "add 'robot': say which robot holds it")
-    check_unit(document.quaternion, located.at("quaternion"))
-    located.at("part").number(document.part, [link.child for link in automaton.links], "part")
-    return Grasp(**dict(document))
-
-
-def grasp_data(grasp: Grasp) -> dict[str, Any]:
-    """The entry of a grasp, which `grasp_of` reads back."""
-    return plain(GraspDocument, grasp)
-
-
-def _shape_of(document: BodyShapeDocument, located: Located, folder: Path) -> Shape:
-    check_unit(document.quaternion, located.at("quaternion"))
-    pose = document.position, document.quaternion, document.color
-    if document.kind == "mesh":
-        return Hull(_vertices_of(document, located, folder), *pose)
-    for key in ("path", "vertices"):
-        if getattr(document, key) is not None:
-            raise located.at(key).error(f"a {document.kind} has no {key}", "write kind: mesh, or leave it out")
-    if document.size is None:
-        raise located.error("missing key 'size'", "add it")
-    check_sizes(document.kind, document.size, located)
-    return Primitive(document.kind, document.size, *pose)
-
-
-def _vertices_of(document: BodyShapeDocument, located: Located, folder: Path) -> tuple[tuple[float, float, float], ...]:
-    if (document.path is None) == (document.vertices is None):
-        raise located.error("expected either 'path' or 'vertices' of a mesh", "name a mesh file")
-    if document.size is not None:
-        raise located.at("size").error("a mesh has no size", "give a scale instead")
-    with located.at("vertices" if document.path is None else "path").locating_errors():
-        if document.path is None:
-            return convex_corners(np.array(document.vertices, dtype=float).reshape(-1, 3))
-        return load_hull(contained(document.path, folder), document.scale)
-
-
-def _shape_data(shape: Shape) -> dict[str, Any]:
-    kind = {"kind": "mesh"} if isinstance(shape, Hull) else {}
-    return plain(BodyShapeDocument, {**vars(shape), **kind}, keep={"color"})
 
 
 def _text(path: Path, located: Located) -> str:

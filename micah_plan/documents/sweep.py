@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import log10, prod
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.documents.layout import Document, Line, Name, doc, dotted_paths, kind_at
+from micah_plan.documents.fields import Line, Name
+from micah_plan.documents.layout import Document, doc, is_document, kind_at
 from micah_plan.documents.located import Located, nearest
 from micah_plan.documents.problem import ProblemDocument, ProblemReader
 from micah_plan.documents.validation import validated
@@ -99,7 +100,7 @@ def _check_grid(document: SweepDocument, located: Located) -> None:
         if names[0] == "format":
             raise located.at("grid", key).error("the format is no value to vary", "take it out")
         if kind_at(ProblemDocument, names) is None:
-            near = nearest(key, dotted_paths(ProblemDocument))
+            near = nearest(key, _dotted_paths(ProblemDocument))
             remedy = "see the page on the problem file" if near is None else f"did you mean '{near}'?"
             raise located.at("grid", key).error("no problem has this key", remedy)
         for other in keys:
@@ -107,6 +108,15 @@ def _check_grid(document: SweepDocument, located: Located) -> None:
                 problem = f"lies within {'.'.join(other)}, which the grid varies too"
                 raise located.at("grid", key).error(problem, "vary one of them")
         _check_distinct([json.dumps(value, sort_keys=True) for value in values], "value", located.at("grid", key))
+
+
+def _dotted_paths(layout: type[Document], prefix: str = "") -> Iterator[str]:
+    """The dotted paths of all values that a layout has, without those below mappings and lists."""
+    for name in layout.model_fields:
+        yield prefix + name
+        inner = kind_at(layout, [name])
+        if is_document(inner):
+            yield from _dotted_paths(inner, f"{prefix}{name}.")
 
 
 def _check_distinct(texts: Sequence[str], what: str, located: Located) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from attempts import told
 
-from micah_plan.documents.layout import Document, Listed, Names, Positive, Vector3, doc, kind_at, plain
+from micah_plan.documents.fields import Listed, Names, Positive, Vector3
+from micah_plan.documents.layout import Document, doc, kind_at, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
 from micah_plan.errors import InputError
@@ -53,7 +54,10 @@ def test_values_are_written_in_the_layouts_order_without_defaults() -> None:
 
 
 def test_a_default_is_written_where_it_is_asked_for() -> None:
-    assert plain(PointDocument, Point((0.0, 0.0, 1.0)), keep={"size"}) == {"at": [0.0, 0.0, 1.0], "size": 1.0}
+    class SizedDocument(PointDocument):
+        keeps = ("size",)
+
+    assert plain(SizedDocument, Point((0.0, 0.0, 1.0))) == {"at": [0.0, 0.0, 1.0], "size": 1.0}
 
 
 def test_an_inner_mapping_is_taken_as_it_is() -> None:

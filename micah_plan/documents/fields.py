@@ -1,0 +1,108 @@
+"""Kinds of entry that layouts share: numbers with bounds, names, lists that become tuples, and what names stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar, get_args
+
+import numpy as np
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+from micah_plan.documents.layout import Mark, Scope, unique
+from micah_plan.documents.located import Located
+from micah_plan.errors import InputError
+
+T = TypeVar("T")
+_LONGEST_NAME = 100
+_UNIT_TOLERANCE = 1e-3
+
+
+def _printable(value: str) -> str:
+    if not value.isprintable():
+        raise PydanticCustomError("printable", "expected printable characters on one line")
+    return value
+
+
+def checked_name(value: str) -> str:
+    """The name, if it is one; else the error that a validator may raise."""
+    if not value or value != value.strip() or not value.isprintable() or len(value) > _LONGEST_NAME:
+        raise PydanticCustomError("name", "expected a name of 1 to 100 printable characters without spaces around it")
+    return value
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Marks a tuple of any length that is a list in the file, of at least and at most so many entries."""
+
+    least: int | None = None
+    most: int | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        entry = handler.generate_schema(get_args(source)[0])
+        entries = core_schema.list_schema(entry, min_length=self.least, max_length=self.most)
+        return core_schema.no_info_after_validator_function(tuple, entries)
+
+
+def named(what: str) -> Mark:
+    """A name of the scope, which stays one."""
+    return Mark(lambda name, at, scope: at.named(name, scope[what], what))
+
+
+def numbered(what: str) -> Mark:
+    """A name of the scope, whose number is in the value."""
+    return Mark(lambda name, at, scope: at.number(name, scope[what], what), lambda number, scope: scope[what][number])
+
+
+def each(what: str, entry: str = "value") -> Mark:
+    """A mapping with an entry for every name of the scope; in the value a tuple in the order of the names."""
+
+    def written(values: Sequence[Any], scope: Scope) -> dict[str, Any]:
+        if len(values) != len(scope[what]):
+            problem = f"automaton: expected one {entry} per {what}, {len(scope[what])}, found {len(values)}"
+            raise InputError(problem, remedy="check its values")
+        return dict(zip(scope[what], values, strict=True))
+
+    return Mark(lambda entries, at, scope: at.in_order(entries, scope[what], what, entry), written)
+
+
+ITEMS = Mark(lambda mapping, *_: tuple(mapping.items()), lambda pairs, _: unique(pairs))
+"""A mapping; in the value a tuple of (key, entry)."""
+BY_NAME = Mark(lambda mapping, *_: tuple(mapping.values()), lambda values, _: unique((v.name, v) for v in values))
+"""A mapping of entries whose values know their name; in the value a tuple of them."""
+
+
+def of_unit_length(vector: Sequence[float], at: Located, _: Scope | None = None) -> Sequence[float]:
+    """The vector, if its length is 1 within a thousandth; else an InputError."""
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1.0) > _UNIT_TOLERANCE:
+        raise at.error(f"expected unit length, found length {length:.6g}", "normalise it")
+    return vector
+
+
+Name = Annotated[str, AfterValidator(checked_name)]
+Line = Annotated[str, AfterValidator(_printable)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=0)]
+# Not strict about tuple or list: files have lists, values have tuples. What is in them stays strict.
+Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+Quaternion = Annotated[tuple[float, float, float, float], Field(strict=False), Mark(of_unit_length)]
+Names = Annotated[tuple[Name, ...], Listed()]
+Lines = Annotated[tuple[Line, ...], Listed()]
+Row = Annotated[tuple[float, ...], Listed(1)]
+Matrix = Annotated[tuple[Row, ...], Listed(1)]
+Sizes = Annotated[tuple[Positive, ...], Listed(1, 3)]
+Color = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
+Unit = Literal["rad", "m"]
+ModeName = Annotated[Name, named("mode")]
+ModeNames = Annotated[tuple[ModeName, ...], Listed()]
+PartName = Annotated[Name, named("part")]
+CoordinateName = Annotated[Name, numbered("coordinate")]
+EachCoordinate = Annotated[dict[Name, T], each("coordinate")]
+EachInput = Annotated[dict[Name, T], each("input")]
+
+ZERO: Vector3 = (0.0, 0.0, 0.0)
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
