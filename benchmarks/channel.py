@@ -75,14 +75,20 @@ CASES = [
 
 
 @dataclass(frozen=True)
-class Planted:
-    """A simulated recording's truth."""
+class TrueChannel:
+    """How actions move a part: by gain * rotation of the action, `delay` [s] later."""
 
     joint: Joint
-    track: PartTrack
     rotation: Rotation
     gain: float
     delay: float
+
+
+@dataclass(frozen=True)
+class Planted(TrueChannel):
+    """A simulated recording and its truth."""
+
+    track: PartTrack
     white_std: float
 
 
@@ -129,9 +135,8 @@ def planted(case: Case, rng: np.random.Generator, angle: float | None = None) ->
         # Closest angles weigh positions and orientations, see automaton.kinematics.inverse.
         reach, weight = 0.3**2, 0.2**2 if case.orientation else 0.0
         white = float(np.hypot(0.3 * case.noise, weight * 6 * case.noise) / (reach + weight))
-    return Planted(
-        joint, part_track(recording, int(recording.run[0]), recording.parts[0]), rotation, gain, delay, white
-    )
+    track = part_track(recording, int(recording.run[0]), recording.parts[0])
+    return Planted(joint, rotation, gain, delay, track, white)
 
 
 def smooth(time: np.ndarray, duration: float, rng: np.random.Generator, waves: int = 6) -> np.ndarray:
@@ -150,13 +155,13 @@ def hand_speed(time: np.ndarray, duration: float, rng: np.random.Generator, inte
     return speed
 
 
-def misses(truth: Planted, found: ActionChannel) -> dict[str, float | bool]:
+def misses(truth: TrueChannel, found: ActionChannel) -> dict[str, float | bool]:
     """Whether the intervals hold the truth, and the errors."""
     covariance = np.array(found.covariance)
     rotation = Rotation.from_rotvec(found.frame_rotation)
     candidates = Rotation.concatenate([truth.rotation])
     if truth.joint.kind == "prismatic":
-        turns = Rotation.from_rotvec(np.linspace(-np.pi, np.pi, 721)[:, None] * AXIS)
+        turns = Rotation.from_rotvec(np.linspace(-np.pi, np.pi, 721)[:, None] * np.array(truth.joint.axis))
         candidates = turns * truth.rotation
     errors = (candidates * rotation.inv()).as_rotvec()
     values, vectors = np.linalg.eigh(covariance[:3, :3])
