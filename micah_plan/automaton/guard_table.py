@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 from micah_plan.automaton.effects.motion import CoordinateMotion, motions
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.hybrid import HybridAutomaton, memoised
+from micah_plan.automaton.region import HalfSpace
 
 TOLERANCE = 1e-12
 Terms = tuple[tuple[int, float], ...]
@@ -35,20 +35,19 @@ class Exit:
     """An edge as its source mode sees it. `A`, `B`, `c` are None for the identity reset."""
 
     edge: int
-    source: str
     target: str
     is_self: bool
     rows: tuple[Row, ...]
-    A: list[list[float]] | None
-    B: list[list[float]] | None
-    c: list[float] | None
+    A: list[list[float]] | None = None
+    B: list[list[float]] | None = None
+    c: list[float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ModeTable:
-    """A mode: the terms of B per coordinate (None where pinned) and its exits, mode changes before self transitions.
+    """A mode: the terms of B per coordinate (None: nothing moves it), and its exits, changes of the mode first.
 
-    `pins` are coordinates and their values, `followed` the coordinate that adds to the value of a pinned one.
+    `pins` are coordinates, their values, and the coordinate that adds to the value or None.
     `effects` holds what changes the motion of a coordinate, by its index.
     A tie is (coordinate, weights of the others, offset).
     """
@@ -56,66 +55,42 @@ class ModeTable:
     name: str
     flow: tuple[Terms | None, ...]
     exits: tuple[Exit, ...]
-    pins: tuple[tuple[int, float], ...]
-    effects: dict[int, CoordinateMotion] = field(default_factory=dict)
-    followed: tuple[tuple[int, int], ...] = ()
-    ties: tuple[tuple[int, Terms, float], ...] = ()
+    pins: tuple[tuple[int, float, int | None], ...]
+    effects: dict[int, CoordinateMotion]
+    ties: tuple[tuple[int, Terms, float], ...]
 
     def pinned(self, x: list[float]) -> list[float]:
         """x with the pinned and the tied coordinates at their values."""
         if not self.pins and not self.ties:
             return x
         put = list(x)
-        for i, value in self.pins:
-            put[i] = value
-        for i, j in self.followed:
-            put[i] += x[j]
+        for i, value, follows in self.pins:
+            put[i] = value if follows is None else value + x[follows]
         for i, terms, offset in self.ties:
             put[i] = offset + sum(w * put[j] for j, w in terms)
         return put
 
 
-class _Tables(dict[str, ModeTable]):
-    """Tables by name of the mode, made when they are asked for: a roll-out sees few modes of its object."""
-
-    def __init__(self, automaton: HybridAutomaton) -> None:
-        super().__init__()
-        self._automaton = automaton
-
-    def __missing__(self, name: str) -> ModeTable:
-        self[name] = _mode_table(self._automaton, name)
-        return self[name]
-
-
-def mode_tables(automaton: HybridAutomaton) -> dict[str, ModeTable]:
-    """The tables of an automaton by name of the mode, to be had by indexing."""
-    tables: dict[str, ModeTable] | None = automaton.derived.get("mode_tables")
-    if tables is None:
-        tables = _Tables(automaton)
-        automaton.derived["mode_tables"] = tables
-    return tables
-
-
-def _mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
+@memoised
+def mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
+    """The table of the mode of that name."""
     mode = automaton.mode(name)
-    pins = tuple((pin.coordinate, pin.value) for pin in mode.pins)
-    flow = tuple(_terms(row) if mode.free[i] else None for i, row in enumerate(mode.input_matrix))
-    exits = []
-    for index, edge in enumerate(automaton.edges):
-        if edge.source != name:
-            continue
-        identity = edge.reset.is_identity
-        a, b, c = (None,) * 3 if identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
-        exits.append(Exit(index, name, edge.target, edge.is_self_transition, _guard_rows(edge.guard), a, b, c))
-    exits.sort(key=lambda e: e.is_self)
-    ties = tuple((tie.coordinate, _terms(tie.weights), tie.offset) for tie in mode.ties)
-    acting = motions(automaton.effects, automaton.coordinate_names, name)
-    followed = tuple((pin.coordinate, pin.follows) for pin in mode.pins if pin.follows is not None)
-    return ModeTable(name, flow, tuple(exits), pins, acting, followed, ties)
+    moved = [free and bool(own.unit) for free, own in zip(mode.free, automaton.coordinates, strict=True)]
+    exits = [_exit(automaton, number) for number, edge in enumerate(automaton.edges) if edge.source == name]
+    return ModeTable(
+        name,
+        flow=tuple(_terms(row) if moves else None for moves, row in zip(moved, mode.input_matrix, strict=True)),
+        exits=tuple(sorted(exits, key=lambda e: e.is_self)),
+        pins=tuple((pin.coordinate, pin.value, pin.follows) for pin in mode.pins),
+        effects=motions(automaton, mode),
+        ties=tuple((tie.coordinate, _terms(tie.weights), tie.offset) for tie in mode.ties),
+    )
 
 
-def _guard_rows(guard: Region) -> tuple[Row, ...]:
-    return tuple(map(_row, guard.half_spaces))
+def _exit(automaton: HybridAutomaton, number: int) -> Exit:
+    edge = automaton.edges[number]
+    reset = () if edge.reset.is_identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
+    return Exit(number, edge.target, edge.is_self_transition, tuple(map(_row, edge.guard.half_spaces)), *reset)
 
 
 # Objects with drawn thresholds share most of their half-spaces.
@@ -134,22 +109,6 @@ def _row(h: HalfSpace) -> Row:
 
 def _terms(weights: Sequence[float]) -> Terms:
     return tuple((i, float(w)) for i, w in enumerate(weights) if w)
-
-
-def next_entry(
-    table: ModeTable, x: list[float], d: list[float], u: list[float], horizon: float, *, later_only: bool
-) -> tuple[float, int] | None:
-    """How much further on x + t d, t in [0, horizon], the first guard fires, and its edge; None if none does.
-
-    Args:
-        later_only: pass over guards that hold already at t = 0.
-    """
-    first = None
-    for e in table.exits:
-        at = entry(e, x, d, u, horizon)
-        if at is not None and (at > 0.0 or not later_only) and (first is None or at < first[0]):
-            first = (at, e.edge)
-    return first
 
 
 def entry(e: Exit, x: list[float], d: list[float], u: list[float], horizon: float) -> float | None:

@@ -5,10 +5,10 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, TypeVar
+from functools import cached_property, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from micah_plan.errors import InputError, shown
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 Matrix = tuple[tuple[float, ...], ...]
-_Array = TypeVar("_Array", Floats, Booleans)
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Coordinate:
 
     Attributes:
         name: e.g. the name of the part that it moves.
-        unit: ``"rad"`` or ``"m"``.
+        unit: ``"rad"`` or ``"m"``; ``""`` for the place of an uncertain boundary, which nothing moves
+            (`thresholds.with_boundary_states`).
     """
 
     name: str
@@ -196,10 +197,6 @@ class Mode:
         pinned = next((pin.value for pin in self.pins if pin.coordinate == coordinate), None)
         return self.invariant.interval(coordinate) if pinned is None else (pinned, pinned)
 
-    def flow(self, x: Floats, u: Floats) -> Floats:
-        """x⁺ of this mode's own dynamics, without guards, for x (..., n), u (..., m)."""
-        return np.asarray(x + u @ self.B.T)
-
 
 @dataclass(frozen=True)
 class Edge:
@@ -287,8 +284,8 @@ class HybridAutomaton:
         return len(self.inputs)
 
     @cached_property
-    def derived(self) -> dict[str, Any]:
-        """Memo for what algorithms compute once per automaton, by a name of theirs; no part of the value."""
+    def derived(self) -> dict[Any, Any]:
+        """What algorithms computed of the automaton, by a name or key of theirs (`memoised`); no part of the value."""
         return {}
 
     @cached_property
@@ -306,26 +303,16 @@ class HybridAutomaton:
         """(m,) in the order of the inputs."""
         return tuple(given.name for given in self.inputs)
 
-    @cached_property
-    def _mode_indices(self) -> dict[str, int]:
-        return {name: i for i, name in enumerate(self.mode_names)}
-
     def mode_index(self, name: str) -> int:
         """Number of the mode of that name.
 
         Raises:
             InputError: if there is none; the message lists the names.
         """
-        if name not in self._mode_indices:
-            raise InputError(f"unknown mode {shown(name)}", remedy=f"choose one of {', '.join(self.mode_names)}")
-        return self._mode_indices[name]
+        return _number(name, self.mode_names, "mode")
 
     def mode(self, name: str) -> Mode:
-        """The mode of that name.
-
-        Raises:
-            InputError: see `mode_index`.
-        """
+        """The mode of that name; raises what `mode_index` does."""
         return self.modes[self.mode_index(name)]
 
     def index(self, coordinate: str) -> int:
@@ -334,10 +321,7 @@ class HybridAutomaton:
         Raises:
             InputError: if there is none; the message lists the names.
         """
-        names = self.coordinate_names
-        if coordinate not in names:
-            raise InputError(f"unknown coordinate {shown(coordinate)}", remedy=f"choose one of {', '.join(names)}")
-        return names.index(coordinate)
+        return _number(coordinate, self.coordinate_names, "coordinate")
 
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
@@ -392,6 +376,25 @@ class HybridAutomaton:
         return tuple(mode.name for mode in self.modes if mode.invariant.contains(x, u, tolerance))
 
 
-def _read_only(array: _Array) -> _Array:
+def memoised(function: _Function) -> _Function:
+    """A function of an automaton and perhaps of a mode that computes only once what it is asked for again."""
+
+    @wraps(function)
+    def known(automaton: HybridAutomaton, *mode: Mode | str) -> Any:
+        key = (function, getattr(mode[0], "name", mode[0]) if mode else "")
+        if key not in automaton.derived:
+            automaton.derived[key] = function(automaton, *mode)
+        return automaton.derived[key]
+
+    return cast(_Function, known)
+
+
+def _number(name: str, names: tuple[str, ...], what: str) -> int:
+    if name not in names:
+        raise InputError(f"unknown {what} {shown(name)}", remedy=f"choose one of {', '.join(names)}")
+    return names.index(name)
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     array.setflags(write=False)
     return array

@@ -25,20 +25,25 @@ from micah_plan.automaton.effects.form import Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, memoised
 from micah_plan.automaton.lifted import lifted, restricted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@memoised
 def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton over (x, m), made once; the automaton itself where nothing remembers or m is there already."""
-    made: HybridAutomaton | None = automaton.derived.get("memory_states")
-    if made is None:
-        made = automaton if automaton.input_memories else _with_states(automaton)
-        automaton.derived["memory_states"] = made
-    return made
+    memories = () if automaton.input_memories else tuple(own for own in _memories(automaton, _only_input) if own.size)
+    if not memories:
+        return automaton
+    added = [
+        Coordinate(f"{own.effect.coordinate} {own.effect.name} {k + 1}", automaton.inputs[own.input].unit)
+        for own in memories
+        for k in range(own.size)
+    ]
+    return replace(lifted(automaton, added), input_memories=memories)
 
 
 def without_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
@@ -146,18 +151,6 @@ def _through(ops: Operations, own: InputMemory, u: Value, kept: tuple[Value, ...
 
 def _at_rest(effect: Effect) -> tuple[float, ...]:
     return tuple(map(float, form(effect.name).at_rest(effect.values)))
-
-
-def _with_states(automaton: HybridAutomaton) -> HybridAutomaton:
-    memories = tuple(own for own in _memories(automaton, _only_input) if own.size)
-    if not memories:
-        return automaton
-    added = [
-        Coordinate(f"{own.effect.coordinate} {own.effect.name} {k + 1}", automaton.inputs[own.input].unit)
-        for own in memories
-        for k in range(own.size)
-    ]
-    return replace(lifted(automaton, added), input_memories=memories)
 
 
 def _memories(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
 from micah_plan.automaton.lifted import mapped
 
@@ -83,13 +83,10 @@ def mode_gains(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[int, tuple
     return tuple((i, which, std) for i, (which, std) in sorted(worst.items()))
 
 
+@memoised
 def uncertain_gains(automaton: HybridAutomaton) -> dict[tuple[Joint, Vector3], float]:
     """Std of the gain of each joint (with its handle) that is not certain, in the order of the modes."""
-    known: dict[tuple[Joint, Vector3], float] | None = automaton.derived.get("gains")
-    if known is None:
-        known = {which: std for mode in automaton.modes for _, which, std in mode_gains(automaton, mode)}
-        automaton.derived["gains"] = known
-    return known
+    return {which: std for mode in automaton.modes for _, which, std in mode_gains(automaton, mode)}
 
 
 def drawn_gains(automaton: HybridAutomaton, rng: np.random.Generator, count: int) -> Floats:
@@ -125,23 +122,19 @@ def with_gains(automaton: HybridAutomaton, errors: Floats) -> HybridAutomaton:
     return mapped(automaton, scaled)
 
 
+@memoised
 def free_process_std(automaton: HybridAutomaton, mode: Mode) -> tuple[float, ...]:
     """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that it pins or ties."""
-    known: dict[str, tuple[float, ...]] = automaton.derived.setdefault("process_std", {})
-    if mode.name not in known:
-        known[mode.name] = tuple(np.where(_untied(mode), automaton.noise.process_std, 0.0).tolist())
-    return known[mode.name]
+    return tuple(np.where(_untied(mode), automaton.noise.process_std, 0.0).tolist())
 
 
+@memoised
 def free_gain_std(automaton: HybridAutomaton, mode: Mode) -> Floats:
     """(n,) relative std of how far an input moves each coordinate in a mode (`gain`); 0 for pinned and tied ones."""
-    known: dict[str, Floats] = automaton.derived.setdefault("gain_std", {})
-    if mode.name not in known:
-        stds = np.zeros(automaton.n)
-        for i, _, std in mode_gains(automaton, mode):
-            stds[i] = std
-        known[mode.name] = np.where(_untied(mode), stds, 0.0)
-    return known[mode.name]
+    stds = np.zeros(automaton.n)
+    for i, _, std in mode_gains(automaton, mode):
+        stds[i] = std
+    return np.where(_untied(mode), stds, 0.0)
 
 
 def step_noise_std(automaton: HybridAutomaton, mode: Mode, u: Floats) -> Floats:
@@ -150,14 +143,6 @@ def step_noise_std(automaton: HybridAutomaton, mode: Mode, u: Floats) -> Floats:
     if not gain.any():
         return np.broadcast_to(free, (*u.shape[:-1], automaton.n))
     return np.asarray(np.hypot(free, gain * (u @ mode.B.T)))
-
-
-def process_factor(automaton: HybridAutomaton, mode: Mode, u: Floats) -> Floats:
-    """(..., n, n) N with N N' the covariance of a step's noise in a mode under u (..., m); ties included."""
-    factor = step_noise_std(automaton, mode, u)[..., None] * np.eye(automaton.n)
-    for tie in mode.ties:
-        factor[..., tie.coordinate, :] = np.array(tie.weights) @ factor
-    return factor
 
 
 def _untied(mode: Mode) -> Booleans:

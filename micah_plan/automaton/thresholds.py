@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, memoised
 from micah_plan.automaton.lifted import lifted, mapped
 from micah_plan.automaton.region import HalfSpace
 
@@ -99,17 +99,12 @@ def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) 
     )
 
 
+@memoised
 def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton over (x, s), made once; the automaton itself where all thresholds are certain."""
-    made: HybridAutomaton | None = automaton.derived.get("boundary_states")
-    if made is None:
-        made = _with_states(automaton) if boundary_stds(automaton) else automaton
-        automaton.derived["boundary_states"] = made
-    return made
-
-
-def _with_states(automaton: HybridAutomaton) -> HybridAutomaton:
     stds = boundary_stds(automaton)
+    if not stds:
+        return automaton
     numbers = {boundary: automaton.n + i for i, boundary in enumerate(stds)}
 
     def weights(half_space: HalfSpace, mode: Mode | None) -> list[float]:
@@ -152,18 +147,15 @@ def _uncertain_pins(automaton: HybridAutomaton, mode: Mode) -> dict[Pin, Boundar
     return {pin: at[pin.coordinate] for pin in mode.pins if at.get(pin.coordinate) in uncertain}
 
 
+@memoised
 def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
     """Std of every uncertain boundary, in the unit of its scaled threshold, in the order of the edges."""
-    known: dict[Boundary, float] | None = automaton.derived.get("boundary_stds")
-    if known is not None:
-        return known
     stds: dict[Boundary, float] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces if edge.threshold_std > 0 else ():
             if half_space.on_state:
                 boundary, scale = boundary_of(half_space)
                 stds[boundary] = max(stds.get(boundary, 0.0), edge.threshold_std / abs(scale))
-    automaton.derived["boundary_stds"] = stds
     return stds
 
 
@@ -175,18 +167,12 @@ def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
     return tuple(round(value / scale, _DIGITS) + 0.0 for value in values), scale
 
 
+@memoised
 def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
     """The boundary, by coordinate, at which a mode pins it: that on the coordinate alone by which it was entered.
 
     A mode that is only entered from others that pin the coordinate at the same place pins it at their boundary.
     """
-    memo: dict[str, dict[int, Boundary]] = automaton.derived.setdefault("boundaries_of_pins", {})
-    if mode.name not in memo:
-        memo[mode.name] = _boundaries_of_pins(automaton, mode)
-    return memo[mode.name]
-
-
-def _boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
     found: dict[int, Boundary] = {}
     for edge in automaton.edges:
         for pin in automaton.pins_located_by(edge):

@@ -43,21 +43,14 @@ else they change the sequence of inputs before it gets here (`input_memory.Input
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.automaton.guard_table import (
-    TOLERANCE,
-    Exit,
-    ModeTable,
-    Row,
-    entry,
-    margin_and_rate,
-    mode_tables,
-    next_entry,
-)
+from micah_plan.automaton.guard_table import TOLERANCE, Exit, ModeTable, Row, entry, margin_and_rate, mode_table
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_on
 from micah_plan.errors import InputError, shown
@@ -134,13 +127,18 @@ def step(
     Raises:
         InputError: unknown mode, wrong number of values, or a value that is not finite.
     """
-    tables = mode_tables(automaton)
-    table = tables.get(mode) or tables[automaton.mode(mode).name]
-    start = _values(x, automaton.n, "x")
-    given = _values(u, automaton.m, "u")
+    start, given = _values(x, automaton.n, "x"), _values(u, automaton.m, "u")
     pushed = None if disturbance is None else _values(disturbance, automaton.n, "disturbance")
-    end, final, events, complete = _advance(automaton, tables, table, start, given, pushed)
-    return Step(end.name, np.array(final), tuple(events), complete)
+    table, after = mode_table(automaton, mode), dict[int, float]()
+    if automaton.input_memories:
+        passed, after = passed_on(np, automaton.input_memories, mode, start, given)
+        given = list(map(float, passed))
+    travel = Travel(partial(mode_table, automaton), table, start, given, pushed)
+    complete = travel.to_the_end()
+    final = np.array(travel.x)
+    for i, value in after.items():  # memories take their next values when the step ends
+        final[i] = value
+    return Step(travel.table.name, final, tuple(travel.events), complete)
 
 
 def simulate(
@@ -151,82 +149,69 @@ def simulate(
     Raises:
         InputError: as `step`, or the number of disturbances is not that of inputs.
     """
-    tables = mode_tables(automaton)
-    table = tables[automaton.mode(mode).name]
     rows = _rows(inputs, automaton.m, "inputs")
     pushes = [None] * len(rows) if disturbances is None else _rows(disturbances, automaton.n, "disturbances")
     if len(pushes) != len(rows):
         raise InputError(f"disturbances must have as many rows as inputs, {len(rows)}. Got {len(pushes)}")
-    x = _values(x0, automaton.n, "x0")
-    modes, states, all_complete = [table.name], [x], True
-    log: list[tuple[int, Event]] = []
-    for k, (u, pushed) in enumerate(zip(rows, pushes, strict=True)):
-        table, x, events, complete = _advance(automaton, tables, table, x, u, pushed)
-        modes.append(table.name)
-        states.append(x)
-        log.extend((k, event) for event in events)
-        all_complete = all_complete and complete
-    return Run(tuple(modes), np.array(states).reshape(len(states), automaton.n), tuple(log), all_complete)
-
-
-def _advance(
-    automaton: HybridAutomaton,
-    tables: dict[str, ModeTable],
-    table: ModeTable,
-    x: list[float],
-    u: list[float],
-    pushed: list[float] | None,
-) -> tuple[ModeTable, list[float], list[Event], bool]:
-    """A whole step with the inputs that come out of memories, which take their next values at its end; see `travel`."""
-    if not automaton.input_memories:
-        return travel(tables, table, x, u, pushed)
-    passed, after = passed_on(np, automaton.input_memories, table.name, x, u)
-    end, final, events, complete = travel(tables, table, x, list(map(float, passed)), pushed)
-    return end, [float(after.get(i, value)) for i, value in enumerate(final)], events, complete
-
-
-def travel(
-    tables: dict[str, ModeTable], table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None
-) -> tuple[ModeTable, list[float], list[Event], bool]:
-    """Move from s = 0 to s = 1, alternately on to the next instant with an event and through the events there.
-
-    Returns:
-        mode table and state at the end, the events, and whether the step was completed.
-    """
-    events: list[Event] = []
-    s = 0.0
-    x = table.pinned(x)
-    d = _displacement(table, x, u, pushed)
-    while True:
-        # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
-        upcoming = next_entry(table, x, d, u, 1.0 - s, later_only=bool(events))
-        if upcoming is None:
-            return table, [xi + (1.0 - s) * di for xi, di in zip(x, d, strict=True)], events, True
-        ahead, arrived = upcoming
-        if ahead > 0.0:
-            x = [xi + ahead * di for xi, di in zip(x, d, strict=True)]
-            s = min(1.0, s + ahead)
-        instant = _Instant(tables, table, x, d, u, pushed, s, events)
-        if not instant.settle(arrived):
-            return instant.table, instant.x, events, False
-        table, x, d = instant.table, instant.x, instant.d
+    steps = [Step(automaton.mode(mode).name, np.array(_values(x0, automaton.n, "x0")))]
+    for u, pushed in zip(rows, pushes, strict=True):
+        steps.append(step(automaton, steps[-1].mode, steps[-1].x, u, pushed))
+    return Run(
+        tuple(each.mode for each in steps),
+        np.array([each.x for each in steps]),
+        tuple((k, event) for k, each in enumerate(steps[1:]) for event in each.events),
+        all(each.complete for each in steps),
+    )
 
 
 @dataclass(slots=True)
-class _Instant:
-    """The state of a step at one instant s; `settle` takes it through all events that happen there."""
+class Travel:
+    """A step on its way from s = 0 to s = 1.
 
-    tables: dict[str, ModeTable]
+    Attributes:
+        table_of: the table of a mode, by its name.
+        table, x: the mode and the state (n,) that it has come to.
+        u, pushed: its input (m,) and disturbance (n,).
+        d: (n,) motion of a whole step, as it goes on from here.
+        s, events: how far it has come, and what has happened.
+    """
+
+    table_of: Callable[[str], ModeTable]
     table: ModeTable
     x: list[float]
-    d: list[float]
     u: list[float]
     pushed: list[float] | None
-    s: float
-    events: list[Event]
+    d: list[float] = field(init=False)
+    s: float = 0.0
+    events: list[Event] = field(default_factory=list)
 
-    def settle(self, arrived: int) -> bool:
-        """Take all events, among them the edge whose guard the motion arrived at. False if there are too many."""
+    def __post_init__(self) -> None:
+        self._enter(self.table, self.x)
+
+    def to_the_end(self) -> bool:
+        """Alternately on to the next instant with an event and through its events. False if there are too many."""
+        while True:
+            # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
+            least, ahead, arrived = 0.0 if self.events else -1.0, math.inf, -1
+            for e in self.table.exits:
+                at = entry(e, self.x, self.d, self.u, 1.0 - self.s)
+                if at is not None and least < at < ahead:
+                    ahead, arrived = at, e.edge
+            way = min(ahead, 1.0 - self.s)
+            if way > 0.0:
+                self.x = [xi + way * di for xi, di in zip(self.x, self.d, strict=True)]
+            if arrived < 0:
+                return True
+            self.s = min(1.0, self.s + way)
+            if not self._settle(arrived):
+                return False
+
+    def _enter(self, table: ModeTable, x: list[float]) -> None:
+        self.table, self.x = table, table.pinned(x)
+        self.d = _displacement(table, self.x, self.u, self.pushed)
+
+    def _settle(self, arrived: int) -> bool:
+        """Take all events of an instant, among them the edge whose guard the motion arrived at. False: too many."""
         entered, taken = {self.table.name}, set[int]()
         walls: list[Floats] = []
         while True:
@@ -251,15 +236,16 @@ class _Instant:
             self._slide(wall, walls)
 
     def _take(self, chosen: Exit) -> None:
-        before = self.x
-        self.x = self.tables[chosen.target].pinned(_reset(chosen, before, self.u))
-        self.events.append(Event(chosen.edge, self.s, np.array(before), np.array(self.x), chosen.source, chosen.target))
+        source, before = self.table, self.x
+        after = _reset(chosen, before, self.u)
         if chosen.is_self:
+            self.x = source.pinned(after)
             kept = self.d if chosen.A is None else _times(chosen.A, self.d)
-            self.d = [0.0 if flow is None else di for flow, di in zip(self.table.flow, kept, strict=True)]
+            self.d = [0.0 if flow is None else di for flow, di in zip(source.flow, kept, strict=True)]
         else:
-            self.table = self.tables[chosen.target]
-            self.d = _displacement(self.table, self.x, self.u, self.pushed)
+            self._enter(self.table_of(chosen.target), after)
+        event = Event(chosen.edge, self.s, np.array(before), np.array(self.x), source.name, chosen.target)
+        self.events.append(event)
 
     def _is_pressed(self, row: Row) -> bool:
         """Whether the state is on the boundary of a half-space and the flow goes into it."""
@@ -323,9 +309,8 @@ def _values(value: ArrayLike, size: int, name: str) -> list[float]:
     return values
 
 
-def _rows(value: ArrayLike, width: int, name: str) -> list[list[float]]:
+def _rows(value: ArrayLike, width: int, name: str) -> Floats:
     array = np.asarray(value, dtype=float)
     if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
         raise InputError(f"{name} must be finite and have shape (k, {width}). Got shape {array.shape}")
-    rows: list[list[float]] = array.tolist()
-    return rows
+    return array

@@ -112,7 +112,7 @@ def _useful_step(automaton: HybridAutomaton, index: int, largest: float) -> floa
     """
     useful = 0.0
     for mode in automaton.modes:
-        acting = motions(automaton.effects, automaton.coordinate_names, mode.name)
+        acting = motions(automaton, mode)
         for i in np.flatnonzero(mode.B[:, index]):
             if i not in acting:
                 return largest

@@ -211,10 +211,8 @@ def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.S
 def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols, u: ca.SX) -> ca.SX:
     """x⁺ = x + B u with the effects of the mode that have no memory."""
     moved = ca.mtimes(ca.DM(mode.B), u)
-    acting = motions(automaton.effects, automaton.coordinate_names, mode.name)
-    for i, motion in acting.items():
-        if mode.free[i]:
-            moved[i] = motion.displacement(CasadiOperations(), s.x[i], moved[i])
+    for i, motion in motions(automaton, mode).items():
+        moved[i] = motion.displacement(CasadiOperations(), s.x[i], moved[i])
     return s.x + moved
 
 

@@ -90,7 +90,7 @@ def naive(
     for _ in range(cuts):
         now = automaton.mode(mode)
         free = np.array([all(pin.coordinate != i for pin in now.pins) for i in range(automaton.n)])
-        x = x + free * (now.flow(x, u) - x + disturbance) / cuts
+        x = x + free * (now.B @ u + disturbance) / cuts
         ready = [edge for edge in automaton.edges_from(mode) if edge.guard.contains(x, u)]
         for edge in [e for e in ready if not e.is_self_transition][:1] or ready:
             x, mode = edge.reset.apply(x, u), edge.target

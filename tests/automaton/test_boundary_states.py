@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from automaton_examples import cabinet, detent, door, two_rails
+from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Reset
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Reset
 from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states, with_shifted_thresholds
 from micah_plan.automaton.transition import step
+from micah_plan.automaton.transition_batch import TransitionBatch
 
 
 def blurred(automaton: HybridAutomaton, std: float = 0.03) -> HybridAutomaton:
@@ -52,6 +53,22 @@ def test_a_step_is_that_of_the_shifted_object(name: str, seed: int) -> None:
         np.testing.assert_allclose(found.x[:n], expected.x, atol=1e-12)
         assert np.array_equal(found.x[n:], shift)
         mode, x = expected.mode, expected.x
+
+
+def test_the_state_slides_along_an_uncertain_boundary_and_leaves_it_where_it_is() -> None:
+    half_spaces = guard(([1.0, 0.5], [0.0, 0.0], 0.0)), guard(([-1.0, -0.5], [0.0, 0.0], 0.0, True))
+    edges = [Edge(*names, region, threshold_std=0.1) for names, region in zip(("ab", "ba"), half_spaces, strict=True)]
+    facing = plain({"a": [[1.0, 0.0], [0.0, 1.0]], "b": [[-1.0, 0.0], [0.0, 0.5]]}, edges)
+    shift = np.array([0.07])
+    expected = step(with_shifted_thresholds(facing, shift), "a", [-0.25, 0.0], [1.0, 0.2])
+    assert expected.mode == "b"
+    assert expected.x @ [1.0, 0.5] == pytest.approx(0.07)
+    found = step(with_boundary_states(facing), "a", [-0.25, 0.0, *shift], [1.0, 0.2])
+    np.testing.assert_allclose(found.x, [*expected.x, *shift], atol=1e-12)
+    _, together = TransitionBatch(facing, shift[None]).step(
+        np.zeros(1, dtype=int), np.array([[-0.25, 0.0]]), np.array([[1.0, 0.2]]), np.zeros((1, 2))
+    )
+    np.testing.assert_allclose(together[0], expected.x, atol=1e-12)
 
 
 def test_pins_at_a_boundary_follow_it_and_share_their_std_with_it() -> None:

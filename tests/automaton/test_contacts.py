@@ -12,12 +12,12 @@ from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
 from micah_plan.automaton.contacts.touch import corners, moved, touch_pieces
 from micah_plan.automaton.contacts.values import Face, HeldPart
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.automaton.step_noise import process_factor
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.errors import InputError
+from micah_plan.symbolic.compiled import compile_automaton
 
 TASK = with_contacts(stapler(), GRIP, AROUND, NOISE)
 
@@ -107,9 +107,9 @@ def test_disturbances_move_a_tied_joint_with_the_hand():
     after = step(TASK, "line", x, np.zeros(3), [0.001, 0.0, -0.002, 0.3])
     assert after.mode == "line"
     assert after.x[3] == pytest.approx(tie.value(after.x))
-    assert process_factor(TASK, TASK.mode("line"), np.zeros(3))[3] == pytest.approx(
-        tie.weights[2] * process_factor(TASK, TASK.mode("line"), np.zeros(3))[2]
-    )
+    factor = compile_automaton(TASK).modes["line"].predict(x, np.zeros((4, 4)), np.zeros(3))[1].full()
+    noise = factor @ factor.T
+    assert noise[3] == pytest.approx(tie.weights[2] * noise[2], rel=1e-6, abs=1e-15)
 
 
 def test_batched_steps_are_the_scalar_ones_in_contact():

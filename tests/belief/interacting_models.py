@@ -32,7 +32,7 @@ class InteractingModels:
         for i, mode in enumerate(a.modes):
             left = float(self.weights[i])
             noise = np.diag(np.square(free_process_std(a, mode)))
-            ahead, spread = mode.flow(self.means[i], inputs), self.covariances[i] + noise
+            ahead, spread = self.means[i] + mode.B @ inputs, self.covariances[i] + noise
             for edge in a.edges_from(mode.name):
                 if edge.is_self_transition:
                     continue
@@ -51,7 +51,7 @@ class InteractingModels:
             self.weights[j] = weights.sum()
             if self.weights[j] > 0:
                 self._mix(j, weights / weights.sum(), parts[j])
-            self.means[j] = mode.flow(self.means[j], inputs)
+            self.means[j] = self.means[j] + mode.B @ inputs
             self.covariances[j] = self.covariances[j] + np.diag(np.square(free_process_std(a, mode)))
             for pin in mode.pins:
                 self.means[j, pin.coordinate] = pin.value

@@ -17,7 +17,7 @@ from scalar_belief.scalar_truncation import Part, split
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.step_noise import process_factor, step_noise_std
+from micah_plan.automaton.step_noise import step_noise_std
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +64,9 @@ def whole_step(
     mode = automaton.mode(mode_name)
     n = mean.size
     displacement, slope = displaced(automaton, mode, mean, u)
-    noise = process_factor(automaton, mode, u)
+    noise = step_noise_std(automaton, mode, u) * np.eye(n)
+    for tie in mode.ties:
+        noise[tie.coordinate] = np.array(tie.weights) @ noise
     joint = np.block([[factor, np.zeros((n, n))], [slope[:, None] * factor, noise]])
     for tie in mode.ties:
         weights = np.array(tie.weights)

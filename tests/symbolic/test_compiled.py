@@ -102,7 +102,7 @@ def test_maps_equal_the_automaton(seed: int) -> None:
     x, factor, u, _ = sample(np.random.default_rng(seed))
     for mode in automaton.modes:
         functions = compiled.modes[mode.name]
-        assert np.allclose(call(functions.step, x, u)[0], mode.flow(x, u), atol=1e-13)
+        assert np.allclose(call(functions.step, x, u)[0], x + mode.B @ u, atol=1e-13)
         assert np.allclose(call(functions.invariant, x, u)[0], mode.invariant.margins(x, u), atol=1e-13)
         assert np.allclose(call(functions.inputs, x, u)[0], mode.inputs.margins(x, u), atol=1e-13)
         assert np.array_equal(call(functions.observation, x)[0], x)

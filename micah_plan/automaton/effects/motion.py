@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.effects.value import Effect
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 
 Floats = NDArray[np.float64]
 
@@ -45,11 +43,13 @@ class CoordinateMotion:
         return added
 
 
-def motions(effects: Sequence[Effect], coordinates: Sequence[str], mode: str) -> dict[int, CoordinateMotion]:
-    """The motion of each coordinate (by index) that effects without a memory change in a mode."""
+@memoised
+def motions(automaton: HybridAutomaton, mode: Mode) -> dict[int, CoordinateMotion]:
+    """The motion of each coordinate (by index) that the mode leaves free and effects without a memory change in it."""
     found = {}
-    for index, name in enumerate(coordinates):
-        own = [(form(e.name), e.values) for e in effects if e.coordinate == name and e.acts_in(mode)]
+    for index in np.flatnonzero(mode.free).tolist():
+        name = automaton.coordinate_names[index]
+        own = [(form(e.name), e.values) for e in automaton.effects if e.coordinate == name and e.acts_in(mode.name)]
         commands = tuple(pair for pair in own if pair[0].layer == "command")
         forces = tuple(pair for pair in own if pair[0].layer == "force")
         if commands or forces:
@@ -63,13 +63,8 @@ def displaced(automaton: HybridAutomaton, mode: Mode, x: Floats, u: Floats) -> t
     slope = np.ones_like(moved)
     if not automaton.effects:
         return np.asarray(moved), slope
-    known: dict[str, dict[int, CoordinateMotion]] = automaton.derived.setdefault("motions", {})
-    if mode.name not in known:
-        known[mode.name] = motions(automaton.effects, automaton.coordinate_names, mode.name)
     d = moved.copy()
-    for i, motion in known[mode.name].items():
-        if not mode.free[i]:
-            continue
+    for i, motion in motions(automaton, mode).items():
         d[..., i] = motion.displacement(np, x[..., i], moved[..., i])
         ahead = motion.displacement(np, x[..., i] + _SMALL, moved[..., i])
         slope[..., i] += (ahead - motion.displacement(np, x[..., i] - _SMALL, moved[..., i])) / (2 * _SMALL)
