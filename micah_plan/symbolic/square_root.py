@@ -8,29 +8,14 @@ decomposition again, so no pivot can become negative by rounding, whatever the s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
+
+from micah_plan.automaton.hybrid import Pin
 
 # Smallest std that the arithmetic resolves [rad or m]: far below any sensor, far above rounding. It keeps every square
 # root and quotient differentiable where a belief is exactly known.
 SMALLEST_STD = 1e-9
-
-
-@dataclass(frozen=True)
-class Observed:
-    """The Gaussian after the measurement of one coordinate.
-
-    Attributes:
-        mean, factor: (n, 1) and lower triangular (n, n).
-        innovation: measured minus predicted value; zero for a maximum-likelihood observation.
-        variance: of the predicted measurement.
-    """
-
-    mean: ca.SX
-    factor: ca.SX
-    innovation: ca.SX
-    variance: ca.SX
 
 
 def norm(vector: ca.SX) -> ca.SX:
@@ -76,10 +61,10 @@ def observe(
     factor: ca.SX,
     index: int,
     std: float | ca.SX,
-    value: ca.SX | float | None,
+    value: ca.SX | float | None = None,
     above: int | None = None,
-) -> Observed:
-    """Condition on a measurement of coordinate `index` with that std; value None: the most likely one.
+) -> tuple[ca.SX, ca.SX]:
+    """Mean and factor after a measurement of coordinate `index` with that std; value None: the most likely one.
 
     With v the coordinate's row of L and α = v'v + std², the posterior factor is L chol(I - v v'/α), and that Cholesky
     factor is known in closed form: partial sums of v² from the last entry to the first (Carlson 1973).
@@ -104,22 +89,22 @@ def observe(
             shrink[i, j] = -(row[i] / ca.sqrt(sums[j + 1])) * (row[j] / ca.sqrt(sums[j]))
     innovation = ca.SX(0) if value is None else value - at
     gain = ca.mtimes(factor, row.T) / sums[0]
-    return Observed(mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink)), innovation, sums[0])
+    return mean + gain * innovation, ca.tril(ca.mtimes(factor, shrink))
 
 
-def put_at(mean: ca.SX, factor: ca.SX, places: list[tuple[int, float, float, int | None]]) -> tuple[ca.SX, ca.SX]:
-    """Replace the belief on coordinates by places (index, value, std, follows).
+def put_at(mean: ca.SX, factor: ca.SX, pins: Sequence[Pin]) -> tuple[ca.SX, ca.SX]:
+    """Replace the belief on coordinates by pins.
 
     They become independent of the others, but for the coordinate that one follows, which adds to its value.
     """
-    if not places:
+    if not pins:
         return mean, factor
-    mean, spread = ca.SX(mean), ca.SX(factor.shape[0], len(places))
+    mean, spread = ca.SX(mean), ca.SX(factor.shape[0], len(pins))
     others = ca.SX(factor)
-    for column, (index, value, std, follows) in enumerate(places):
-        mean[index] = value if follows is None else value + mean[follows]
-        others[index, :] = 0 if follows is None else factor[follows, :]
-        spread[index, column] = std
+    for column, pin in enumerate(pins):
+        mean[pin.coordinate] = pin.value if pin.follows is None else pin.value + mean[pin.follows]
+        others[pin.coordinate, :] = 0 if pin.follows is None else factor[pin.follows, :]
+        spread[pin.coordinate, column] = pin.std
     return mean, lower_factor(ca.sparsify(ca.horzcat(others, spread)))
 
 

@@ -17,7 +17,7 @@ from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.errors import InputError
-from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.symbolic.compiled import compiled_mode
 
 TASK = with_contacts(stapler(), GRIP, AROUND, NOISE)
 
@@ -107,7 +107,7 @@ def test_disturbances_move_a_tied_joint_with_the_hand():
     after = step(TASK, "line", x, np.zeros(3), [0.001, 0.0, -0.002, 0.3])
     assert after.mode == "line"
     assert after.x[3] == pytest.approx(tie.value(after.x))
-    factor = compile_automaton(TASK).modes["line"].predict(x, np.zeros((4, 4)), np.zeros(3))[1].full()
+    factor = compiled_mode(TASK, "line").predict(x, np.zeros((4, 4)), np.zeros(3))[1].full()
     noise = factor @ factor.T
     assert noise[3] == pytest.approx(tie.weights[2] * noise[2], rel=1e-6, abs=1e-15)
 

@@ -21,7 +21,7 @@ from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict
 from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError
-from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.symbolic.compiled import compiled_mode
 from micah_plan.symbolic.effects import CasadiOperations
 
 SHUT = 1.0
@@ -83,7 +83,7 @@ def test_step_batch_filter_and_compiled_functions_move_alike(door, name) -> None
     assert step(changed, "revolute", [c], [u]).x[0] == pytest.approx(expected, abs=1e-14)
     _, moved = TransitionBatch(changed, np.zeros((1, 0))).step(np.zeros(1, int), *np.array([[[c]], [[u]], [[0.0]]]))
     assert moved[0, 0] == pytest.approx(expected, abs=1e-14)
-    compiled = compile_automaton(changed).modes["revolute"]
+    compiled = compiled_mode(changed, "revolute")
     assert float(compiled.step(c, u)) == pytest.approx(expected, abs=1e-14)
     belief = predict(changed, initial_belief(changed, [c], [0.01]), [u])
     assert belief.means[0, 0] == pytest.approx(expected, abs=1e-9)

@@ -30,7 +30,7 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.belief import filter as batch_filter
 from micah_plan.belief.filter import initial_belief, predict, update
-from micah_plan.symbolic.compiled import compile_automaton
+from micah_plan.symbolic.compiled import compiled_edge, compiled_mode
 
 SHUT = 1.0
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
@@ -103,25 +103,25 @@ def test_an_effect_of_one_mode_remembers_what_was_sent_in_the_other(door) -> Non
 @pytest.mark.parametrize("name", EFFECTS)
 def test_compiled_functions_have_the_memory(door, name) -> None:
     whole, rng = with_memory_states(with_input_memory(door, name)), np.random.default_rng(0)
-    mode, compiled = whole.mode("revolute"), compile_automaton(whole)
+    mode, compiled = whole.mode("revolute"), compiled_mode(whole, "revolute")
     opened = next(i for i, edge in enumerate(whole.edges) if edge.source == "rigid")
     x, u, factor = ca.SX.sym("x", whole.n), ca.SX.sym("u", 1), np.zeros((whole.n, whole.n))
-    moved = compiled.modes["revolute"].step(x, u)
+    moved = compiled.step(x, u)
     slopes = ca.Function("slopes", [x, u], [ca.jacobian(moved, x), ca.jacobian(moved, u)])
     factor[0, 0] = 0.02
     for _ in range(20):
         memory = rng.uniform(-0.03, 0.03, whole.n - 1)
         place, command = np.array([0.3, *memory]), rng.uniform(-0.1, 0.1, 1)
         after = step(whole, mode.name, place, command).x
-        np.testing.assert_allclose(np.array(compiled.modes["revolute"].step(place, command)).ravel(), after, atol=1e-13)
+        np.testing.assert_allclose(np.array(compiled.step(place, command)).ravel(), after, atol=1e-13)
         by_differences = [
             (step(whole, mode.name, place + d, command).x - step(whole, mode.name, place - d, command).x) / 2e-7
             for d in 1e-7 * np.eye(whole.n)
         ]
         np.testing.assert_allclose(np.array(slopes(place, command)[0]), np.array(by_differences).T, atol=1e-6)
-        leaves = float(compiled.edges[opened].guard(np.array([SHUT, *memory]), command)[0]) > 0
+        leaves = float(compiled_edge(whole, opened).guard(np.array([SHUT, *memory]), command)[0]) > 0
         assert leaves == (step(whole, "rigid", [SHUT, *memory], command).mode == "revolute")
-        _, spread = compiled.modes["revolute"].belief_step(place, factor, command)
+        _, spread = compiled.belief_step(place, factor, command)
         covariance = np.array(spread) @ np.array(spread).T
         assert np.all(np.linalg.eigvalsh(covariance) > -1e-15)
         assert 0 < covariance[0, 0] < 0.02**2 + whole.noise.process_std[0] ** 2

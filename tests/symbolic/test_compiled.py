@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scalar_belief import one_at_a_time
 from scalar_belief import scalar_gaussian as gaussian
-from scipy.stats import multivariate_normal
 from uncertain_joints import swinging
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Reset
@@ -18,7 +17,8 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.step_noise import step_noise_std
-from micah_plan.symbolic.compiled import CompiledAutomaton, compile_automaton
+from micah_plan.symbolic.compiled import compiled_edge, compiled_mode, sensing_std
+from micah_plan.symbolic.square_root import observe
 
 N, M = 3, 2
 JOINT = Joint("prismatic", (0.0, 0.0, 0.0), axis=(1.0, 0.0, 0.0))
@@ -82,41 +82,51 @@ def call(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
     return [o.full().ravel() if o.shape[1] == 1 else o.full() for o in outputs]
 
 
-def everything(compiled: CompiledAutomaton) -> list[tuple[str, ca.Function]]:
+def update(automaton: HybridAutomaton, name: str) -> ca.Function:
+    """(mean, factor, z) -> (mean, factor): all measurements of a mode, one coordinate after the other."""
+    z, mean, factor = ca.SX.sym("z", N), ca.SX.sym("x", N), ca.SX.sym("L", ca.Sparsity.lower(N))
+    after = mean, factor
+    for index, std in enumerate(sensing_std(automaton.sensing(automaton.mode(name)), mean)):
+        if isinstance(std, ca.SX) or np.isfinite(std):
+            after = observe(*after, index, std, z[index])
+    after = ca.densify(after[0]), after[1]
+    return ca.Function("update", [mean, factor, z], after, ["mean", "factor", "z"], ["mean_next", "factor_next"])
+
+
+def observation_std(automaton: HybridAutomaton, name: str) -> ca.Function:
+    """x -> std (n, 1) of a measurement there."""
+    x = ca.SX.sym("x", N)
+    stds = sensing_std(automaton.sensing(automaton.mode(name)), x)
+    return ca.Function("observation_std", [x], [ca.vertcat(*stds)], ["x"], ["std"])
+
+
+def everything(automaton: HybridAutomaton) -> list[tuple[str, ca.Function]]:
     """Every compiled function with a unique name."""
-    modes = ("step", "invariant", "inputs", "invariant_belief", "observation", "predict", "update", "belief_step")
-    named = [(f"{q}.{f}", getattr(mode, f)) for q, mode in compiled.modes.items() for f in (*modes, "condition")]
-    edges = ("guard", "guard_belief", "reset", "belief_reset")
-    return named + [(f"{i}.{f}", getattr(edge, f)) for i, edge in compiled.edges.items() for f in edges]
-
-
-@pytest.fixture(scope="module")
-def compiled() -> CompiledAutomaton:
-    return compile_automaton(example())
+    modes = ("step", "invariant", "inputs", "predict", "belief_step", "condition")
+    edges = ("guard", "guard_belief", "belief_reset")
+    return [
+        *((f"{q}.{f}", getattr(compiled_mode(automaton, q), f)) for q in automaton.mode_names for f in modes),
+        *((f"{q}.update", update(automaton, q)) for q in automaton.mode_names),
+        *((f"{i}.{f}", getattr(compiled_edge(automaton, i), f)) for i in range(len(automaton.edges)) for f in edges),
+    ]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_maps_equal_the_automaton(seed: int) -> None:
     automaton = example(seed)
-    compiled = compile_automaton(automaton)
     x, factor, u, _ = sample(np.random.default_rng(seed))
     for mode in automaton.modes:
-        functions = compiled.modes[mode.name]
+        functions = compiled_mode(automaton, mode.name)
         assert np.allclose(call(functions.step, x, u)[0], x + mode.B @ u, atol=1e-13)
         assert np.allclose(call(functions.invariant, x, u)[0], mode.invariant.margins(x, u), atol=1e-13)
         assert np.allclose(call(functions.inputs, x, u)[0], mode.inputs.margins(x, u), atol=1e-13)
-        assert np.array_equal(call(functions.observation, x)[0], x)
-        assert np.allclose(call(functions.observation_std, x)[0], automaton.sensing(mode).std_at(x), rtol=1e-13)
-        assert functions.invariant_names == tuple(h.name for h in mode.invariant.half_spaces)
-        assert functions.input_names == tuple(h.name for h in mode.inputs.half_spaces)
-        margin, std = call(functions.invariant_belief, x, factor, u)
-        expected = [gaussian.margin(x, factor, u, h) for h in mode.invariant.half_spaces]
-        assert np.allclose(np.stack([margin, std], axis=1), np.array(expected).reshape(-1, 2), atol=1e-13)
-    for edge, functions in zip(automaton.edges, compiled.edges.values(), strict=True):
+        stds = call(observation_std(automaton, mode.name), x)[0]
+        assert np.allclose(stds, automaton.sensing(mode).std_at(x), rtol=1e-13)
+        assert functions.mode is mode
+    for number, edge in enumerate(automaton.edges):
+        functions = compiled_edge(automaton, number)
         assert functions.edge is edge
-        assert functions.names == tuple(h.name for h in edge.guard.half_spaces)
         assert np.allclose(call(functions.guard, x, u)[0], edge.guard.margins(x, u), atol=1e-13)
-        assert np.allclose(call(functions.reset, x, u)[0], edge.reset.apply(x, u), atol=1e-13)
         margin, std = call(functions.guard_belief, x, factor, u)
         expected = [gaussian.margin(x, factor, u, h) for h in edge.guard.half_spaces]
         assert np.allclose(np.stack([margin, std], axis=1), np.array(expected).reshape(-1, 2), atol=1e-13)
@@ -146,16 +156,15 @@ def test_belief_functions_equal_their_numpy_twins(
     make: Callable[[int], HybridAutomaton], seed: int, scale: float
 ) -> None:
     automaton = make(seed)
-    compiled = compile_automaton(automaton)
     mean, factor, u, z = sample(np.random.default_rng(seed), scale)
     close = {"rtol": 1e-9, "atol": 1e-9 * max(1.0, scale)}
     for mode in automaton.modes:
-        functions, sensing = compiled.modes[mode.name], automaton.sensing(mode)
+        functions, sensing = compiled_mode(automaton, mode.name), automaton.sensing(mode)
         predicted = gaussian.predict(mean, factor, mode.B @ u, step_noise_std(automaton, mode, u))
         for ours, twin in zip(call(functions.predict, mean, factor, u), predicted, strict=True):
             assert np.allclose(ours, twin, **close)
         updated = one_at_a_time.update(mean, factor, z, sensing.std_at(mean))
-        for ours, twin in zip(call(functions.update, mean, factor, z), updated, strict=True):
+        for ours, twin in zip(call(update(automaton, mode.name), mean, factor, z), updated[:2], strict=True):
             assert np.allclose(ours, twin, **close)
         likely = one_at_a_time.update(*predicted, predicted[0], sensing.std_at(predicted[0]))[:2]
         for ours, twin in zip(call(functions.belief_step, mean, factor, u), likely, strict=True):
@@ -163,37 +172,35 @@ def test_belief_functions_equal_their_numpy_twins(
         held = one_at_a_time.condition_on_pins(mean, factor, mode.pins)
         for ours, twin in zip(call(functions.condition, mean, factor), held, strict=True):
             assert np.allclose(ours, twin, **close)
-    for edge, functions in zip(automaton.edges, compiled.edges.values(), strict=True):
+    for number, edge in enumerate(automaton.edges):
         moved = gaussian.reset(mean, factor, u, edge.reset)
         located = automaton.pins_located_by(edge)
         others = automaton.pins_met_by(edge)
         twins = one_at_a_time.condition_on_pins(*one_at_a_time.hold_at_pins(*moved, located), others)
-        ours = call(functions.belief_reset, mean, factor, u)
+        ours = call(compiled_edge(automaton, number).belief_reset, mean, factor, u)
         # Two pins that follow one coordinate leave a pivot of about the smallest std, which costs digits.
         assert np.allclose(ours[0], twins[0], rtol=1e-8, atol=1e-8 * max(1.0, scale))
         assert np.allclose(ours[1] @ ours[1].T, twins[1] @ twins[1].T, rtol=1e-8, atol=1e-9 * max(1.0, scale**2))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_update_is_the_textbook_kalman_update(compiled: CompiledAutomaton, seed: int) -> None:
+def test_update_is_the_textbook_kalman_update(seed: int) -> None:
     mean, factor, _, z = sample(np.random.default_rng(seed))
     seen = [0, 2]
     P = factor @ factor.T
     S = P[np.ix_(seen, seen)] + np.diag(np.array([0.05, 0.2]) ** 2)
     K = P[:, seen] @ np.linalg.inv(S)
-    new_mean, new_factor, log_likelihood = call(compiled.modes["free"].update, mean, factor, z)
+    new_mean, new_factor = call(update(example(), "free"), mean, factor, z)
     assert np.allclose(new_mean, mean + K @ (z[seen] - mean[seen]), atol=1e-12)
     assert np.allclose(new_factor @ new_factor.T, P - K @ P[seen], atol=1e-12)
-    assert np.allclose(log_likelihood, multivariate_normal(mean[seen], S).logpdf(z[seen]), atol=1e-11)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_predict_adds_process_noise_to_free_coordinates_only(seed: int) -> None:
     automaton = example(seed)
-    compiled = compile_automaton(automaton)
     mean, factor, u, _ = sample(np.random.default_rng(seed))
     for name, variances in (("free", [0.02**2, 0.0, 0.1**2]), ("pinned", [0.0, 0.0, 0.0])):
-        new_mean, new_factor = call(compiled.modes[name].predict, mean, factor, u)
+        new_mean, new_factor = call(compiled_mode(automaton, name).predict, mean, factor, u)
         assert np.allclose(new_mean, mean + automaton.mode(name).B @ u, atol=1e-13)
         assert np.allclose(new_factor @ new_factor.T, factor @ factor.T + np.diag(variances), atol=1e-12)
 
@@ -206,23 +213,23 @@ def test_a_mode_of_pins_is_not_counted_twice() -> None:
         Noise(automaton.noise.process_std, (np.inf,) * N),
     )  # fmt: skip
     mean, factor, u, _ = sample(np.random.default_rng(1))
-    entered = call(compile_automaton(blind).edges[0].belief_reset, mean, factor, u)
+    entered = call(compiled_edge(blind, 0).belief_reset, mean, factor, u)
     variances = np.diag(entered[1] @ entered[1].T)
     assert np.isclose(variances[0], 0.05**2)  # located by the guard: the pin's own
     assert entered[0][0] == 0.4
     assert variances[2] < 0.2**2  # added to what was known
-    stayed = call(compile_automaton(blind).modes["pinned"].belief_step, *entered, np.zeros(M))
+    stayed = call(compiled_mode(blind, "pinned").belief_step, *entered, np.zeros(M))
     assert np.allclose(stayed[1], entered[1], atol=1e-15)
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-3, 1.0, 1e3, 1e6])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_factors_stay_factors(compiled: CompiledAutomaton, seed: int, scale: float) -> None:
+def test_factors_stay_factors(seed: int, scale: float) -> None:
     """Lower triangular, positive diagonal, finite; measuring never increases a variance, in any direction."""
     mean, factor, u, z = sample(np.random.default_rng(seed), scale)
     outputs = {
         name: call(f, *({"mean": mean, "factor": factor, "u": u, "z": z}[f.name_in(i)] for i in range(f.n_in())))
-        for name, f in everything(compiled)
+        for name, f in everything(example())
         if f.name() in ("predict", "update", "belief_step", "belief_reset", "condition")
     }
     for _new_mean, new_factor, *_ in outputs.values():
@@ -234,9 +241,9 @@ def test_factors_stay_factors(compiled: CompiledAutomaton, seed: int, scale: flo
         assert np.linalg.eigvalsh(gained).min() > -1e-12 * scale**2
 
 
-def test_upper_triangle_of_the_input_is_ignored(compiled: CompiledAutomaton) -> None:
+def test_upper_triangle_of_the_input_is_ignored() -> None:
     mean, factor, u, _ = sample(np.random.default_rng(0))
-    step = compiled.modes["free"].belief_step
+    step = compiled_mode(example(), "free").belief_step
     assert np.array_equal(call(step, mean, factor + np.triu(np.ones((N, N)), 1), u)[1], call(step, mean, factor, u)[1])
 
 
@@ -247,19 +254,19 @@ def test_exactly_known_beliefs_have_finite_values_and_derivatives() -> None:
     )
     arguments = {"mean": np.zeros(N), "factor": np.zeros((N, N)), "u": np.zeros(M), "z": np.zeros(N), "x": np.zeros(N)}
     for model in (automaton, exact):
-        for name, function in everything(compile_automaton(model)):
+        for name, function in everything(model):
             values = [ca.DM(arguments[function.name_in(i)]) for i in range(function.n_in())]
             outputs = function.call(values) + function.jacobian().call(values + function.call(values))
             assert all(np.all(np.isfinite(o.full())) for o in outputs), name
 
 
-NAMES = [name for name, _ in everything(compile_automaton(example()))]
+NAMES = [name for name, _ in everything(example())]
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", NAMES)
 def test_jacobians_equal_finite_differences(seed: int, name: str) -> None:
-    function = dict(everything(compile_automaton(example(seed))))[name]
+    function = dict(everything(example(seed)))[name]
     mean, factor, u, z = sample(np.random.default_rng(3))
     arguments = {"mean": mean, "x": mean, "factor": factor, "u": u, "z": z}
     values = [arguments[function.name_in(i)] for i in range(function.n_in())]

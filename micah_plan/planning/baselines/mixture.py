@@ -24,7 +24,7 @@ from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
-from micah_plan.symbolic.compiled import CompiledMode, compile_automaton, sensing_std
+from micah_plan.symbolic.compiled import CompiledMode, compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.problem import Problem
 
@@ -107,16 +107,16 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     z, u = ca.SX.sym("z", n + n * (n + 1) // 2 + len(automaton.modes)), ca.SX.sym("u", m)
     mean, factor, weights = _unpacked(z, n)
     branches: list[tuple[int, ca.SX, ca.SX, ca.SX]] = []
-    compiled = compile_automaton(automaton)
     for number, mode in enumerate(automaton.modes):
-        moved, spread = _flowed(compiled.modes[mode.name], mean, factor, u)
+        moved, spread = _flowed(compiled_mode(automaton, mode.name), mean, factor, u)
         left = weights[number]
         for edge in sorted(automaton.edges_from(mode.name), key=lambda e: e.is_self_transition):
             chance = _guard_chance(edge, moved, spread, u, limits)
             a, b, c = edge.reset.matrices(n, m)
-            pins = [(p.coordinate, p.value, p.std, p.follows) for p in automaton.mode(edge.target).pins]
             reset = ca.mtimes(ca.DM(a), moved) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
-            after = put_at(reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), pins)
+            after = put_at(
+                reset, lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread)), automaton.mode(edge.target).pins
+            )
             branches.append((automaton.mode_index(edge.target), left * chance, *after))
             left = left * (1 - chance)
         branches.append((number, left, moved, spread))
@@ -131,8 +131,7 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     mixed = lower_factor(ca.sparsify(ca.horzcat(*columns)))
     for index, information in enumerate(_information(automaton, middle, arrived)):
         if not information.is_zero():
-            seen = observe(middle, mixed, index, 1 / ca.sqrt(information), None)
-            middle, mixed = seen.mean, seen.factor
+            middle, mixed = observe(middle, mixed, index, 1 / ca.sqrt(information))
     packed = ca.vec(ca.project(mixed, ca.Sparsity.lower(n)).nz[:])
     return ca.Function("mixture", [z, u], [ca.densify(ca.vertcat(middle, packed, *arrived))])
 
@@ -155,7 +154,7 @@ def _information(automaton: HybridAutomaton, mean: ca.SX, weights: list[ca.SX]) 
 
 def _flowed(compiled: CompiledMode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Mean and factor after a mode's flow and process noise, from its pins."""
-    pinned = put_at(mean, factor, [(pin.coordinate, pin.value, pin.std, pin.follows) for pin in compiled.mode.pins])
+    pinned = put_at(mean, factor, compiled.mode.pins)
     after = compiled.predict.call([*pinned, u])
     return ca.densify(after[0]), ca.sparsify(after[1])
 

@@ -17,7 +17,7 @@ from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.motion import PACE
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.symbolic.compiled import CompiledMode, compile_automaton
+from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -138,18 +138,18 @@ def _roll(
     problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]
 ) -> tuple[tuple[PhaseGuess, ...], list[float]]:
     """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
-    compiled = compile_automaton(problem.automaton)
+    automaton = problem.automaton
     # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
     first = problem.automaton.mode(sequence.modes[0])
     mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
     factor = np.diag(np.array(problem.start.std, dtype=float))
-    mean, factor = _belief(compiled.modes[sequence.modes[0]].condition(mean, factor))
+    mean, factor = _belief(compiled_mode(automaton, sequence.modes[0]).condition(mean, factor))
     gains = _gains(problem, limits, sequence, steps)
     spread = np.zeros_like(factor)
     phases: list[PhaseGuess] = []
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
-        mode, count = compiled.modes[name], steps[p]
+        mode, count = compiled_mode(automaton, name), steps[p]
         A, slope = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
         own = gains[first_knot : first_knot + count]
         closed = A + slope @ own
@@ -171,7 +171,7 @@ def _roll(
         first_knot += count + 1
         if edge is not None:
             u = inputs[-1] if count else np.zeros(problem.automaton.m)
-            mean, factor = _belief(compiled.edges[edge].belief_reset(means[-1], factors[-1], u))
+            mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
             spread = _spread_after(problem, edge, spreads[-1])
     return tuple(phases), needed
 
@@ -227,7 +227,7 @@ def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
     What counts is the belief before the last measurement: that one comes too late for any input.
     """
     k, rest = problem.settings.sigmas, np.zeros(problem.automaton.m)
-    mode = compile_automaton(problem.automaton).modes[phase.mode]
+    mode = compiled_mode(problem.automaton, phase.mode)
     mean, factor, before = phase.means[-1], phase.factors[-1], np.inf
     for extra in range(min(spare, MOST_LOCALISING_STEPS) + 1):
         prior = _belief(mode.predict(mean, factor, rest))[1]

@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.symbolic.compiled import CompiledAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.symbolic.compiled import compiled_edge, compiled_mode
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,15 +22,15 @@ Expression = TypeVar("Expression", ca.MX, ca.SX)
 
 
 def factor_pattern(
-    compiled: CompiledAutomaton, start: Floats, modes: Iterable[str], edges: Iterable[int]
+    automaton: HybridAutomaton, start: Floats, modes: Iterable[str], edges: Iterable[int]
 ) -> ca.Sparsity:
     """The lower triangular pattern that a start's factor (n, n) fills on its way through these modes and edges."""
-    n, m = compiled.automaton.n, compiled.automaton.m
-    maps = [compiled.modes[name].belief_step for name in dict.fromkeys(modes)]
-    maps += [compiled.edges[index].belief_reset for index in dict.fromkeys(edges)]
+    n, m = automaton.n, automaton.m
+    maps = [compiled_mode(automaton, name).belief_step for name in dict.fromkeys(modes)]
+    maps += [compiled_edge(automaton, index).belief_reset for index in dict.fromkeys(edges)]
     mean, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
     uncertain = np.ones(n)
-    for memory in compiled.automaton.input_memories:
+    for memory in automaton.input_memories:
         uncertain[memory.coordinates] = 0.0
     pattern = ca.sparsify(ca.DM(np.diag(uncertain) + np.abs(np.tril(start)))).sparsity()
     for _ in range(n * n):

@@ -31,7 +31,7 @@ from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
 from micah_plan.planning.transcription.path_rows import PathRows, path_rows
 from micah_plan.planning.transcription.rows import Row, Rows
-from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compile_automaton
+from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
 
@@ -116,9 +116,8 @@ class Transcription:
 
 def transcribe(problem: Problem, limits: Limits, guess: tuple[PhaseGuess, ...]) -> Transcription:
     """The nonlinear programme of a mode sequence from the guess of its phases."""
-    compiled = compile_automaton(problem.automaton)
     taken = [phase.edge for phase in guess if phase.edge is not None]
-    pattern = factor_pattern(compiled, guess[0].factors[0], [phase.mode for phase in guess], taken)
+    pattern = factor_pattern(problem.automaton, guess[0].factors[0], [phase.mode for phase in guess], taken)
     nlp = Transcription(problem, limits, guess, pattern)
     for phase, path in zip(guess, path_rows(problem, limits, guess, pattern), strict=True):
         _add_phase(nlp, phase, path)
@@ -131,7 +130,7 @@ def transcribe(problem: Problem, limits: Limits, guess: tuple[PhaseGuess, ...]) 
 def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> None:
     """Variables, dynamics, effort, inputs, the corridor and what is asked of the path, of one phase."""
     automaton, steps = nlp.problem.automaton, guess.steps
-    mode = compile_automaton(automaton).modes[guess.mode]
+    mode = compiled_mode(automaton, guess.mode)
     start = pack(guess.means, guess.factors, nlp.pattern)
     lower, upper = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
     if not nlp.phases:
@@ -180,12 +179,12 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
 
 def _require_inputs(nlp: Transcription, mode: CompiledMode, guess: PhaseGuess, phase: PhaseVariables) -> None:
     """Rows that depend on the input: admissible inputs, invariants, and guards on inputs that must not be triggered."""
-    automaton, compiled = nlp.problem.automaton, compile_automaton(nlp.problem.automaton)
+    automaton = nlp.problem.automaton
     groups = [(mode.inputs, mode.mode.inputs.half_spaces, 1.0), (mode.invariant, mode.mode.invariant.half_spaces, 1.0)]
     for number, edge in enumerate(automaton.edges):
         guard = edge.guard.half_spaces
         if edge.source == guess.mode and not edge.is_self_transition and len(guard) == 1 and edge.guard.on_input:
-            groups.append((compiled.edges[number].guard, guard, -1.0))
+            groups.append((compiled_edge(automaton, number).guard, guard, -1.0))
     for function, half_spaces, sign in groups:
         chosen = [(i, h) for i, h in enumerate(half_spaces) if h.on_input]
         if not chosen:
@@ -274,7 +273,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
     """
     automaton, n = nlp.problem.automaton, nlp.problem.automaton.n
     guess, target = nlp.guess[before], nlp.phases[after]
-    edge = compile_automaton(automaton).edges[guess.edge if guess.edge is not None else 0]
+    edge = compiled_edge(automaton, guess.edge if guess.edge is not None else 0)
     state = nlp.phases[before].states[:, -1]
     u = target.inputs[:, 0] if nlp.guess[after].steps else ca.DM.zeros(automaton.m)
     by_input = edge.edge.guard.on_input
@@ -319,7 +318,7 @@ def _add_goal(nlp: Transcription) -> None:
     problem, automaton, last = nlp.problem, nlp.problem.automaton, nlp.guess[-1]
     state = nlp.phases[-1].states[:, -1]
     mean, factor = state[: automaton.n], factor_of(state, nlp.pattern)
-    settled, mode = mean, compile_automaton(automaton).modes[last.mode]
+    settled, mode = mean, compiled_mode(automaton, last.mode)
     for _ in range(steps_of_memory(automaton, nlp.limits.max_step)[1]):
         settled = mode.step(settled, ca.DM.zeros(automaton.m))
     ends = [(mean, "")]
