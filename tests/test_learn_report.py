@@ -14,7 +14,7 @@ from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit,
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, revolute, rigid
 from micah_plan.automaton.kinematics import forward
-from micah_plan.cli.reports import learned as report
+from micah_plan.cli import learning as report
 from micah_plan.documents.model import load_model
 from micah_plan.learn import learn as learning
 from micah_plan.recording.read import read_recording, write_recording

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from micah_plan.cli.console import BAD_INPUT, NO_RESULT, JsonFlag, print_lines, print_summary, progress_bar
+from micah_plan.cli.console import BAD_INPUT, NO_RESULT, JsonFlag, out, print_lines, print_summary, progress_bar, table
+from micah_plan.errors import InputError
+
+if TYPE_CHECKING:
+    from micah_plan.checking import FileCheck
+    from micah_plan.environment import Environment
 
 _LONGEST_LINE = 200
 
@@ -18,16 +25,46 @@ def check(
 ) -> None:
     """List what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
     from micah_plan.checking import check_file
-    from micah_plan.cli.reports.checked import checked, print_checked
 
     with progress_bar(as_json) as progress:
         found = []
         for i, file in enumerate(files):
             progress(f"checking {file.name}", i / len(files))
             found.append(check_file(file))
-    print_summary(as_json, checked(found), lambda: print_checked(found))
+    print_summary(as_json, checked(found), lambda: _print_checked(found))
     if any(item.faults for item in found):
         raise typer.Exit(BAD_INPUT)
+
+
+def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
+    """Keys of `check`: the number of faults, and per file its kind, faults and warnings."""
+    files = [
+        {
+            "file": str(item.file),
+            "kind": item.kind,
+            "faults": [_fault(fault) for fault in item.faults],
+            "warnings": list(item.warnings),
+        }
+        for item in found
+    ]
+    return {"faults": sum(len(item.faults) for item in found), "files": files}
+
+
+def _fault(error: InputError) -> dict[str, Any]:
+    """An error in its pieces; line and column (from 1) are null where they are not known."""
+    line, column = error.position or (None, None)
+    place = {"source": error.source, "where": error.where, "line": line, "column": column}
+    return {**place, "problem": error.problem, "remedy": error.remedy, "message": str(error)}
+
+
+def _print_checked(found: Sequence[FileCheck]) -> None:
+    for item in found:
+        for fault in item.faults:
+            out.print(f"error: {fault}", markup=False, style="red")
+        for warning in item.warnings:
+            out.print(f"warning: {item.file}: {warning}", markup=False, style="yellow")
+        if not item.faults:
+            out.print(f"{item.file}: a {item.kind} that can be used", markup=False)
 
 
 def diff(
@@ -40,9 +77,8 @@ def diff(
     from micah_plan.documents.model_difference import differences
 
     found = differences(load_model(before), load_model(after))
-    summary = {"differences": [{"place": d.place, "before": d.before, "after": d.after} for d in found]}
-    lines = tuple(_short(str(difference)) for difference in found) or ("the models are the same",)
-    print_summary(as_json, summary, lambda: print_lines(lines))
+    lines = [_short(str(difference)) for difference in found] or ["the models are the same"]
+    print_summary(as_json, {"differences": [asdict(one) for one in found]}, lambda: print_lines(lines))
 
 
 def _short(line: str) -> str:
@@ -52,11 +88,28 @@ def _short(line: str) -> str:
 
 def doctor(as_json: JsonFlag = False) -> None:
     """Test libraries, solvers and browser, and say what to install for what; exit code 1 if planning cannot work."""
-    from micah_plan.cli.reports.checked import examined, print_environment
     from micah_plan.environment import examine
 
     with progress_bar(as_json) as progress:
         found = examine(progress)
-    print_summary(as_json, examined(found), lambda: print_environment(found))
+    libraries = [
+        {**asdict(item.library), "state": item.state, "version": item.version, "message": item.message}
+        for item in found.libraries
+    ]
+    summary = {**asdict(found), "complete": found.complete, "libraries": libraries}
+    print_summary(as_json, summary, lambda: _print_environment(found))
     if not found.complete:
         raise typer.Exit(NO_RESULT)
+
+
+def _print_environment(found: Environment) -> None:
+    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}", markup=False)
+    shown = table("library", "version", "state", "for", "extra")
+    for item in found.libraries:
+        library = item.library
+        shown.add_row(library.name, item.version or "-", item.state, library.purpose, library.extra)
+    out.print(shown)
+    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}", markup=False)
+    out.print(f"browser: {found.browser or 'none'}", markup=False)
+    for line in found.advice:
+        out.print(line, markup=False, style="yellow")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -60,7 +60,7 @@ def title_of(file: Path) -> str:
     return file.resolve().parent.name if file.stem in ("problem", "model") else file.stem
 
 
-def print_warnings(warnings: Sequence[str]) -> None:
+def print_warnings(warnings: Iterable[str]) -> None:
     """One line each on stderr."""
     for warning in warnings:
         err.print(f"warning: {warning}", markup=False, style="yellow")
@@ -74,13 +74,13 @@ def table(*columns: str, **style: Any) -> Table:
     return Table(*columns, box=SIMPLE, **style)
 
 
-def print_lines(lines: tuple[str, ...]) -> None:
+def print_lines(lines: Iterable[str]) -> None:
     """Lines as they are."""
     for line in lines:
         out.print(line, markup=False)
 
 
-def print_files(files: tuple[Path | None, ...]) -> None:
+def print_files(files: Iterable[Path | None]) -> None:
     """What was written."""
     for path in files:
         if path is not None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,17 +12,8 @@ from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_w
 from micah_plan.outputs import PLAN, Output, check_outputs
 
 
-class Template(StrEnum):
-    """What can be written from a template."""
-
-    PROBLEM = "problem"
-    EFFECT = "effect"
-    ROBOT = "robot"
-    SWEEP = "sweep"
-
-
 def new(
-    kind: Annotated[Template, typer.Argument(help="What to write.")],
+    kind: Annotated[Literal["problem", "effect", "robot", "sweep"], typer.Argument(help="What to write.")],
     folder: Annotated[Path, typer.Argument(help="Folder for the files; created if it does not exist.")],
     model: Annotated[Path | None, typer.Option(help="Only for a problem: the model (YAML) of its object.")] = None,
     as_json: JsonFlag = False,
@@ -31,7 +21,7 @@ def new(
     """Write a commented problem, effect, sweep or problem with a robot that works as it is; nothing is overwritten."""
     from micah_plan.templates.write import write_template
 
-    written = write_template(kind.value, folder, model=model)
+    written = write_template(kind, folder, model=model)
     print_summary(as_json, {"files": [str(path) for path in written]}, lambda: print_files(written))
 
 
@@ -55,18 +45,8 @@ def convert(
     print_summary(as_json, summary, lambda: print_files((target,)))
 
 
-class SchemaKind(StrEnum):
-    """The files that have a schema."""
-
-    PROBLEM = "problem"
-    MODEL = "model"
-    PARTS = "parts"
-    SWEEP = "sweep"
-    PLAN = "plan"
-
-
 def schema(
-    kind: Annotated[SchemaKind, typer.Argument(help="The kind of file.")],
+    kind: Annotated[Literal["problem", "model", "parts", "sweep", "plan"], typer.Argument(help="The kind of file.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (.json); default: stdout.")
     ] = None,
@@ -76,7 +56,7 @@ def schema(
     from micah_plan.files import replace_file
 
     check_outputs((), (Output("-o", output, PLAN),))
-    text = json.dumps(described(kind.value), indent=2)
+    text = json.dumps(described(kind), indent=2)
     if output is None:
         print(text)
         return

@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from micah_plan.cli.console import NO_RESULT, JsonFlag, OutputPath, Seed, print_summary, print_warnings, progress_bar
-from micah_plan.errors import InputError
+from micah_plan.cli.console import (
+    NO_RESULT,
+    JsonFlag,
+    OutputPath,
+    Seed,
+    out,
+    print_files,
+    print_summary,
+    print_warnings,
+    progress_bar,
+    table,
+)
+from micah_plan.errors import located_in
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
+from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way, with_spread
 
+if TYPE_CHECKING:
+    from micah_plan.automaton.certainty import ActionChannel
+    from micah_plan.automaton.graph import KinematicEdge, Segment
+    from micah_plan.automaton.joint import Joint
+    from micah_plan.workflow import Learned
 
-class LearnMethod(StrEnum):
-    """How segments are scored: with the actions or by the poses alone."""
-
-    ACT_CHAMP = "act-champ"
-    CHAMP = "champ"
+_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
+_NARROW = ("joint", "rows", "sure")
+_SUREST = 0.999  # a recording is never surer than ">99 %", whatever is left of the odds in floating point
 
 
 def learn(
     recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text, NPZ or MCAP).")],
     output: OutputPath,
     method: Annotated[
-        LearnMethod, typer.Option(help="Score segments with or without the actions.")
-    ] = LearnMethod.ACT_CHAMP,
+        Literal["act-champ", "champ"], typer.Option(help="Score segments with or without the actions.")
+    ] = "act-champ",
     parts: Annotated[
         Path | None, typer.Option(help="Shapes and handles of the parts (YAML), added to the model.")
     ] = None,
@@ -36,7 +53,6 @@ def learn(
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
-    from micah_plan.cli.reports import learned as reports
     from micah_plan.documents.model import dump_model
     from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_file
@@ -47,24 +63,168 @@ def learn(
     shapes = () if parts is None else load_parts(parts)
     with progress_bar(as_json) as progress:
         measured = workflow.read(recording, minimum_rows=FEWEST_ROWS)
-        try:
-            learned = workflow.learn(measured, method=method.value, seed=seed, parts=shapes, progress=progress)
-        except InputError as error:
-            raise error.located(recording) from None
-    print_warnings(learned.warnings)
-    if learned.automaton is not None:
-        dump_model(learned.automaton, output)
+        with located_in(recording):
+            found = workflow.learn(measured, method=method, seed=seed, parts=shapes, progress=progress)
+    print_warnings(found.warnings)
+    if found.automaton is not None:
+        dump_model(found.automaton, output)
     if figure is not None:
         from micah_plan.view.figures import save_figure
         from micah_plan.view.learning_figure import learning_figure
 
-        save_figure(learning_figure(learned.recording, learned.graph), figure)
+        save_figure(learning_figure(found.recording, found.graph), figure)
     if html is not None:
         from micah_plan.view.recording_page import recording_page
 
-        replace_file(html, recording_page(learned.recording, learned.graph, title=recording.stem).encode())
-    summary = reports.learned(learned, seed)
-    files = (output if learned.automaton is not None else None, figure, html)
-    print_summary(as_json, summary, lambda: reports.print_learned(learned, files))
-    if learned.automaton is None:
+        replace_file(html, recording_page(found.recording, found.graph, title=recording.stem).encode())
+    files = (output if found.automaton is not None else None, figure, html)
+    print_summary(as_json, learned(found, seed), lambda: _print_learned(found, files))
+    if found.automaton is None:
         raise typer.Exit(NO_RESULT)
+
+
+def learned(result: Learned, seed: int) -> dict[str, Any]:
+    """Keys of `learn`: segments, changepoints and actions of the part (in `edges` for several parts), seconds, seed.
+
+    What was not estimated is null.
+    """
+    edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
+    found = {"edges": edges} if len(edges) > 1 else _edge(result.graph.edges[0])
+    modes = () if result.automaton is None else result.automaton.mode_names
+    outcome = {"modes": modes, "reason": result.reason, "warnings": result.warnings}
+    return {**found, **outcome, "seconds": result.seconds, "seed": seed}
+
+
+def _edge(edge: KinematicEdge) -> dict[str, Any]:
+    sure = edge.certainty
+    return {
+        "segments": [_segment(segment) for segment in edge.segments],
+        "changepoints": list(edge.changepoints),
+        "changepoint_counts": None if sure is None else sure.changepoint_counts,
+        "action_channel": None if sure is None or sure.channel is None else _channel(sure.channel),
+    }
+
+
+def _segment(segment: Segment) -> dict[str, Any]:
+    sure, misfit = segment.certainty, segment.misfit
+    start = None if sure is None else sure.start
+    data: dict[str, Any] = {
+        "model": segment.joint.kind,
+        "start": segment.start,
+        "end": segment.end,
+        "run": segment.run,
+        "start_interval": None if start is None else start.interval(),
+    }
+    fitted = {
+        "parameters": _parameters(segment.joint),
+        **_spread(segment.joint),
+        "configuration": [segment.configuration_start, segment.configuration_end],
+        "probability": segment.probability,
+        "probabilities": None if sure is None else dict(sure.kinds),
+    }
+    if misfit is None:
+        return data | fitted
+    misses = {
+        "position_m": misfit.position,
+        "rotation_rad": misfit.rotation,
+        "position_noise_m": misfit.position_noise,
+        "rotation_noise_rad": misfit.rotation_noise,
+        "log_odds": misfit.log_odds,
+    }
+    best = {"model": segment.joint.kind, **fitted}
+    return data | {"model": "none", "parameters": {}, "best": best, "misfit": misses}
+
+
+def _parameters(joint: Joint) -> dict[str, Any]:
+    """Axis (unit, base frame), center [m], radius [m], pitch [m/rad], pose at configuration 0, as far as they apply."""
+    from micah_plan.automaton.joint import radius
+
+    parameters: dict[str, Any] = {"position": joint.position, "orientation": joint.quaternion}
+    if joint.kind != "rigid":
+        parameters["axis"] = joint.axis
+    if joint.kind in ("revolute", "screw"):
+        parameters |= {"center": joint.center, "radius": float(radius(joint))}
+    if joint.kind == "screw":
+        parameters["pitch"] = joint.pitch
+    return parameters
+
+
+def _spread(joint: Joint) -> dict[str, Any]:
+    """Covariance of a joint's parameters and their standard deviations, by name [rad, m, m/rad]."""
+    if joint.covariance is None:
+        return {"stds": None, "covariance": None}
+    stds = dict(zip(joint.covariance.names, _stds(joint.covariance.matrix), strict=True))
+    return {"stds": stds, "covariance": asdict(joint.covariance)}
+
+
+def _channel(channel: ActionChannel) -> dict[str, Any]:
+    from micah_plan.automaton.certainty import CHANNEL_NAMES
+
+    *turned, gain, delay = _stds(channel.covariance)
+    return {
+        **asdict(channel),
+        "stds": {"frame_rotation": turned, "gain": gain, "delay": delay},
+        "covariance": {"names": CHANNEL_NAMES, "matrix": channel.covariance},
+    }
+
+
+def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
+    return [math.sqrt(max(row[i], 0.0)) for i, row in enumerate(matrix)]
+
+
+def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
+    """A table of the segments of every edge, how its actions move it, and what was written."""
+    for edge in learned.graph.edges:
+        shown = table(*_COLUMNS, padding=(0, 1, 0, 0), title_justify="left")
+        shown.title = f"{edge.child} relative to {edge.parent}"
+        for name in _NARROW:
+            shown.columns[_COLUMNS.index(name)].no_wrap = True
+        for segment in edge.segments:
+            shown.add_row(*segment_row(segment))
+        out.print(shown)
+        if edge.certainty is not None and edge.certainty.channel is not None:
+            out.print(channel_line(edge.certainty.channel), markup=False)
+    if learned.automaton is None:
+        out.print(f"no model: {learned.reason}", markup=False, style="yellow")
+    else:
+        modes = count(len(learned.automaton.modes), "mode")
+        out.print(f"learned {modes} in {duration(learned.seconds)}")
+    print_files(files)
+
+
+def segment_row(segment: Segment) -> tuple[str, ...]:
+    """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
+    from micah_plan.automaton.joint import radius
+
+    joint, rows, misfit, sure = segment.joint, f"{segment.start}-{segment.end}", segment.misfit, segment.certainty
+    start = ""
+    if sure is not None and sure.start is not None:
+        first, last = sure.start.interval()
+        start = f"{first}" if first == last else f"{first}-{last}"
+    if misfit is not None:
+        return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", start)
+    axis = "" if joint.kind == "rigid" else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
+    arm = quantity(radius(joint), "m") if joint.kind in ("revolute", "screw") else ""
+    passed = plain(segment.configuration_end) if joint.kind == "rigid" else _passed(segment)
+    probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
+    return (joint.kind, rows, passed, axis, arm, percent(min(probability, _SUREST), 0), start)
+
+
+def _passed(segment: Segment) -> str:
+    """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
+    ends = [segment.configuration_start, segment.configuration_end]
+    low, high = segment.configuration_range
+    furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
+    turned = min(abs(furthest - end) for end in ends) > 0.2 * (high - low)
+    stops = [ends[0], furthest, ends[1]] if turned else ends
+    return way(stops, "m" if segment.joint.kind == "prismatic" else "rad")
+
+
+def channel_line(channel: ActionChannel) -> str:
+    """The line on the action channel, with one standard deviation each."""
+    from micah_plan.view.learning_words import channel_turn
+
+    *_, gain, delay = _stds(channel.covariance)
+    made, late = with_spread(channel.gain, gain, ""), with_spread(channel.delay, delay, "s")
+    turned = in_degrees(*channel_turn(channel))
+    return f"actions explain {percent(channel.explained, 0)}: gain {made}, turned {turned}, delay {late}"

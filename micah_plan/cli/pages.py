@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, located_in
 from micah_plan.outputs import PAGE, Output, check_outputs
 
 
@@ -26,7 +26,7 @@ def show(
 ) -> None:
     """Write a self-contained page of a recording, a model or a plan; or serve it, made again when the file changes."""
     from micah_plan.files import replace_file
-    from micah_plan.view.live import remade_on_change
+    from micah_plan.view.live import PageServer, remade_on_change
 
     if output is None and not live:
         raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")
@@ -38,24 +38,15 @@ def show(
         replace_file(output, page)
     written = {} if output is None else {"page": str(output)}
     summary: dict[str, str | int] = {"kind": _kind_of(file), **written, "bytes": len(page)}
-    if live:
-        _serve(current, port, as_json, summary, output)
-    else:
+    if not live:
         print_summary(as_json, summary, lambda: print_files((output,)))
-
-
-def _serve(
-    page: Callable[[], str], port: int, as_json: bool, summary: dict[str, str | int], output: Path | None
-) -> None:
-    """Serve a page until Ctrl-C."""
-    from micah_plan.view.live import PageServer
-
-    with PageServer(page, port) as server:
+        return
+    with PageServer(current, port) as server:
         summary["url"] = server.url
-        lines = (f"the page is at {server.url} for this machine only; reload it after a change, leave with Ctrl-C",)
         print_summary(as_json, summary, lambda: print_files((output,)))
         if not as_json:
-            print_lines(lines)
+            leave = "for this machine only; reload it after a change, leave with Ctrl-C"
+            print_lines((f"the page is at {server.url} {leave}",))
         sys.stdout.flush()  # a program that started this waits for the address
         with suppress(KeyboardInterrupt):  # the way to end it
             server.serve_forever()
@@ -85,8 +76,6 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
     recording = workflow.read(file)
     if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
         return recording_page(recording, None, title=title_of(file))
-    try:
-        learned = workflow.learn(recording, progress=progress)
-    except InputError as error:
-        raise error.located(file) from None
-    return recording_page(recording, learned.graph, title=title_of(file))
+    with located_in(file):
+        graph = workflow.learn(recording, progress=progress).graph
+    return recording_page(recording, graph, title=title_of(file))

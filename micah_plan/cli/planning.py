@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from enum import StrEnum
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,8 @@ from micah_plan.cli.console import (
     JsonFlag,
     OutputPath,
     Seed,
+    out,
+    print_files,
     print_lines,
     print_summary,
     print_warnings,
@@ -25,13 +27,15 @@ from micah_plan.cli.console import (
 )
 from micah_plan.errors import InputError, MicahError
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
+from micah_plan.quantities import count, duration, percent, percent_interval, quantity, with_spread
 from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
+from micah_plan.task.settings import Method
 
 if TYPE_CHECKING:
+    from micah_plan.execution.trials import TrialStatistics
     from micah_plan.recording.value import Recording
-
-
-PlannerName = StrEnum("PlannerName", {"POMDP_HD": "pomdp-hd", "DIRECT": "direct", "RRT": "rrt"})
+    from micah_plan.task.plan import Plan
+    from micah_plan.task.problem import Problem
 
 
 def solve(
@@ -42,13 +46,12 @@ def solve(
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
-    planner: Annotated[PlannerName | None, typer.Option(help="Planner, if not as in the problem.")] = None,
+    planner: Annotated[Method | None, typer.Option(help="Planner, if not as in the problem.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
-    from micah_plan.cli.reports.planned import print_solved, solved
     from micah_plan.documents.plan import timings_path, write_plan, write_timings
     from micah_plan.documents.problem import load_problem
     from micah_plan.files import replace_file
@@ -57,7 +60,7 @@ def solve(
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
     check_outputs((problem, model), outputs)
     overrides = {} if model is None else {"model": str(model.resolve())}
-    overrides |= {} if planner is None else {"planner.method": planner.value}
+    overrides |= {} if planner is None else {"planner.method": planner}
     asked = load_problem(problem, overrides)
     with progress_bar(as_json) as progress:
         plan = workflow.solve(asked, seed=seed, progress=progress)
@@ -73,9 +76,64 @@ def solve(
 
         save_figure(belief_figure(asked, plan), figure)
     written = (output, html, figure if plan.trajectory is not None else None)
-    print_summary(as_json, solved(plan), lambda: print_solved(plan, asked, written))
+    print_summary(as_json, _solved(plan), lambda: _print_solved(plan, asked, written))
     if plan.outcome != "solved":
         raise typer.Exit(NO_RESULT)
+
+
+def _solved(plan: Plan) -> dict[str, Any]:
+    """Keys of `solve`."""
+    return {
+        "outcome": plan.outcome,
+        "reason": plan.reason,
+        "modes": list(plan.mode_sequence),
+        "cost": plan.cost,
+        "goal_error": plan.goal_error,
+        "goal_std": plan.goal_std,
+        "success_probability": plan.success_probability,
+        "success_interval": None if plan.success_interval is None else list(plan.success_interval),
+        "verification_trials": plan.verification_trials,
+        "findings": [asdict(finding) for finding in plan.findings],
+        "warnings": list(plan.warnings),
+        "arm": None
+        if plan.arm is None
+        else {
+            "least_clearance": plan.arm.least_clearance,
+            "closest_pair": list(plan.arm.closest_pair),
+            "closest_knot": plan.arm.closest_knot,
+            "least_manipulability": float(plan.arm.manipulability.min()),
+            "deviation": plan.arm.deviation,
+        },
+        "seconds": dict(plan.timings),
+        "seed": plan.seed,
+    }
+
+
+def _print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) -> None:
+    """Outcome and figures of a plan; of one that failed, what stands in the way."""
+    solved = plan.outcome == "solved"
+    out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if solved else "yellow")
+    if not solved:
+        from micah_plan.planning.explain import explain as explanation_of
+
+        print_lines(explanation_of(problem, plan).lines[1:])
+    if plan.trajectory is not None:
+        _print_figures(plan, problem)
+    named = ", ".join(f"{stage} {duration(seconds)}" for stage, seconds in plan.timings.items())
+    out.print(f"  time         {named}")
+    print_files(files)
+
+
+def _print_figures(plan: Plan, problem: Problem) -> None:
+    unit = problem.goal_unit
+    out.print(f"  modes        {' -> '.join(plan.mode_sequence)}", markup=False)
+    if plan.goal_error is not None and plan.goal_std is not None:
+        distance = f"{quantity(plan.goal_error, unit)} from the target, σ {quantity(plan.goal_std, unit)}"
+        out.print(f"  at the end   {distance}")
+    if plan.success_probability is not None:
+        share = f"{percent(plan.success_probability)} of {count(plan.verification_trials, 'roll-out')}"
+        sure = "" if plan.success_interval is None else f" (95 % interval: {percent_interval(*plan.success_interval)})"
+        out.print(f"  success      {share}{sure}")
 
 
 def explain(
@@ -83,13 +141,12 @@ def explain(
     as_json: JsonFlag = False,
 ) -> None:
     """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
-    from micah_plan.cli.reports.planned import explained
     from micah_plan.documents.plan import load_plan
     from micah_plan.planning.explain import explain as explanation_of
 
     stored = load_plan(plan)
     explanation = explanation_of(stored.problem, stored.plan)
-    print_summary(as_json, explained(explanation), lambda: print_lines(explanation.lines))
+    print_summary(as_json, asdict(explanation), lambda: print_lines(explanation.lines))
     if stored.plan.outcome != "solved":
         raise typer.Exit(NO_RESULT)
 
@@ -111,7 +168,6 @@ def execute(
     """
     from micah_plan import workflow
     from micah_plan.cli.own_plant import named_plant
-    from micah_plan.cli.reports.executed import executed, print_executed
     from micah_plan.documents.plan import load_plan, require_executable
     from micah_plan.recording.read import write_recording
 
@@ -136,8 +192,37 @@ def execute(
         from micah_plan.view.figures import belief_figure, save_figure
 
         save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
-    summary = executed(statistics, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: print_executed(summary, stored.problem.goal_unit, (output, figure)))
+    summary = _executed(statistics, time.perf_counter() - begin)
+    print_summary(as_json, summary, lambda: _print_executed(summary, stored.problem.goal_unit, (output, figure)))
+
+
+def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
+    """Keys of `execute`. `believed`: nobody knows the truth, so successes and errors are what the belief says."""
+    return {
+        "trials": statistics.trials,
+        "successes": statistics.successes,
+        "believed": statistics.believed,
+        "final_error": {
+            "mean": statistics.final_error.mean,
+            "std": statistics.final_error.std,
+            "max": statistics.final_error.max,
+        },
+        "failures": [{"trial": trial, "reason": reason} for trial, reason in statistics.failures],
+        "seconds": seconds,
+    }
+
+
+def _print_executed(summary: dict[str, Any], unit: str, files: tuple[Path | None, ...]) -> None:
+    """Successes and errors [unit] of trials."""
+    error, said, whose = summary["final_error"], "reached the goal", ""
+    if summary["believed"]:
+        said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
+    out.print(f"{summary['successes']} of {summary['trials']} trials {said}")
+    spread = with_spread(error["mean"], error["std"], unit)
+    out.print(f"  final error  {spread}, at most {quantity(error['max'], unit)}{whose}")
+    for failure in summary["failures"]:
+        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
+    print_files(files)
 
 
 def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:

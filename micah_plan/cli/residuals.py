@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from micah_plan.cli.console import NO_RESULT, JsonFlag, OutputPath, print_summary, progress_bar
-from micah_plan.errors import InputError
+from micah_plan.cli.console import (
+    NO_RESULT,
+    JsonFlag,
+    OutputPath,
+    out,
+    print_files,
+    print_lines,
+    print_summary,
+    progress_bar,
+    table,
+)
+from micah_plan.errors import located_in
 from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
+from micah_plan.quantities import common_unit, percent, plain, quantity
 
 if TYPE_CHECKING:
     from micah_plan.automaton.hybrid import HybridAutomaton
+    from micah_plan.documents.model_difference import Difference
+    from micah_plan.residual.calibrate import Calibration, FoundEffect
+    from micah_plan.residual.judgement import Floor
+    from micah_plan.residual.missing_mode import MissingMode
+    from micah_plan.residual.prediction import PredictionError, RunPrediction
+    from micah_plan.residual.trace import LaneTrace
 
 
 def predict(
@@ -29,17 +49,14 @@ def predict(
     A held object has no model file of its own: give the problem or a plan instead.
     """
     from micah_plan import workflow
-    from micah_plan.cli.reports.predicted import predicted, print_predicted
 
     automaton = _automaton_of(model)
     measured = workflow.read(recording, minimum_rows=2)
-    try:
+    with located_in(recording):
         automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
         runs = workflow.predict(automaton, measured)
-    except InputError as error:
-        raise error.located(recording) from None
-    summary = predicted(automaton, runs)
-    print_summary(as_json, summary, lambda: print_predicted(summary))
+    summary = _predicted(automaton, runs)
+    print_summary(as_json, summary, lambda: _print_predicted(summary))
 
 
 def _automaton_of(path: Path) -> HybridAutomaton:
@@ -55,6 +72,90 @@ def _automaton_of(path: Path) -> HybridAutomaton:
     return load_plan(path).problem.automaton if kind == "plan" else load_model(path)
 
 
+def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
+    """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
+    from micah_plan.residual.judgement import judge
+
+    judged = judge(automaton, runs)
+    return {
+        "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
+        "one_step": _rmse([run.one_step for run in runs]),
+        "rollout": _rmse([run.rollout for run in runs]),
+        "noise_floor": {"one_step": _floor(judged.one_step), "rollout": _floor(judged.rollout)},
+        "whiteness": {
+            "is_noise": judged.is_noise,
+            "verdict": judged.sentence,
+            "follows": [{"coordinate": c, "what": what, "probability": p} for c, what, p in judged.follows],
+            "lag_1_correlation": judged.correlation,
+        },
+        "mode_changes": [
+            {"run": c.run, "mode": c.mode, "measured_s": c.measured, "predicted_s": c.predicted} for c in judged.changes
+        ],
+        "per_run": [
+            {"run": run.run, "one_step": _rmse([run.one_step]), "rollout": _rmse([run.rollout])} for run in runs
+        ],
+        "per_mode": _per_mode(runs),
+    }
+
+
+def _floor(floor: Floor | None) -> dict[str, float | None] | None:
+    if floor is None:
+        return None
+    return {
+        "position_rmse_m": floor.position,
+        "rotation_rmse_rad": floor.rotation,
+        "configuration_rmse": floor.configuration,
+    }
+
+
+def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
+    """One-step errors of the configuration by the mode that a step ended in."""
+    import numpy as np
+
+    found: dict[str, list[float]] = {}
+    for run in runs:
+        for mode, errors in zip(run.one_step.modes, run.one_step.configuration, strict=True):
+            found.setdefault(mode, []).extend(np.square(errors).tolist())
+    return {m: {"configuration_rmse": float(np.sqrt(np.mean(v))), "steps": len(v)} for m, v in found.items()}
+
+
+def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
+    from micah_plan.residual.prediction import rmse
+
+    rotations = [error.rotation for error in errors if error.rotation is not None]
+    return {
+        "position_rmse_m": rmse([error.position for error in errors]),
+        "rotation_rmse_rad": rmse(rotations) if rotations else None,
+        "configuration_rmse": rmse([error.configuration for error in errors]),
+    }
+
+
+def _print_predicted(summary: dict[str, Any]) -> None:
+    """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
+    shown = table("root mean square error", "position", "rotation", "configuration")
+    for name, text in (("one_step", "one step"), ("rollout", "roll-out")):
+        floor, unit = summary["noise_floor"][name], summary["configuration_unit"]
+        shown.add_row(text, *_three(summary[name], unit))
+        shown.add_row("  noise alone", *(_three(floor, unit) if floor else ("unknown",) * 3))
+    out.print(shown)
+    out.print(summary["whiteness"]["verdict"], markup=False)
+    changes = summary["mode_changes"]
+    both = [c["predicted_s"] - c["measured_s"] for c in changes if None not in (c["predicted_s"], c["measured_s"])]
+    if changes:
+        late = sum(both) / len(both) if both else 0.0
+        when = f"{quantity(abs(late), 's')} {'early' if late < 0 else 'late'}" if abs(late) > 1e-6 else "in time"
+        on_average = f", on average {when}" if both else ""
+        missed = sum(c["predicted_s"] is None for c in changes)
+        extra = len(changes) - len(both) - missed
+        out.print(f"mode changes: {len(both)} predicted{on_average}, {missed} measured only, {extra} predicted only")
+
+
+def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
+    units = {"position_rmse_m": "m", "rotation_rmse_rad": "rad", "configuration_rmse": unit}
+    found = ((values[name], own) for name, own in units.items())
+    return tuple("not measured" if value is None else quantity(value, own, degrees=False) for value, own in found)
+
+
 def calibrate(
     model: Annotated[Path, typer.Argument(help="Model (YAML).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
@@ -64,7 +165,6 @@ def calibrate(
 ) -> None:
     """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
     from micah_plan import workflow
-    from micah_plan.cli.reports.calibrated import calibrated, print_calibrated
     from micah_plan.documents.model import dump_model, load_model
     from micah_plan.documents.model_difference import differences
 
@@ -72,11 +172,8 @@ def calibrate(
     automaton = load_model(model)
     measured = workflow.read(recording, minimum_rows=2)
     begin = time.perf_counter()
-    with progress_bar(as_json) as progress:
-        try:
-            found = workflow.calibrate(automaton, measured, progress=progress)
-        except InputError as error:
-            raise error.located(recording) from None
+    with progress_bar(as_json) as progress, located_in(recording):
+        found = workflow.calibrate(automaton, measured, progress=progress)
     dump_model(found.automaton, output)
     if report is not None:
         from micah_plan.files import replace_file
@@ -84,8 +181,101 @@ def calibrate(
 
         replace_file(report, calibration_page(found, title=recording.stem).encode())
     changes = differences(automaton, found.automaton)
-    summary = calibrated(found, time.perf_counter() - begin)
-    summary["changes"] = [{"place": d.place, "before": d.before, "after": d.after} for d in changes]
-    print_summary(as_json, summary, lambda: print_calibrated(summary, changes, (output, report)))
+    summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
+    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, (output, report)))
     if found.verdict == "unexplained":
         raise typer.Exit(NO_RESULT)
+
+
+def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
+    """Keys of `calibrate`."""
+    return {
+        "verdict": found.verdict,
+        "effects": [_effect(effect) for effect in found.effects],
+        "residual": {
+            "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
+            "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
+            "noise_floor": found.noise_floor,
+        },
+        "unexplained_fraction": found.unexplained_fraction,
+        "missing_modes": [_missing_mode(mode) for one in found.traces for mode in one.missing_modes],
+        "coordinates": [_coordinate(one) for one in found.traces],
+        "notes": list(found.notes),
+        "next_experiment": found.experiment,
+        "seconds": seconds,
+    }
+
+
+def _effect(found: FoundEffect) -> dict[str, Any]:
+    effect = found.effect
+    names = [name for name, _ in effect.parameters]
+    return {
+        "name": effect.name,
+        "parameters": dict(effect.parameters) | dict(found.derived),
+        "units": dict(zip(names, found.units, strict=True)) | {name: "s" for name, _ in found.derived},
+        "evidence": found.evidence,
+        "is_added": found.is_added,
+        "interval_95": {name: list(pair) for name, pair in zip(names, found.interval, strict=True)},
+        "coordinate": effect.coordinate,
+        "modes": list(effect.modes),
+        "since": None if found.since is None else {"run": found.since[0], "time_s": found.since[1]},
+        "tied_with": list(found.tied),
+        "separating_experiment": found.experiment or None,
+        "sentence": found.sentence,
+        "source": found.source,
+    }
+
+
+def _missing_mode(mode: MissingMode) -> dict[str, Any]:
+    ends = {
+        "from": mode.low if math.isfinite(mode.low) else None,
+        "to": mode.high if math.isfinite(mode.high) else None,
+    }
+    return {"coordinate": mode.coordinate, "unit": mode.unit, **ends, "gain": mode.gain, "bias": mode.bias} | {
+        "evidence": mode.evidence,
+        "modes": list(mode.modes),
+        "sentence": str(mode),
+    }
+
+
+def _coordinate(one: LaneTrace) -> dict[str, Any]:
+    return {
+        "name": one.lane.coordinate,
+        "unit": one.lane.unit,
+        "verdict": one.verdict,
+        "unexplained_fraction": one.unexplained_fraction,
+        "ranking": [
+            {"name": name, "evidence": evidence, "standard_error": error} for name, evidence, error in one.ranking
+        ],
+        "autocorrelation": one.correlation,
+        "whiteness_p": one.white_probability,
+    }
+
+
+def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], files: tuple[Path | None, ...]) -> None:
+    """Verdict, effects and errors of a calibration."""
+    from micah_plan.residual.verdict import SENTENCES
+
+    out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}", markup=False)
+    if summary["effects"]:
+        shown = table("effect", "parameters", "evidence \\[nats]", "or instead")
+        for effect in summary["effects"]:
+            units = effect["units"]
+            values = [f"{name} {quantity(value, units[name])}" for name, value in effect["parameters"].items()]
+            name = f"{effect['name']} ({effect['coordinate']})" + ("" if effect["is_added"] else ", not added")
+            shown.add_row(name, ", ".join(values), plain(effect["evidence"]), ", ".join(effect["tied_with"]))
+        out.print(shown)
+    residual = summary["residual"]
+    units = {one["unit"] for one in summary["coordinates"]}
+    unit = "m" if units == {"m"} else ""
+    for name, text in (("one_step_rmse", "one step"), ("rollout_rmse", "roll-out")):
+        before, after = (quantity(residual[when][name], unit) for when in ("before", "after"))
+        out.print(f"  {text:9} {before} before, {after} after")
+    out.print(f"  noise     {quantity(residual['noise_floor'], unit)} (one step)")
+    out.print(f"  left unexplained: {percent(summary['unexplained_fraction'], 0)}", markup=False)
+    for note in summary["notes"]:
+        out.print(f"  note: {note}", markup=False)
+    out.print(f"  next: {summary['next_experiment']}", markup=False)
+    out.print("changes of the model:" if changes else "the model stays as it is", markup=False)
+    print_lines(tuple(f"  {change}" for change in changes))
+    print_files(files)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
+from collections.abc import Container
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from micah_plan.cli.console import Interrupted, JsonFlag, print_summary, progress_bar
+from micah_plan.cli.console import Interrupted, JsonFlag, out, print_files, print_summary, progress_bar
 from micah_plan.errors import InputError
+from micah_plan.quantities import count, duration
 
 if TYPE_CHECKING:
+    from micah_plan.sweep.run import SweepResults
     from micah_plan.sweep.workers import Workers
     from micah_plan.task.sweep import Sweep
 
@@ -30,7 +34,6 @@ def sweep(
     as_json: JsonFlag = False,
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
-    from micah_plan.cli.reports.swept import counted, print_counted, print_swept, swept
     from micah_plan.documents.sweep import load_sweep
     from micah_plan.sweep.journal import journal_path, read_journal
     from micah_plan.sweep.run import check_sweep_outputs, run_on
@@ -46,8 +49,8 @@ def sweep(
             check_sweep_outputs(asked, output)
         if output is None or dry_run:
             finished = {} if output is None else read_journal(journal_path(output))
-            counts = counted(asked, finished)
-            print_summary(as_json, counts, lambda: print_counted(counts))
+            counts = _counted(asked, finished)
+            print_summary(as_json, counts, lambda: _print_counted(counts))
             return
         begin = time.perf_counter()
         try:
@@ -55,8 +58,8 @@ def sweep(
                 done = run_on(asked, output, chosen, progress)
         except KeyboardInterrupt:
             raise Interrupted(_how_to_go_on(asked, output)) from None
-    summary = swept(done, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: print_swept(summary, done.files))
+    summary = _swept(done, time.perf_counter() - begin)
+    print_summary(as_json, summary, lambda: _print_swept(summary, done.files))
 
 
 def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager[Workers]:
@@ -66,9 +69,52 @@ def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager
 
 
 def _how_to_go_on(asked: Sweep, output: Path) -> str:
-    from micah_plan.cli.reports.swept import counted
     from micah_plan.sweep.journal import journal_path, read_journal
 
-    counts = counted(asked, read_journal(journal_path(output)))
+    counts = _counted(asked, read_journal(journal_path(output)))
     state = f"{counts['finished']} of {counts['cases']} cases are finished"
     return f"interrupted; {state} and kept in {journal_path(output)}; give the same command again to go on"
+
+
+def _counted(sweep: Sweep, finished: Container[str]) -> dict[str, Any]:
+    """Keys of `sweep --dry-run`: what the cases are made of, how many there are, and how many of them a journal has."""
+    keys = {case.key for case in sweep.cases()}
+    return {
+        "problems": len(sweep.problems),
+        "grid": {key: len(values) for key, values in sweep.grid},
+        "seeds": len(sweep.seeds),
+        "cases": len(keys),
+        "finished": sum(key in finished for key in keys),
+    }
+
+
+def _swept(done: SweepResults, seconds: float) -> dict[str, Any]:
+    """Keys of `sweep`: how many cases, how many of them were finished before, and what became of them."""
+    pairs = zip(done.cases, done.results, strict=True)
+    executed = [(case.trials, result.successes) for case, result in pairs if result.successes is not None]
+    return {
+        "cases": len(done.cases),
+        "resumed": done.resumed,
+        "outcomes": dict(sorted(Counter(result.outcome for result in done.results).items())),
+        "trials": sum(trials for trials, _ in executed),
+        "successes": sum(successes for _, successes in executed),
+        "files": [str(file) for file in done.files],
+        "seconds": seconds,
+    }
+
+
+def _print_counted(summary: dict[str, Any]) -> None:
+    values = [f"{number} of {key}" for key, number in summary["grid"].items()]
+    factors = [count(summary["problems"], "problem"), *values, count(summary["seeds"], "seed")]
+    out.print(f"{count(summary['cases'], 'case')}: {' x '.join(factors)}", markup=False)
+    out.print(f"  finished  {summary['finished']:,}")
+
+
+def _print_swept(summary: dict[str, Any], files: tuple[Path, ...]) -> None:
+    before = f", {summary['resumed']:,} of them before" if summary["resumed"] else ""
+    out.print(f"finished {count(summary['cases'], 'case')}{before} in {duration(summary['seconds'])}")
+    for outcome, number in summary["outcomes"].items():
+        out.print(f"  {outcome:<12} {number:,}")
+    if summary["trials"]:
+        out.print(f"  {summary['successes']:,} of {summary['trials']:,} trials reached the goal")
+    print_files(files)

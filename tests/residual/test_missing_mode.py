@@ -11,7 +11,7 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
-from micah_plan.cli.reports.calibrated import calibrated
+from micah_plan.cli.residuals import calibrated
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.lane import lanes
 from micah_plan.residual.missing_mode import missing_modes
