@@ -16,7 +16,7 @@ from zlib import crc32
 
 import numpy as np
 from calibration import FREE, free_recording
-from kinds_of_one_part import ROWS, EdgeTruth, Kind, Simulated, as_value
+from kinds_of_one_part import ROWS, EdgeTruth, Kind, Simulated, as_value, between
 from kinds_plant import RATE, Floats, random_joint, tracker_noise
 from scipy.spatial.transform import Rotation
 
@@ -64,18 +64,18 @@ def curve_again(rng: np.random.Generator) -> Simulated:
     return _told(_seen(position @ base.T, base @ rotation, 0.001, 0.0, rng), ("path",), ("none",))
 
 
-def at_rest(wander: tuple[float, float]) -> Draw:
+def at_rest(white: tuple[float, float], wander: tuple[float, float]) -> Draw:
     """A part that nobody moves, without actions."""
 
     def draw(rng: np.random.Generator) -> Simulated:
         rows, joint = int(rng.integers(*ROWS)), random_joint("prismatic", rng)[0]
-        white = float(np.exp(rng.uniform(*np.log((0.0003, 0.002)))))
-        return _told(_seen(*joint.poses(np.zeros(rows)), white, rng.uniform(*wander), rng), ("rigid",))
+        noise = between(white, rng), rng.uniform(*wander)
+        return _told(_seen(*joint.poses(np.zeros(rows)), *noise, rng), ("rigid",))
 
     return draw
 
 
-def parts(fewest: int, most: int, wander: tuple[float, float], actions: bool) -> Draw:
+def parts(fewest: int, most: int, white: tuple[float, float], wander: tuple[float, float], actions: bool) -> Draw:
     """Parts on a random tree, each moved on its joint for a while; sometimes one rests on the base, as a wall."""
 
     def draw(rng: np.random.Generator) -> Simulated:
@@ -97,8 +97,8 @@ def parts(fewest: int, most: int, wander: tuple[float, float], actions: bool) ->
             own = joint.poses(travel * _in_turn(turn, count, rows, rng))
             poses[name] = own if parent == BASE else _composed(poses[parent], own)
             edges[name] = EdgeTruth(((kind,),), parent, (as_value(joint),), rests=False)
-        white = float(np.exp(rng.uniform(*np.log((0.0003, 0.002)))))
-        return Simulated(_seen_together(poses, white, rng.uniform(*wander), actions, rng), edges)
+        noise = between(white, rng), rng.uniform(*wander)
+        return Simulated(_seen_together(poses, *noise, actions, rng), edges)
 
     return draw
 
@@ -150,6 +150,8 @@ _OPEN = (("move", 1.0),)
 _PAUSE = (("move", 0.5), ("rest", 0.2), ("move", 0.3))
 _WANDER = (0.001, 0.005)
 _QUIET = (0.0, 0.0)
+_FINE = (1e-5, 5e-4)  # of trackers that wander: often smooth, with little that is white
+_COARSE = (3e-4, 2e-3)
 _STOPPED = Kind(_STOP, stops=0.97)
 _AS_RECORDED = replace(_STOPPED, scaled=0.0, turned=0.0, late=(0,), noise=(0.01, 0.02))
 _IDEAL = Kind(white=(1e-5, 1e-5), scaled=0.0, turned=0.0, late=(0,), noise=(1e-4, 1e-4), slip=(1e-4, 1e-4))
@@ -184,14 +186,14 @@ KINDS: dict[str, Draw] = {
     "late-actions": replace(_AS_RECORDED, late=(2, 3)),
     "early-actions": replace(_AS_RECORDED, late=(-3, -2)),
     "noisy-actions": replace(_AS_RECORDED, noise=(0.2, 0.5)),
-    "wander": Kind(_OPEN, wander=_WANDER),
-    "wander-positions": Kind(_OPEN, wander=_WANDER, orientation=False, actions=False),
-    "wander-screw": Kind(_OPEN, ("screw",), wander=_WANDER),
-    "wander-stop": replace(_STOPPED, wander=_WANDER),
-    "wander-left-open": Kind((("move", 1.0), ("rest", 60)), wander=_WANDER),
-    "wander-locked-first": Kind(_LOCKED, wander=_WANDER),
-    "at-rest": at_rest(_QUIET),
-    "at-rest-wander": at_rest(_WANDER),
+    "wander": Kind(_OPEN, white=_FINE, wander=_WANDER),
+    "wander-positions": Kind(_OPEN, white=_FINE, wander=_WANDER, orientation=False, actions=False),
+    "wander-screw": Kind(_OPEN, ("screw",), white=_FINE, wander=_WANDER),
+    "wander-stop": replace(_STOPPED, white=_FINE, wander=_WANDER),
+    "wander-left-open": Kind((("move", 1.0), ("rest", 60)), white=_FINE, wander=_WANDER),
+    "wander-locked-first": Kind(_LOCKED, white=_FINE, wander=_WANDER),
+    "at-rest": at_rest(_COARSE, _QUIET),
+    "at-rest-wander": at_rest(_FINE, _WANDER),
     "hinge-after-hinge": Kind((("move", 0.5),), ("revolute",), again=("revolute",)),
     "slide-after-slide": Kind((("move", 0.5),), ("prismatic",), again=("prismatic",)),
     "hinge-after-slide": Kind((("move", 0.5),), ("prismatic",), again=("revolute",)),
@@ -201,8 +203,8 @@ KINDS: dict[str, Draw] = {
     "two-hinges-at-once": two_hinges,
     "deforming-path": no_joint(("deforming path",), True),
     "curve-again": curve_again,
-    "two-parts": parts(2, 2, _QUIET, False),
-    "parts": parts(3, 5, _QUIET, False),
-    "parts-actions": parts(2, 4, _QUIET, True),
-    "parts-wander": parts(2, 4, _WANDER, False),
+    "two-parts": parts(2, 2, _COARSE, _QUIET, False),
+    "parts": parts(3, 5, _COARSE, _QUIET, False),
+    "parts-actions": parts(2, 4, _COARSE, _QUIET, True),
+    "parts-wander": parts(2, 4, _FINE, _WANDER, False),
 }

@@ -29,6 +29,7 @@ from micah_plan.automaton.joint import Joint, prismatic, revolute, screw
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 ROWS = (80, 300)
+_TELLING = 4.0  # stds of the noise by which a path is off those of rival joints
 Answer = tuple[str, ...]
 
 
@@ -98,7 +99,7 @@ class Kind:
 
     def __call__(self, rng: np.random.Generator) -> Simulated:
         phases = _in_rows(self.phases, rng)
-        white, slip = _between(self.white, rng), _between(self.slip, rng)
+        white, slip = between(self.white, rng), between(self.slip, rng)
         wander = rng.uniform(*self.wander) if self.wander else 0.0
         joint, travel = _telling_joint(self, white + wander, rng)
         high = np.inf if self.stops is None else self.stops * travel
@@ -108,7 +109,7 @@ class Kind:
         return _recorded(self, legs, white, wander, rng)
 
 
-def _between(limits: tuple[float, float], rng: np.random.Generator) -> float:
+def between(limits: tuple[float, float], rng: np.random.Generator) -> float:
     """A number between two positive ones, its logarithm uniform."""
     return float(np.exp(rng.uniform(*np.log(limits))))
 
@@ -124,7 +125,7 @@ def _telling_joint(kind: Kind, noise: float, rng: np.random.Generator) -> tuple[
     """A joint that an ideal estimator tells from its rivals by positions, if these are all there is."""
     while True:
         joint, travel = random_joint(str(rng.choice(kind.joints)), rng)
-        if kind.orientation or _bend(joint, travel) > 8.0 * noise:
+        if kind.orientation or _bend(joint, travel) > _TELLING * noise:
             return joint, travel
 
 
@@ -166,10 +167,10 @@ def _recorded(
     position, rotation = (np.concatenate(column) for column in zip(*parts, strict=True))
     shifts, turns = tracker_noise(len(position), white, wander, rng)
     frame = Rotation.random(rng=rng) if rng.random() < kind.turned else Rotation.identity()
-    gain = _between((0.5, 5.0), rng) if rng.random() < kind.scaled else 1.0
+    gain = between((0.5, 5.0), rng) if rng.random() < kind.scaled else 1.0
     late = int(rng.choice(kind.late))
     command = np.concatenate([moved.command for _, moved in legs])
-    action = written_actions(command, frame, gain, late, _between(kind.noise, rng), rng)
+    action = written_actions(command, frame, gain, late, between(kind.noise, rng), rng)
     recording = Recording(
         time=np.arange(len(position)) / RATE,
         position=position + shifts,
