@@ -8,8 +8,8 @@ Control", vol. 1, ch. 4 and 5). The final cost is the plan's own: goal error aga
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.cost import in_steps
@@ -17,9 +17,6 @@ from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Cost of being one step's length off the trajectory, against 1 for a full extra step: an error shrinks by 0.4 per step.
 _TRACKING_WEIGHT = 0.3
@@ -44,7 +41,7 @@ def belief_lqr(
     problem: Problem,
     limits: Limits,
     modes: tuple[str, ...],
-    is_transition: NDArray[np.bool_],
+    is_transition: Booleans,
     around: tuple[Floats, Floats] | None = None,
 ) -> Floats:
     """(K-1, m, n) gains for the executed input = inputs[k] + gains[k] @ (estimate - means[k]).

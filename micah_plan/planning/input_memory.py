@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import (
@@ -23,8 +23,6 @@ from micah_plan.automaton.input_memory import (
 )
 from micah_plan.planning.limits import motion_per_input
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # An input has arrived when less than this share of it is missing.
 _MISSING = 0.02

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
 STEPS_PER_RANGE = 20.0

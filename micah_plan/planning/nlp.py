@@ -14,9 +14,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
+
 Bounds = tuple[Floats, Floats]
 
 # Violation of a row or bound that a result may have [unit of the row]: ours, whatever the solver says of itself.

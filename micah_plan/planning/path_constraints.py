@@ -9,17 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.planning.limits import Limits
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.plan import Finding, Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # A margin this far below zero is rounding of the optimisation, no violation [unit of the margin].
 ROUNDING = 1e-6

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.thresholds import with_known_boundaries
@@ -15,8 +15,6 @@ from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
-
-Floats = NDArray[np.float64]
 
 
 def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:

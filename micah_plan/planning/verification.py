@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.path_constraints import PathRecord, joined
@@ -17,8 +17,6 @@ from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # The share of successes may fall short of the confidence by that many of its standard errors.
 _STANDARD_ERRORS = 2.0
@@ -81,9 +79,9 @@ def verify(
 class _Ends:
     """Where t roll-outs ended: modes (t,) by index, states (t, n) [rad or m], which are in the goal; and how."""
 
-    modes: NDArray[np.int64]
+    modes: Ints
     states: Floats
-    in_goal: NDArray[np.bool_]
+    in_goal: Booleans
     path: PathRecord
 
 
@@ -176,7 +174,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
     return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 
-def _elsewhere(names: list[str], missed: NDArray[np.bool_], modes: tuple[str, ...]) -> str:
+def _elsewhere(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:
     """Where most of those that missed ended, if it is not the plan's last mode."""
     ends = [name for name, out in zip(names, missed, strict=True) if out]
     other = max(sorted(set(ends)), key=ends.count, default=modes[-1])

@@ -9,9 +9,9 @@ joint as the hand's height above the face asks for, flat parts flat, a latched o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import part_poses
@@ -19,7 +19,6 @@ from micah_plan.scene.body import corners
 from micah_plan.scene.surroundings import faces_of
 from micah_plan.task.problem import Problem
 
-Floats = NDArray[np.float64]
 Pair = tuple[str, str]
 
 _HINGE = (0.0, 1.0, 0.0)

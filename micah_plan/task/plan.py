@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from micah_plan.arrays import Booleans, Floats
 
-Floats = NDArray[np.float64]
 Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
 
@@ -78,7 +76,7 @@ class Trajectory:
     factors: Floats
     inputs: Floats
     gains: Floats
-    is_transition: NDArray[np.bool_]
+    is_transition: Booleans
 
     def of_first(self, n: int) -> Trajectory:
         """What it says of the first n coordinates: of the object, without a memory of inputs."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
-
-Floats = NDArray[np.float64]
 
 # A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
 _START_SIGMAS = 3.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.baselines.mixture import MixtureProgramme, mixture_size
 from micah_plan.planning.baselines.open_loop import NoWayError, nominal_start, plan_along
@@ -16,8 +16,6 @@ from micah_plan.planning.search.motion import PACE
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # The straight line and so many disturbed ones are tried.
 _STARTS = 4

@@ -17,8 +17,8 @@ from typing import TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
@@ -28,7 +28,6 @@ from micah_plan.symbolic.compiled import CompiledMode, compiled_mode, sensing_st
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.problem import Problem
 
-Floats = NDArray[np.float64]
 Expression = TypeVar("Expression", ca.MX, ca.SX)
 
 # Softness of a guard, in steps across it.

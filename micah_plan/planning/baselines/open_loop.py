@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
@@ -23,8 +23,6 @@ from micah_plan.planning.search.polytope import mode_states
 from micah_plan.task.deadline import TimeLimitError
 from micah_plan.task.plan import Level, Plan, Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 class NoWayError(Exception):

@@ -10,11 +10,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import control as oc
 from ompl import util as ou
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.baselines.open_loop import NoWayError, nominal_start, plan_along
@@ -23,8 +23,6 @@ from micah_plan.planning.search.samples import goal_states
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # Extensions of the tree, after which it is given up: with them the result depends on the seed alone.
 _MOST_EXTENSIONS = 20_000

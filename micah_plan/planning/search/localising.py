@@ -12,16 +12,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.mode_paths import VertexPath
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.task.deadline import NEVER, Deadline
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Stops on the way, and how many of the best beginnings get one more.
 _MOST_STOPS = 2

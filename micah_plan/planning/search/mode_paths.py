@@ -13,13 +13,10 @@ from dataclasses import dataclass
 from itertools import count, islice
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Digits [steps] in which costs must differ to count as different.
 _DIGITS = 9

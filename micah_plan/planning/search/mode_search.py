@@ -15,9 +15,9 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from micah_plan.arrays import Floats
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
@@ -30,8 +30,6 @@ from micah_plan.planning.search.roadmap import JoinedRoadmap, roadmap_of
 from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
 from micah_plan.planning.search.polytope import TOLERANCE
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 # Share of the largest step that a path is divided by: what is left is for the feedback and the optimisation.
 PACE = 0.6

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.cost import in_steps, variance_cost
@@ -22,9 +22,6 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.motion import PACE
 from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Steps added at the end for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
 MOST_LOCALISING_STEPS = 20

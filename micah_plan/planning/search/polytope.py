@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import eye_array, kron
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
-
-Floats = NDArray[np.float64]
 
 # Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
 TOLERANCE = 1e-9
@@ -84,7 +82,7 @@ class Polytope:
         upper[coordinate] = min(upper[coordinate], high)
         return Polytope(lower, upper, self.A, self.b)
 
-    def contains(self, points: Floats) -> NDArray[np.bool_]:
+    def contains(self, points: Floats) -> Booleans:
         """(...,) whether each point (..., n) lies inside, boundary included."""
         inside = np.all((points >= self.lower - TOLERANCE) & (points <= self.upper + TOLERANCE), axis=-1)
         return np.asarray(inside & np.all(points @ self.A.T >= self.b - TOLERANCE, axis=-1))

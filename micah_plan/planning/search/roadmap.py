@@ -14,18 +14,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.motion import ModeMotion
 from micah_plan.task.deadline import NEVER, Deadline
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
 TRANSITION_COST = 1.0

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits
@@ -19,10 +19,6 @@ from micah_plan.planning.search.motion import obstacles_on_state
 from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Share of sampled coordinates that take a value named in the problem or model: it connects modes with idle coordinates.
 _LANDMARK_SHARE = 0.3

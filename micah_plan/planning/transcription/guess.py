@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.feedback import belief_lqr
@@ -19,8 +19,6 @@ from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH
 from micah_plan.planning.search.polytope import mode_states
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3

@@ -11,13 +11,11 @@ from typing import TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.symbolic.compiled import compiled_edge, compiled_mode
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Expression = TypeVar("Expression", ca.MX, ca.SX)
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.layout import factor_of, pack
@@ -25,8 +25,6 @@ from micah_plan.symbolic.effects import CasadiOperations
 from micah_plan.symbolic.square_root import SMALLEST_STD
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

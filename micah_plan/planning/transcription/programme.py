@@ -18,8 +18,8 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
@@ -34,8 +34,6 @@ from micah_plan.planning.transcription.rows import Row, Rows
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # Cost of one step's length of slack: above the other multipliers, so slack remains only where nothing else is possible.
 _SLACK_WEIGHT = 10.0

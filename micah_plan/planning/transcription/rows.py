@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.quantities import percent
 
-Floats = NDArray[np.float64]
 Kind = Literal["dynamics", "input", "boundary", "guard", "goal", "path"]
 
 # Violations below this are the solver's own tolerance, not a message [in the unit of the row].

@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.planning.findings import partly_held, sentence_of
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.transcription.layout import unpack
 from micah_plan.planning.transcription.programme import Transcription
 from micah_plan.planning.transcription.rows import NEGLIGIBLE, Row, Shortfall
-
-Floats = NDArray[np.float64]
 
 # Slack in steps from which a boundary counts as held only in part.
 _VISIBLE_SLACK = 1e-3
@@ -45,7 +43,7 @@ class BeliefPath:
     means: Floats
     factors: Floats
     inputs: Floats
-    is_transition: NDArray[np.bool_]
+    is_transition: Booleans
     in_part: tuple[Shortfall, ...] = ()
 
 

@@ -9,18 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.nlp import Solution, Solver
 from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.transcription.programme import Transcription
 from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of
 from micah_plan.task.plan import Trajectory
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 
 class WarmStartedProgramme:
