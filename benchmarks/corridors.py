@@ -25,6 +25,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.motion import motions_of, obstacles_on_state
+from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.roadmap import roadmap_of
 from micah_plan.planning.search.samples import inside_any, sample_modes
 from micah_plan.task.goal import Goal
@@ -90,12 +91,12 @@ def counts(problem: Problem, samples: int, seeds: int) -> tuple[int, Counter[str
     """How many states the planner's roadmap has, and how often as many of each kind join start and goal."""
     problem = replace(problem, settings=replace(problem.settings, samples_per_mode=samples))
     limits, found = limits_of(problem), Counter[str]()
-    motion = motions_of(problem.automaton, limits.max_step, limits.speed)["free"]
+    motion = motions_of(problem, limits)["free"]
     for seed in range(seeds):
-        states = sample_modes(problem, limits, "free", np.random.default_rng(seed)).modes["free"]
-        rng, faces = np.random.default_rng(seed), np.array(states.points)
+        faces = sample_modes(problem, limits, "free", np.random.default_rng(seed)).points["free"]
+        rng, states = np.random.default_rng(seed), mode_states(problem.automaton.mode("free"), limits)
         ends = np.array([problem.start.mean, [value for _, value, _ in problem.goal.target]])
-        uniform = states.states.sample(rng, 4 * len(faces))
+        uniform = states.sample(rng, 4 * len(faces))
         uniform = uniform[~inside_any(obstacles_on_state(problem.automaton, "free"), uniform)][: len(faces)]
         bridges = bridge_states(problem, rng, len(faces) // 2)
         mixed = np.vstack([bridges, uniform[len(bridges) :]])

@@ -23,12 +23,12 @@ from planning_growth import cabinet_problem
 from saving import add_json, save_json
 
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.pomdp_hd import plan, trajectory_of
+from micah_plan.planning.pomdp_hd import plan, trajectory_of, with_memory
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
-from micah_plan.planning.replanning import with_memory
 from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.transcription.guess import PhaseGuess, guess
 from micah_plan.planning.transcription.layout import pack
@@ -116,8 +116,9 @@ def sequences(name: str, problem: Problem, seed: int) -> str:
     before: list[tuple[tuple[PhaseGuess, ...], BeliefPath]] = []
     own, other = [], []
     for sequence in found:
-        phases = guess(problem, limits, with_memory(problem, sequence)).phases
-        if not phases:
+        try:
+            phases = guess(problem, limits, with_memory(problem, sequence))
+        except NoWayError:
             continue
         nlp, limit_s = transcribe(problem, limits, phases), problem.settings.time_limit_s
         path = solve(nlp, limit_s)

@@ -6,19 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from micah_plan.planning.findings import endpoint_findings
+from micah_plan.planning.findings import endpoint_findings, finding_of_reason
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.task.deadline import Clock, Deadline
+from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
-from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
+from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
 Progress = Callable[[str, float], None]
 
 
-def silent(_text: str, _fraction: float) -> None:
-    """Progress that nobody listens to."""
+class NoWayError(Exception):
+    """A planner found nothing; `reason` says why and ends with the remedy."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +40,7 @@ class Attempt:
     problem: Problem
     seed: int
     deadline: Deadline
-    progress: Progress = silent
+    progress: Progress = lambda _text, _fraction: None
     clock: Clock = field(default_factory=Clock)
 
     @property
@@ -49,6 +53,13 @@ class Attempt:
         """Of the problem."""
         return limits_of(self.problem)
 
+    def made_by(self, planner: Callable[[Attempt], Plan], level: Level) -> Plan:
+        """What a planner makes of it; no plan, for a reason at a level, if it finds nothing or not in time."""
+        try:
+            return planner(self)
+        except (NoWayError, TimeLimitError) as failed:
+            return self.refused(failed.reason, (finding_of_reason(level, failed.reason),))
+
     def solved(
         self,
         trajectory: Trajectory,
@@ -58,34 +69,28 @@ class Attempt:
         findings: tuple[Finding, ...] = (),
     ) -> Plan:
         """The plan with a trajectory, still to be verified; `how` says in a few words how it was found."""
-        answer = Plan(
-            "solved",
-            "",
-            trajectory=trajectory,
-            candidates=candidates,
-            cost=cost,
+        answer = replace(self._plan("solved", "", findings, candidates), trajectory=trajectory, cost=cost)
+        return replace(
+            answer,
+            reason=f"{' -> '.join(answer.mode_sequence)}{how}",
             goal_error=self.problem.goal.error(trajectory.means[-1]),
             goal_std=self.problem.goal.std(trajectory.factors[-1]),
-            seed=self.seed,
-            timings=self.clock.timings(),
-            findings=findings,
         )
-        return replace(answer, reason=f"{' -> '.join(answer.mode_sequence)}{how}")
 
     def refused(self, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...] = ()) -> Plan:
         """No plan, for a reason that ends with its remedy; a wrong start or goal is found before anything else."""
-        return Plan(
-            "no_plan",
-            reason,
-            candidates=candidates,
-            seed=self.seed,
-            timings=self.clock.timings(),
-            findings=endpoint_findings(self.problem) or findings,
-        )
+        return self._plan("no_plan", reason, endpoint_findings(self.problem) or findings, candidates)
+
+    def _plan(
+        self, outcome: Outcome, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...]
+    ) -> Plan:
+        timings = self.clock.timings()
+        return Plan(outcome, reason, candidates=candidates, seed=self.seed, timings=timings, findings=findings)
 
 
 def attempted(
     planner: Callable[[Attempt], Plan],
+    level: Level,
     problem: Problem,
     seed: int,
     progress: Progress | None,
@@ -94,7 +99,8 @@ def attempted(
     """What a planner makes of a problem from the mode that its start is in; no plan if it is in none.
 
     Args:
-        planner: gives a plan, still to be verified, or says why there is none.
+        planner: gives a plan, still to be verified, or raises `NoWayError`.
+        level: at which it fails if it does.
         problem, seed, progress: see `Attempt`.
         deadline: None: as the settings say, from now on.
 
@@ -103,8 +109,9 @@ def attempted(
     """
     for constraint in problem.constraints:
         check_constraint(constraint, problem.automaton)
-    attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s), progress or silent)
+    attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
         return attempt.refused(reason, ())
-    return planner(replace(attempt, problem=replace(problem, start=replace(problem.start, mode=mode))))
+    attempt = replace(attempt, problem=replace(problem, start=replace(problem.start, mode=mode)))
+    return (replace(attempt, progress=progress) if progress else attempt).made_by(planner, level)

@@ -98,24 +98,24 @@ def _goal_findings(problem: Problem) -> list[Finding]:
     return found
 
 
-def why_unreachable(problem: Problem, limits: Limits, samples: Samples, start_mode: str) -> str:
+def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> str:
     """Why no chain of transitions leads to the goal, whatever the path inside the modes; empty if one does."""
     if not samples.goals:
         return _no_mode_holds_goal(problem, limits)
     edges = [(i, edge) for i, edge in enumerate(problem.automaton.edges) if not edge.is_self_transition]
-    if not set(samples.goals) & _reachable(start_mode, (edge for _, edge in edges)):
+    if not set(samples.goals) & _reachable(samples.start[0], (edge for _, edge in edges)):
         goals = ", ".join(f"'{name}'" for name in samples.goals)
         return (
-            f"no transitions lead from the start's mode '{start_mode}' to a mode that holds the goal ({goals}); "
+            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode that holds the goal ({goals}); "
             f"change the goal or add the missing transition to the model"
         )
-    reached = _reachable(start_mode, (edge for i, edge in edges if i in samples.exits))
+    reached = _reachable(samples.start[0], (edge for i, edge in edges if i in samples.exits))
     if set(samples.goals) & reached:
         return ""
     return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
 
 
-def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the_way: tuple[str, ...] = ()) -> str:
+def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, ...]) -> str:
     """Why the roadmaps do not connect start and goal although the transitions do.
 
     Args:
@@ -123,7 +123,7 @@ def why_disconnected(problem: Problem, start_mode: str, samples: Samples, in_the
     """
     automaton = problem.automaton
     edges = (automaton.edges[i] for i in samples.exits)
-    moved = np.any([automaton.mode(name).driven for name in _reachable(start_mode, edges)], axis=0)
+    moved = np.any([automaton.mode(name).driven for name in _reachable(samples.start[0], edges)], axis=0)
     for index, value, tolerance in problem.goal.target:
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
         if not moved[index] and abs(start - value) > tolerance:
@@ -158,7 +158,7 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
 
 
 def _range_text(automaton: HybridAutomaton, limits: Limits, name: str, indices: list[int]) -> str:
-    states = mode_states(automaton.mode(name), limits.lower, limits.upper, limits.max_step)
+    states = mode_states(automaton.mode(name), limits)
     return "holds " + _listed(
         f"{automaton.coordinates[i].name} in [{states.lower[i]:g}, {states.upper[i]:g}] {automaton.coordinates[i].unit}"
         for i in indices

@@ -16,14 +16,15 @@ from functools import partial
 
 import numpy as np
 
+from micah_plan.automaton.input_memory import own_size
+from micah_plan.automaton.thresholds import with_known_boundaries
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.planning.attempt import Attempt, Progress, attempted
+from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.replanning import believed_problem, with_memory
-from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
+from micah_plan.planning.search.mode_search import ModeSequence, search_modes
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
@@ -32,6 +33,7 @@ from micah_plan.planning.verification import verify
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
 
 # How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
@@ -51,33 +53,58 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    return attempted(_hierarchical, problem, seed, progress, deadline)
+    return attempted(_hierarchical, "search", problem, seed, progress, deadline)
 
 
 def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
-    """A new trajectory from the most likely mode of a belief (`replanning.believed_problem`).
+    """A new trajectory from the most likely mode of a belief (`believed_problem`).
 
     None if there is none, or none that roll-outs confirm: as many of them as it takes to tell (`verify`, sequential).
     """
-    here = believed_problem(with_input_memory(problem), belief)
 
     def planner(task: Problem, *, deadline: Deadline) -> Plan:
-        return _hierarchical(Attempt(task, seed, deadline))
+        return Attempt(task, seed, deadline).made_by(_hierarchical, "search")
 
+    here = believed_problem(with_input_memory(problem), belief)
     found = verified_plan(here, planner, seed, verifier=partial(verify, sequential=True))
     return found.trajectory if found.outcome == "solved" else None
 
 
+def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
+    """The problem from the most likely mode of a belief, its stds taken as independent.
+
+    Thresholds lie where the belief estimates them, with the stds that it has left.
+    """
+    index = belief.most_likely
+    stds = np.linalg.norm(belief.factors[index], axis=1)
+    mode = problem.automaton.modes[index].name
+    start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
+    automaton = problem.automaton
+    if belief.shifts is not None and belief.shift_stds is not None:
+        automaton = with_known_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
+    return replace(problem, start=start, automaton=automaton)
+
+
+def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
+    """A sequence found over x as one over (x, m), m as at the start of the problem: search asks for x only."""
+    memory = np.array(problem.start.mean[own_size(problem.automaton) :])
+    paths = [np.hstack([path, np.tile(memory, (len(path), 1))]) for path in sequence.waypoints]
+    return replace(sequence, waypoints=tuple(paths))
+
+
 def _hierarchical(attempt: Attempt) -> Plan:
-    """The algorithm."""
+    """The algorithm. A memory of inputs does not change which mode sequences there are."""
     attempt = replace(attempt, problem=with_input_memory(attempt.problem))
-    found = _high_level(attempt)
+    attempt.progress("searching mode sequences", 0.0)
+    plain = without_input_memory(attempt.problem)
+    with attempt.clock.stage("search"):
+        found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
     if not found.sequences:
-        return attempt.refused(found.reason, (finding_of_reason("search", found.reason),))
+        raise NoWayError(found.reason)
     tried = []
     for number, sequence in enumerate(found.sequences, start=1):
         attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
-        tried.append(_low_level(attempt, sequence))
+        tried.append(_low_level(attempt, with_memory(attempt.problem, sequence)))
     candidates = tuple(one.candidate for one in tried)
     paths = [(one.path, one.sequence) for one in tried if one.path is not None and one.path.feasible]
     if not paths:
@@ -89,19 +116,6 @@ def _hierarchical(attempt: Attempt) -> Plan:
     which = f"cheapest of {len(tried)} mode sequences" if len(tried) > 1 else "the only mode sequence"
     in_part = tuple(findings_of(attempt.problem, sequence.modes, best.in_part))
     return attempt.solved(trajectory, best.cost, f", {which}: {best.message}", candidates, in_part)
-
-
-def _high_level(attempt: Attempt) -> SearchResult:
-    """The mode sequences, cheapest first, or why there are none. A memory of inputs does not change which they are."""
-    attempt.progress("searching mode sequences", 0.0)
-    plain = without_input_memory(attempt.problem)
-    try:
-        with attempt.clock.stage("search"):
-            found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
-            sequences = tuple(with_memory(attempt.problem, sequence) for sequence in found.sequences)
-            return replace(found, sequences=sequences)
-    except TimeLimitError as over:
-        return SearchResult((), over.reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +137,9 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     """The belief path through a mode sequence, in as few steps as lead through it."""
     try:
         return _optimised(attempt, sequence)
-    except TimeLimitError as over:
-        return _Tried(sequence, None, over.reason, (finding_of_reason("optimisation", over.reason, sequence.modes),))
+    except (NoWayError, TimeLimitError) as failed:
+        finding = finding_of_reason("optimisation", failed.reason, sequence.modes)
+        return _Tried(sequence, None, failed.reason, (finding,))
 
 
 def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
@@ -133,15 +148,12 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     for stretch in _STRETCHES:
         deadline.check("optimisation", f"{name} {state}", "candidates")
         with clock.stage("build"):
-            start = guess(problem, attempt.limits, sequence, stretch)
-            if start.reason:
-                too_long = finding_of_reason("optimisation", start.reason, sequence.modes)
-                return _Tried(sequence, None, start.reason, (too_long,))
-            longer = sum(phase.steps for phase in start.phases)
+            phases = guess(problem, attempt.limits, sequence, stretch)
+            longer = sum(phase.steps for phase in phases)
             if longer == steps:
                 break
             steps, state = longer, "was not tried with more knots"
-            nlp = transcribe(problem, attempt.limits, start.phases)
+            nlp = transcribe(problem, attempt.limits, phases)
         with clock.stage("optimise"):
             path = solve(nlp, _time_limit(attempt))
         if path.feasible:

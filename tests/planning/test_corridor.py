@@ -52,7 +52,7 @@ def is_connected(problem: Problem, points: np.ndarray) -> bool:
     """Whether a roadmap over the start, a state behind the wall and these points joins the two."""
     limits = limits_of(problem)
     ends = np.array([[-0.95, -0.2], [-0.05, 0.6]])
-    motion = motions_of(problem.automaton, limits.max_step, limits.speed)["left"]
+    motion = motions_of(problem, limits)["left"]
     graph = roadmap_of(np.vstack([ends, points]), limits.speed, motion)
     labels = connected_components(graph)[1]
     return bool(labels[0] == labels[1])
@@ -60,7 +60,7 @@ def is_connected(problem: Problem, points: np.ndarray) -> bool:
 
 def test_uniform_states_do_not_connect_it() -> None:
     problem, limits = zigzag(), limits_of(zigzag())
-    states = mode_states(problem.automaton.mode("left"), limits.lower, limits.upper, limits.max_step)
+    states = mode_states(problem.automaton.mode("left"), limits)
     drawn = [states.sample(np.random.default_rng(seed), 200) for seed in range(8)]
     assert sum(is_connected(problem, points) for points in drawn) <= 2
 

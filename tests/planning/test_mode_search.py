@@ -61,7 +61,7 @@ def test_the_path_goes_through_the_gate_and_around_the_trap() -> None:
 def test_the_straight_path_would_hit_the_trap() -> None:
     problem = planar_problem()
     limits = limits_of(problem)
-    motion = motions_of(problem.automaton, limits.max_step, limits.speed)["left"]
+    motion = motions_of(problem, limits)["left"]
     start = np.array([[-0.9, 0.0]] * 4)
     ends = np.array([[-0.7, 0.9], [0.0, 0.0], [-0.5, 0.0], [-0.6, 0.0]])
     # Free; through the block; into the block; up to its boundary, where the transition happens.

@@ -146,7 +146,7 @@ def test_the_room_of_a_constraint_is_that_of_simulated_filters_and_feedback() ->
         problem = asking(with_settings(drawer_problem(0.05, 0.3), max_knots=30), "place_and_input")
         limits = limits_of(problem)
         (sequence,) = search_modes(problem, limits, "slides").sequences
-        (phase,) = guess(problem, limits, sequence).phases
+        (phase,) = guess(problem, limits, sequence)
         (rows,) = path_rows(problem, limits, (phase,), ca.Sparsity.lower(1))
     finally:
         unregister("place_and_input")

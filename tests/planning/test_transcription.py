@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
+from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import sentence_of
 from micah_plan.planning.limits import limits_of
@@ -36,9 +37,7 @@ def transcription(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> 
     limits = limits_of(problem)
     found = search_modes(problem, limits, start_mode).sequences
     sequence = next(s for s in found if s.modes == modes)
-    start = guess(problem, limits, sequence)
-    assert start.reason == ""
-    return transcribe(problem, limits, start.phases)
+    return transcribe(problem, limits, guess(problem, limits, sequence))
 
 
 def optimised(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> BeliefPath:
@@ -207,10 +206,9 @@ def test_too_few_knots_say_how_many_are_needed() -> None:
     problem = with_settings(door_problem(0.2, 0.9), max_knots=10)
     limits = limits_of(problem)
     (sequence, *_) = search_modes(problem, limits, "swings").sequences
-    found = guess(problem, limits, sequence)
-    assert found.phases == ()
     # 0.7 rad at 0.06 rad per step: 12 steps, 13 knots.
-    assert "needs at least 13 knots at the largest step, more than max_knots = 10" in found.reason
+    with pytest.raises(NoWayError, match="needs at least 13 knots at the largest step, more than max_knots = 10"):
+        guess(problem, limits, sequence)
 
 
 def test_more_measurements_are_planned_where_the_goal_is_tight() -> None:

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.planning.attempt import Attempt, Progress, attempted
+from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
 from micah_plan.planning.baselines.mixture import MixtureProgramme, mixture_size
-from micah_plan.planning.baselines.open_loop import NoWayError, nominal_start, plan_along
+from micah_plan.planning.baselines.open_loop import nominal_start, plan_along
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Solution
 from micah_plan.planning.search.motion import PACE
@@ -29,7 +29,7 @@ _LARGEST = 20_000
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
     """The cheapest local optimum of the mixture's programme over a few starts, or the reason why there is none."""
-    return attempted(partial(plan_along, _optimised, "optimisation"), problem, seed, progress, deadline)
+    return attempted(partial(plan_along, _optimised), "optimisation", problem, seed, progress, deadline)
 
 
 def _optimised(attempt: Attempt) -> tuple[Floats, str]:

@@ -17,41 +17,22 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.task.deadline import TimeLimitError
-from micah_plan.task.plan import Level, Plan, Trajectory
+from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 
 
-class NoWayError(Exception):
-    """A baseline found no inputs; `reason` says why and ends with the remedy."""
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
-
-
-def plan_along(find: Callable[[Attempt], tuple[Floats, str]], level: Level, attempt: Attempt) -> Plan:
-    """The plan along inputs that a baseline finds, or the reason why there are none.
-
-    Args:
-        find: gives inputs (T, m) and how they were found; raises NoWayError or TimeLimitError.
-        level: where it fails if it does.
-        attempt: what is to be planned.
-    """
-    try:
-        inputs, said = find(attempt)
-    except (NoWayError, TimeLimitError) as failed:
-        return attempt.refused(failed.reason, (finding_of_reason(level, failed.reason),))
+def plan_along(find: Callable[[Attempt], tuple[Floats, str]], attempt: Attempt) -> Plan:
+    """The plan along inputs (T, m) that a baseline finds; it also says how it found them, or raises `NoWayError`."""
+    inputs, said = find(attempt)
     trajectory = nominal_trajectory(attempt.problem, attempt.limits, attempt.mode, inputs)
     return attempt.solved(trajectory, cost_of(attempt.problem, attempt.limits, trajectory), f": {said}")
 
 
 def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
     """(n,) the state of the start's mode next to the start's mean, which noise may have put outside of it."""
-    states = mode_states(problem.automaton.mode(mode), limits.lower, limits.upper, limits.max_step)
+    states = mode_states(problem.automaton.mode(mode), limits)
     return states.nearest(np.array(problem.start.mean, dtype=float))
 
 

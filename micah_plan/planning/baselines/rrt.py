@@ -16,8 +16,8 @@ from ompl import util as ou
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
-from micah_plan.planning.attempt import Attempt, Progress, attempted
-from micah_plan.planning.baselines.open_loop import NoWayError, nominal_start, plan_along
+from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
+from micah_plan.planning.baselines.open_loop import nominal_start, plan_along
 from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.search.samples import goal_states
 from micah_plan.task.deadline import Deadline
@@ -36,7 +36,7 @@ _TOLERANCE = 1e-9
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
     """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
-    return attempted(partial(plan_along, _grow, "search"), problem, seed, progress, deadline)
+    return attempted(partial(plan_along, _grow), "search", problem, seed, progress, deadline)
 
 
 def _grow(attempt: Attempt) -> tuple[Floats, str]:

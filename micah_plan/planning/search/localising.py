@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.mode_paths import VertexPath
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.roadmap import JoinedRoadmap
+from micah_plan.planning.search.roadmap import JoinedRoadmap, along
 from micah_plan.task.deadline import NEVER, Deadline
 
 # Stops on the way, and how many of the best beginnings get one more.
@@ -51,26 +51,27 @@ class ScoredPath:
 
 
 @dataclass(frozen=True, eq=False)
-class _Beginning:
-    """A path from the start to its last stop: cost, steps and overshoot so far [steps], variance (n,), visits (q,)."""
-
-    vertices: tuple[int, ...]
-    stops: tuple[int, ...]
-    length: float
-    overshoot: float
-    steps: float
-    variance: Floats
-    visits: Ints
-
-
-@dataclass(frozen=True, eq=False)
 class _Front:
-    """Beliefs on their way (v, ...): variance, overshoot and steps so far, visits of each mode."""
+    """Beliefs on their way: variance (v, n), overshoot and steps so far (v,), and visits of each mode (v, q)."""
 
     variance: Floats
     overshoot: Floats
     steps: Floats
     visits: Ints
+
+    def rows(self, rows: Ints) -> _Front:
+        """Copies of some of them."""
+        return _Front(self.variance[rows], self.overshoot[rows], self.steps[rows], self.visits[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class _Beginning:
+    """A path from the start to its last stop, its steps, and the belief there (a front of one)."""
+
+    vertices: tuple[int, ...]
+    stops: tuple[int, ...]
+    length: float
+    belief: _Front
 
 
 class LocalisingSearch:
@@ -88,9 +89,8 @@ class LocalisingSearch:
         Raises:
             TimeLimitError: if the deadline passes.
         """
-        first = self._first()
         found: dict[tuple[int, ...], ScoredPath] = {}
-        beam, best = [first], np.inf
+        beam, best = [self._start()], np.inf
         for _ in range(_MOST_STOPS):
             scored = [item for beginning in beam for item in self._through_all(beginning)]
             scored.sort(key=lambda item: (item[0].cost, item[0].vertices))
@@ -106,22 +106,20 @@ class LocalisingSearch:
         """A path of the mode search with its predicted uncertainty."""
         offsets = [self.roadmap.offsets[mode] for mode in path.modes]
         vertices = [offset + v for offset, part in zip(offsets, path.vertices, strict=True) for v in part]
-        first = self._first()
-        variance, overshoot, steps = first.variance[None], 0.0, 0.0
+        front, own = self._start().belief, np.array([0])
         for i, j in pairwise(vertices):
-            variance, extra, taken = self.beliefs.hop(variance, np.array([i]), np.array([j]))
-            overshoot, steps = overshoot + float(extra[0]), steps + float(taken[0])
-        spare = self._spare(np.array([steps]), np.array([len(path.modes)]))
-        left = self.beliefs.ending(variance, np.array(vertices[-1:]), spare)
-        uncertainty = overshoot + float(left[0])
+            self._advance(front, np.array([i]), np.array([j]), own, own)
+        left = self.beliefs.ending(front.variance, np.array(vertices[-1:]), self._spare(front))
+        uncertainty = float(front.overshoot[0] + left[0])
         return ScoredPath(tuple(vertices), (0, len(vertices) - 1), path.cost, uncertainty)
 
-    def _first(self) -> _Beginning:
+    def _start(self) -> _Beginning:
         mode, vertex = self.roadmap.start
         start = self.roadmap.offsets[mode] + vertex
-        visits = np.zeros(len(self.beliefs.index), dtype=np.int64)
-        visits[self.beliefs.index[mode]] = 1
-        return _Beginning((start,), (0,), 0.0, 0.0, 0.0, self.beliefs.start(start), visits)
+        visits = np.zeros((1, len(self.beliefs.index)), dtype=np.int64)
+        visits[0, self.beliefs.index[mode]] = 1
+        belief = _Front(self.beliefs.start(start)[None], np.zeros(1), np.zeros(1), visits)
+        return _Beginning((start,), (0,), 0.0, belief)
 
     def _through_all(self, beginning: _Beginning) -> list[tuple[ScoredPath, _Beginning]]:
         """The beginning, on to every vertex by the shortest way, and from there to the goal by the shortest way."""
@@ -129,9 +127,9 @@ class LocalisingSearch:
         distance, previous = dijkstra(self.roadmap.graph, indices=here, return_predecessors=True)
         distance, previous = distance[: self.size], previous[: self.size]
         reached = np.flatnonzero(np.isfinite(distance) & np.isfinite(self.to_go))
-        there = self._spread(beginning, here, previous, np.flatnonzero(np.isfinite(distance)))
-        at, ends = self._onward(there, reached)
-        spare = self._spare(ends.steps, ends.visits.sum(axis=1))
+        there = self._spread(beginning.belief, here, previous)
+        at, ends = self._onward(there.rows(reached), reached)
+        spare = self._spare(ends)
         allowed = (ends.visits.max(axis=1, initial=0) <= self.most_visits) & (spare >= 0)
         left = self.beliefs.ending(ends.variance, at, spare)
         costs = np.where(allowed, distance[reached] + self.to_go[reached] + ends.overshoot + left, np.inf)
@@ -139,78 +137,44 @@ class LocalisingSearch:
         results = []
         for row in best[np.isfinite(costs[best])]:
             vertex = int(reached[row])
-            to_stop = _traced(previous, here, vertex)
-            vertices = (*beginning.vertices, *to_stop[1:])
+            vertices = (*beginning.vertices, *along(previous, vertex, here)[-2::-1])
             stops = (*beginning.stops, len(vertices) - 1)
             length = beginning.length + float(distance[vertex])
-            onward = self._to_goal(vertex)
-            whole = (*vertices, *onward[1:])
+            whole = (*vertices, *along(self.following, vertex, self.size)[1:-1])
             uncertainty = float(ends.overshoot[row] + left[row])
             path = ScoredPath(whole, (*stops, len(whole) - 1), length + float(self.to_go[vertex]), uncertainty)
-            state = (there.overshoot[vertex], there.steps[vertex], there.variance[vertex], there.visits[vertex])
-            results.append((path, _Beginning(vertices, stops, length, *state)))
+            results.append((path, _Beginning(vertices, stops, length, there.rows(reached[[row]]))))
         return results
 
-    def _spread(self, beginning: _Beginning, here: int, previous: Ints, reached: Ints) -> _Front:
-        """The belief of a beginning carried along a shortest-path tree to all vertices that it reaches."""
-        front = _Front(
-            np.tile(beginning.variance, (self.size, 1)),
-            np.full(self.size, beginning.overshoot),
-            np.full(self.size, beginning.steps),
-            np.tile(beginning.visits, (self.size, 1)),
-        )
-        depth = {here: 0}
-        for vertex in reached:
-            chain = [int(vertex)]
-            while chain[-1] not in depth:
-                chain.append(int(previous[chain[-1]]))
-            for v in reversed(chain[:-1]):
-                depth[v] = depth[int(previous[v])] + 1
-        levels: dict[int, list[int]] = {}
-        for vertex, level in depth.items():
-            levels.setdefault(level, []).append(vertex)
-        for level in range(1, len(levels)):
-            self._advance(front, previous[levels[level]], np.array(levels[level]), into=np.array(levels[level]))
+    def _spread(self, belief: _Front, here: int, previous: Ints) -> _Front:
+        """A belief at a vertex carried along its tree of shortest paths to all vertices that it reaches."""
+        front, level = belief.rows(np.zeros(self.size, dtype=np.int64)), np.array([here])
+        while (level := np.flatnonzero(np.isin(previous, level))).size:
+            self._check_time()
+            self._advance(front, previous[level], level, previous[level], level)
         return front
 
-    def _onward(self, there: _Front, reached: Ints) -> tuple[Ints, _Front]:
-        """Each of the beliefs at these vertices carried on to the goal: where they end (r,), and they themselves."""
-        front = _Front(there.variance[reached], there.overshoot[reached], there.steps[reached], there.visits[reached])
-        at = reached.copy()
-        while True:
-            moving = np.flatnonzero(self.following[at] != self.size)
-            if not moving.size:
-                return at, front
-            self._advance(front, at[moving], self.following[at[moving]], into=moving, out_of=moving)
+    def _onward(self, front: _Front, at: Ints) -> tuple[Ints, _Front]:
+        """Beliefs at these vertices carried on to the goal: where they end (r,), and they themselves."""
+        at = at.copy()
+        while (moving := np.flatnonzero(self.following[at] != self.size)).size:
+            self._check_time()
+            self._advance(front, at[moving], self.following[at[moving]], moving, moving)
             at[moving] = self.following[at[moving]]
+        return at, front
 
-    def _advance(self, front: _Front, origin: Ints, end: Ints, into: Ints, out_of: Ints | None = None) -> None:
-        """Hop from vertices to neighbours; rows `out_of` of the front (those of the origins) become rows `into`."""
+    def _advance(self, front: _Front, origin: Ints, end: Ints, out_of: Ints, into: Ints) -> None:
+        """Hop from vertices to neighbours; rows `out_of` of the front become rows `into`."""
+        before, mode = front.rows(out_of), self.beliefs.mode_of
+        front.variance[into], overshoot, steps = self.beliefs.hop(before.variance, origin, end)
+        front.overshoot[into] = before.overshoot + overshoot
+        front.steps[into] = before.steps + steps
+        before.visits[np.arange(len(end)), mode[end]] += mode[origin] != mode[end]
+        front.visits[into] = before.visits
+
+    def _spare(self, front: _Front) -> Floats:
+        """(v,) steps that max_knots leaves."""
+        return np.asarray(self.beliefs.problem.settings.max_knots - front.visits.sum(axis=1) - np.ceil(front.steps))
+
+    def _check_time(self) -> None:
         self.deadline.check("search", "detours that localise were not compared", "samples_per_mode")
-        rows = origin if out_of is None else out_of
-        variance, overshoot, steps = self.beliefs.hop(front.variance[rows], origin, end)
-        front.variance[into] = variance
-        front.overshoot[into] = front.overshoot[rows] + overshoot
-        front.steps[into] = front.steps[rows] + steps
-        visits = front.visits[rows].copy()
-        mode = self.beliefs.mode_of
-        visits[np.arange(len(end)), mode[end]] += mode[origin] != mode[end]
-        front.visits[into] = visits
-
-    def _to_goal(self, vertex: int) -> list[int]:
-        path = [vertex]
-        while self.following[path[-1]] != self.size:
-            path.append(int(self.following[path[-1]]))
-        return path
-
-    def _spare(self, steps: Floats, modes: Ints) -> Floats:
-        """(p,) steps that max_knots leaves."""
-        return np.asarray(self.beliefs.problem.settings.max_knots - modes - np.ceil(steps))
-
-
-def _traced(previous: Ints, here: int, vertex: int) -> list[int]:
-    """The path of a shortest-path tree from its root to a vertex."""
-    path = [vertex]
-    while path[-1] != here:
-        path.append(int(previous[path[-1]]))
-    return path[::-1]

@@ -8,15 +8,15 @@ overestimates) guides the search, so only prefixes that compete with the k cheap
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import count
 
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap
+from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, along
 
 # Digits [steps] in which costs must differ to count as different.
 _DIGITS = 9
@@ -61,39 +61,33 @@ def cheapest_sequences(
         revisits: how many times a sequence may come back to a mode that it has been in.
         is_over: asked now and then; what was found until it says so is returned.
     """
-    return list(islice(_sequences(roadmap, revisits, is_over), k))
-
-
-def _sequences(roadmap: JoinedRoadmap, revisits: int, is_over: Callable[[], bool]) -> Iterator[VertexPath]:
-    search = _Search(roadmap)
+    search, found = _Search(roadmap), list[VertexPath]()
     queue: list[tuple[float, int, int, float, _Prefix, bool]] = []
-    ticket = count()
 
     def push(cost: float, prefix: _Prefix, complete: bool) -> None:
         if np.isfinite(cost):
             # Orders of independent transitions cost the same but for rounding: the longest prefix goes on, or all of
             # their permutations would be expanded side by side.
             depth = len(prefix.modes) + int(complete)
-            heapq.heappush(queue, (round(cost, _DIGITS), -depth, next(ticket), cost, prefix, complete))
+            heapq.heappush(queue, (round(cost, _DIGITS), -depth, next(tickets), cost, prefix, complete))
 
-    mode, vertex = roadmap.start
+    tickets, (mode, vertex) = count(), roadmap.start
     entry = np.full(roadmap.graphs[mode].shape[0], np.inf)
     entry[vertex] = 0.0
-    first = _Prefix(mode, entry, None, -1, np.full(len(entry), -1))
-    push(float(search.to_go[mode][vertex]), first, False)
-    while queue and not is_over():
+    push(float(search.to_go[mode][vertex]), _Prefix(mode, entry, None, -1, np.full(len(entry), -1)), False)
+    while queue and len(found) < k and not is_over():
         *_, cost, prefix, complete = heapq.heappop(queue)
         if complete:
-            yield search.trace(prefix, cost)
+            found.append(search.trace(prefix, cost))
             continue
         reached = search.reached(prefix)
         if prefix.mode in roadmap.goals:
             push(float(search.ending(prefix.mode, reached).min(initial=np.inf)), prefix, True)
         for edge, (source, target) in roadmap.ends.items():
-            if source != prefix.mode or prefix.modes.count(target) > revisits:
-                continue
-            child = search.follow(prefix, reached, edge, target)
-            push(float(np.min(child.entry + search.to_go[target])), child, False)
+            if source == prefix.mode and prefix.modes.count(target) <= revisits:
+                child = search.follow(prefix, reached, edge, target)
+                push(float(np.min(child.entry + search.to_go[target])), child, False)
+    return found
 
 
 class _Search:
@@ -134,18 +128,12 @@ class _Search:
         """The vertices of the cheapest path through a complete prefix."""
         best = np.argmin(self.ending(prefix.mode, self.reached(prefix)))
         vertex = int(self.roadmap.goals[prefix.mode][best])
-        vertices: list[tuple[int, ...]] = []
-        edges: list[int] = []
-        last: _Prefix | None = prefix
-        while last is not None:
+        vertices, edges, last = list[tuple[int, ...]](), list[int](), prefix
+        while True:
             distance, predecessor = self.distances(last.mode)
             entry = int(np.argmin(last.entry + distance[:, vertex]))
-            path = [vertex]
-            while path[-1] != entry:
-                path.append(int(predecessor[entry, path[-1]]))
-            vertices.append(tuple(reversed(path)))
-            if last.parent is not None:
-                edges.append(last.edge)
-            vertex = int(last.exit_of[entry])
-            last = last.parent
-        return VertexPath(prefix.modes, tuple(reversed(edges)), tuple(reversed(vertices)), cost)
+            vertices.append(tuple(along(predecessor[entry], vertex, entry)[::-1]))
+            if last.parent is None:
+                return VertexPath(prefix.modes, tuple(edges[::-1]), tuple(vertices[::-1]), cost)
+            edges.append(last.edge)
+            vertex, last = int(last.exit_of[entry]), last.parent

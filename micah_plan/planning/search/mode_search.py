@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -21,7 +20,6 @@ from micah_plan.arrays import Floats
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.motion import ModeMotion, motions_of
@@ -78,19 +76,17 @@ def search_modes(
         TimeLimitError: if it passes before there is a mode sequence.
     """
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
-    reason = why_unreachable(problem, limits, samples, start_mode)
-    if reason:
+    if reason := why_unreachable(problem, limits, samples):
         return SearchResult((), reason)
-    motions = _motions(problem, limits)
-    points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in samples.modes.items()}
-    roadmap = _joined(problem, limits, samples, points, start_mode, deadline)
+    motions = motions_of(problem, limits)
+    roadmap = _joined(problem, limits, samples, motions, deadline)
     revisits, candidates = problem.settings.revisits, problem.settings.candidates
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
     if not shortest:
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
-        in_the_way = _in_the_way(problem, limits, roadmap, points, deadline)
-        return SearchResult((), why_disconnected(problem, start_mode, samples, in_the_way))
-    beliefs = PathBeliefs(problem, limits, roadmap, points)
+        in_the_way = _in_the_way(problem, limits, roadmap, samples.points, deadline)
+        return SearchResult((), why_disconnected(problem, samples, in_the_way))
+    beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     detours: list[ScoredPath] = []
     with suppress(TimeLimitError):
@@ -106,26 +102,20 @@ def search_modes(
 
 
 def _joined(
-    problem: Problem,
-    limits: Limits,
-    samples: Samples,
-    points: Mapping[str, Floats],
-    start_mode: str,
-    deadline: Deadline,
+    problem: Problem, limits: Limits, samples: Samples, motions: Mapping[str, ModeMotion], deadline: Deadline
 ) -> JoinedRoadmap:
     """The roadmaps of all modes, with the guard edges that the samples take."""
-    motions, edges = _motions(problem, limits), problem.automaton.edges
-    graphs: dict[str, csr_array] = {}
-    for name in points:
-        deadline.check("search", f"{len(graphs)} of {len(points)} modes had a roadmap", "samples_per_mode")
-        graphs[name] = roadmap_of(points[name], limits.speed, motions[name], deadline)
+    edges, graphs = problem.automaton.edges, dict[str, csr_array]()
+    for name, points in samples.points.items():
+        deadline.check("search", f"{len(graphs)} of {len(samples.points)} modes had a roadmap", "samples_per_mode")
+        graphs[name] = roadmap_of(points, limits.speed, motions[name], deadline)
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     # The goal error that is left, as the optimisation will weigh it against effort.
     costs = {
-        name: np.broadcast_to(in_steps(problem, goal_cost(problem, points[name][vertices].T)), len(vertices))
+        name: np.broadcast_to(in_steps(problem, goal_cost(problem, samples.points[name][vertices].T)), len(vertices))
         for name, vertices in samples.goals.items()
     }
-    return JoinedRoadmap(graphs, samples.exits, ends, (start_mode, samples.start), samples.goals, costs)
+    return JoinedRoadmap(graphs, samples.exits, ends, samples.start, samples.goals, costs)
 
 
 def _edges(path: ScoredPath, beliefs: PathBeliefs) -> tuple[int, ...]:
@@ -149,12 +139,6 @@ def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, Mo
     return ModeSequence(tuple(modes), _edges(path, beliefs), tuple(waypoints), path.length, path.uncertainty)
 
 
-def _motions(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
-    """The motions of each mode, within what is asked of the path."""
-    admits = partial(admitted, problem, limits) if problem.constraints else None
-    return motions_of(problem.automaton, limits.max_step, limits.speed, admits)
-
-
 def _in_the_way(
     problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
 ) -> tuple[str, ...]:
@@ -168,7 +152,7 @@ def _in_the_way(
             others = tuple(e for e in problem.automaton.edges if e.guard.name != edge.guard.name)
             without.setdefault(edge.guard.name, replace(problem, automaton=replace(problem.automaton, edges=others)))
     for name, easier in without.items():
-        motions = _motions(easier, limits)
+        motions = motions_of(easier, limits)
         if deadline.is_over():  # that nothing connects them is certain; what is in the way is not
             return ()
         graphs = {mode: roadmap_of(points[mode], limits.speed, motions[mode]) for mode in points}

@@ -11,7 +11,10 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.polytope import TOLERANCE
+from micah_plan.task.problem import Problem
 
 # Share of the largest step that a path is divided by: what is left is for the feedback and the optimisation.
 PACE = 0.6
@@ -66,17 +69,13 @@ class ModeMotion:
         return path[corners]
 
 
-def motions_of(
-    automaton: HybridAutomaton,
-    max_step: Floats,
-    speed: Floats,
-    admits: Callable[[str, Floats], Booleans] | None = None,
-) -> dict[str, ModeMotion]:
-    """The motions of each mode; `admits` tells by mode whether constraints on the path let states (k, n) be passed."""
-    motions = {}
+def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
+    """The motions of each mode, within what is asked of the path."""
+    automaton, motions = problem.automaton, {}
     for mode in automaton.modes:
-        own = None if admits is None else partial(admits, mode.name)
-        motions[mode.name] = ModeMotion(mode.B, max_step, speed, obstacles_on_state(automaton, mode.name), own)
+        admits = partial(admitted, problem, limits, mode.name) if problem.constraints else None
+        obstacles = obstacles_on_state(automaton, mode.name)
+        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, admits)
     return motions
 
 

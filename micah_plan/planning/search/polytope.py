@@ -15,6 +15,7 @@ from scipy.sparse import eye_array, kron
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
+from micah_plan.planning.limits import Limits
 
 # Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
 TOLERANCE = 1e-9
@@ -71,16 +72,14 @@ class Polytope:
 
     def fix(self, coordinate: int, value: float) -> Polytope:
         """This set with one coordinate held at a value, whatever range it had."""
-        lower, upper = self.lower.copy(), self.upper.copy()
-        lower[coordinate] = upper[coordinate] = value
-        return Polytope(lower, upper, self.A, self.b)
+        is_it = np.arange(self.n) == coordinate
+        return replace(self, lower=np.where(is_it, value, self.lower), upper=np.where(is_it, value, self.upper))
 
     def clip(self, coordinate: int, low: float, high: float) -> Polytope:
         """This set with one coordinate limited to [low, high]."""
-        lower, upper = self.lower.copy(), self.upper.copy()
-        lower[coordinate] = max(lower[coordinate], low)
-        upper[coordinate] = min(upper[coordinate], high)
-        return Polytope(lower, upper, self.A, self.b)
+        low, high = max(self.lower[coordinate], low), min(self.upper[coordinate], high)
+        is_it = np.arange(self.n) == coordinate
+        return replace(self, lower=np.where(is_it, low, self.lower), upper=np.where(is_it, high, self.upper))
 
     def contains(self, points: Floats) -> Booleans:
         """(...,) whether each point (..., n) lies inside, boundary included."""
@@ -120,14 +119,14 @@ class Polytope:
         return np.asarray(found.x).reshape(count, self.n) if found.status == 0 else np.zeros((0, self.n))
 
 
-def mode_states(mode: Mode, lower: Floats, upper: Floats, max_step: Floats) -> Polytope:
-    """The states of a mode: its invariant, its pins and ties, within bounds (n,) on every coordinate."""
-    states = Polytope(lower, upper, np.zeros((0, len(lower))), np.zeros(0)).intersect(mode.invariant, max_step)
+def mode_states(mode: Mode, limits: Limits) -> Polytope:
+    """The states of a mode: its invariant, its pins and ties, within the limits of every coordinate."""
+    states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
+    states = states.intersect(mode.invariant, limits.max_step)
     for pin in mode.pins:
         states = states.fix(pin.coordinate, pin.value)
     for tie in mode.ties:
         row = np.eye(states.n)[tie.coordinate] - np.array(tie.weights)
-        states = replace(
-            states, A=np.vstack([states.A, row, -row]), b=np.concatenate([states.b, [tie.offset, -tie.offset]])
-        )
+        A, b = np.vstack([states.A, row, -row]), np.append(states.b, [tie.offset, -tie.offset])
+        states = replace(states, A=A, b=b)
     return states

@@ -64,26 +64,17 @@ class JoinedRoadmap:
         """
         offsets, total = self.offsets, sum(graph.shape[0] for graph in self.graphs.values())
         parts = [(graph.tocoo(), offsets[mode]) for mode, graph in self.graphs.items()]
-        rows = [part.row + offset for part, offset in parts]
-        columns = [part.col + offset for part, offset in parts]
-        costs = [part.data for part, _ in parts]
-        for edge, pairs in self.exits.items():
-            source, target = self.ends[edge]
-            rows.append(pairs[:, 0] + offsets[source])
-            columns.append(pairs[:, 1] + offsets[target])
-            costs.append(np.full(len(pairs), TRANSITION_COST))
-        for mode, vertices in self.goals.items():
-            rows.append(vertices + offsets[mode])
-            columns.append(np.full(len(vertices), total))
-            costs.append(self.goal_costs[mode] + 1.0)
-        data = np.concatenate(costs)
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        best = np.lexsort((data, column, row))
-        row, column, data = row[best], column[best], data[best]
-        # coo -> csr adds duplicates up; two edges between the same vertices must stay the cheaper of the two.
-        first = np.ones(len(row), dtype=bool)
-        first[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
-        return coo_array((data[first], (row[first], column[first])), shape=(total + 1, total + 1)).tocsr()
+        motions = [(part.row + offset, part.col + offset, part.data) for part, offset in parts]
+        firsts = [[offsets[mode] for mode in self.ends[edge]] for edge in self.exits]
+        pairs = np.concatenate([np.zeros((0, 2), dtype=np.int64), *map(np.add, self.exits.values(), firsts)])
+        pairs = np.unique(pairs, axis=0)  # of several edges between two vertices one is enough: all cost the same
+        transitions = (*pairs.T, np.full(len(pairs), TRANSITION_COST))
+        endings = [
+            (vertices + offsets[mode], np.full(len(vertices), total), self.goal_costs[mode] + 1.0)
+            for mode, vertices in self.goals.items()
+        ]
+        row, column, costs = map(np.concatenate, zip(*motions, transitions, *endings, strict=True))
+        return coo_array((costs, (row, column)), shape=(total + 1, total + 1)).tocsr()
 
     @cached_property
     def to_goal(self) -> tuple[Floats, Ints]:
@@ -94,6 +85,14 @@ class JoinedRoadmap:
         last = self.graph.shape[0] - 1
         costs, following = dijkstra(self.graph.T.tocsr(), indices=last, return_predecessors=True)
         return costs[:last] - 1.0, following[:last]
+
+
+def along(links: Ints, vertex: int, end: int) -> list[int]:
+    """The vertices from one to another, where each links to the next, as in a tree of shortest paths."""
+    path = [vertex]
+    while path[-1] != end:
+        path.append(int(links[path[-1]]))
+    return path
 
 
 def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:

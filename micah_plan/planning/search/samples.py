@@ -51,16 +51,16 @@ class Samples:
     """All sampled states.
 
     Attributes:
-        modes: states by mode name.
+        points: (v, n) states by mode name.
         exits: (k, 2) numbers (state in the source mode, state after the reset in the target mode) by edge index; only
             edges between modes that a sampled state can take.
-        start: number of the start state in the start mode.
+        start: its mode and the number of its state there.
         goals: numbers of the states within the goal by mode; only modes that hold such states.
     """
 
-    modes: dict[str, ModeStates]
+    points: dict[str, Floats]
     exits: dict[int, Ints]
-    start: int
+    start: tuple[str, int]
     goals: dict[str, Ints]
 
 
@@ -79,11 +79,9 @@ def sample_modes(
     sampler.add_guards()
     sampler.carry_on(start_mode)
     sampler.add_random()
-    goals = {
-        name: np.flatnonzero(states.contains(np.array(sampler.modes[name].points)))
-        for name, states in sampler.goals.items()
-    }
-    return Samples(sampler.modes, sampler.exits, start, goals)
+    points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in sampler.modes.items()}
+    goals = {name: np.flatnonzero(states.contains(points[name])) for name, states in sampler.goals.items()}
+    return Samples(points, sampler.exits, (start_mode, start), goals)
 
 
 class _Sampler:
@@ -103,10 +101,7 @@ class _Sampler:
         self.target = self.start.copy()
         for index, value, _ in problem.goal.target:
             self.target[index] = value
-        self.modes = {
-            mode.name: ModeStates(mode_states(mode, limits.lower, limits.upper, limits.max_step))
-            for mode in self._automaton.modes
-        }
+        self.modes = {mode.name: ModeStates(mode_states(mode, limits)) for mode in self._automaton.modes}
         sets = {name: goal_states(problem, limits, name) for name in self.modes}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
         self.exits: dict[int, Ints] = {}
@@ -157,10 +152,8 @@ class _Sampler:
                 if (there := _at(guard_states(self._problem, self._limits, edge), idle, x)) is None:
                     continue
                 behind = self.modes[edge.target]
-                count, pair = (
-                    len(behind.points),
-                    self._add_exit(edge, _on_boundary(there, edge, there.nearest(x)), True),
-                )
+                count = len(behind.points)
+                pair = self._add_exit(edge, _on_boundary(there, edge, there.nearest(x)), True)
                 if pair is not None:
                     before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
                     self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
@@ -208,7 +201,7 @@ class _Sampler:
 
 def goal_states(problem: Problem, limits: Limits, mode: str) -> Polytope:
     """The states of a mode that lie within the goal; empty if the goal excludes the mode."""
-    states = mode_states(problem.automaton.mode(mode), limits.lower, limits.upper, limits.max_step)
+    states = mode_states(problem.automaton.mode(mode), limits)
     for index, value, tolerance in problem.goal.target:
         states = states.clip(index, value - tolerance, value + tolerance)
     if not problem.goal.admits(mode):
@@ -218,7 +211,7 @@ def goal_states(problem: Problem, limits: Limits, mode: str) -> Polytope:
 
 def guard_states(problem: Problem, limits: Limits, edge: Edge) -> Polytope:
     """The states of an edge's source mode at which some input within the limits takes the edge."""
-    source = mode_states(problem.automaton.mode(edge.source), limits.lower, limits.upper, limits.max_step)
+    source = mode_states(problem.automaton.mode(edge.source), limits)
     return source.intersect(edge.guard, limits.max_step)
 
 

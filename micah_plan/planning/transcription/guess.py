@@ -10,6 +10,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.turning import matrix_after
+from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, motion_per_input
@@ -56,35 +57,24 @@ class PhaseGuess:
         return len(self.inputs)
 
 
-@dataclass(frozen=True, eq=False)
-class Guess:
-    """The start point of all phases, or why there is none."""
-
-    phases: tuple[PhaseGuess, ...]
-    reason: str = ""
-
-
-def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: float = 1.0) -> Guess:
+def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: float = 1.0) -> tuple[PhaseGuess, ...]:
     """Divide the path into knots and roll the belief out along it, through guards at the planned confidence.
 
     Args:
         stretch: multiplies the number of steps (within max_knots), for problems that need more time than the path's
             length tells.
+
+    Raises:
+        NoWayError: if the path needs more than max_knots.
     """
     needed = [_path_steps(problem, limits, sequence, p) for p in range(len(sequence.modes))]
-    steps, reason = _divide(problem, limits, sequence, needed, stretch)
-    if reason:
-        return Guess((), reason)
+    steps = _divide(problem, limits, sequence, needed, stretch)
     # The overshoot into a guard lengthens a phase; it follows from the belief that is rolled out.
     rolled, needed = _roll(problem, limits, sequence, steps)
-    again, reason = _divide(problem, limits, sequence, needed, stretch)
-    if reason:
-        return Guess((), reason)
+    again = _divide(problem, limits, sequence, needed, stretch)
     spare = problem.settings.max_knots - len(again) - sum(again)
     again[-1] += _localising_steps(problem, rolled[-1], spare)
-    if again != steps:
-        rolled, _ = _roll(problem, limits, sequence, again)
-    return Guess(rolled)
+    return rolled if again == steps else _roll(problem, limits, sequence, again)[0]
 
 
 def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> tuple[PhaseGuess, ...]:
@@ -103,10 +93,8 @@ def _input_length(path: Floats, B: Floats, max_step: Floats) -> float:
     return float(np.sum(np.max(np.abs(u) / max_step, axis=1, initial=0.0)))
 
 
-def _divide(
-    problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float
-) -> tuple[list[int], str]:
-    """Steps per phase for the least numbers of steps, or the reason why they do not fit into max_knots."""
+def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float) -> list[int]:
+    """Steps per phase for the least numbers of steps that each needs."""
     automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
     least = [int(np.ceil(steps - 1e-9)) for steps in needed]
     wanted = [int(np.ceil(steps / PACE - 1e-9)) for steps in needed]
@@ -124,12 +112,12 @@ def _divide(
         waits = felt * (p < len(sequence.edges) and automaton.edges[sequence.edges[p]].guard.on_input)
         least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:
-        return [], (
+        raise NoWayError(
             f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
             f"max_knots = {problem.settings.max_knots}; raise max_knots or max_step"
         )
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
-    return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)], ""
+    return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)]
 
 
 def _roll(
@@ -139,7 +127,7 @@ def _roll(
     automaton = problem.automaton
     # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
     first = problem.automaton.mode(sequence.modes[0])
-    mean = mode_states(first, limits.lower, limits.upper, limits.max_step).nearest(np.array(problem.start.mean))
+    mean = mode_states(first, limits).nearest(np.array(problem.start.mean))
     factor = np.diag(np.array(problem.start.std, dtype=float))
     mean, factor = _belief(compiled_mode(automaton, sequence.modes[0]).condition(mean, factor))
     gains = _gains(problem, limits, sequence, steps)
