@@ -43,7 +43,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 
 # Where each heavy library may be imported, and whether only one file there may.
 IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
-    "casadi": (("symbolic.", "planning.nlp", "planning.transcription.", "planning.baselines.mixture"), False),
+    "casadi": (("symbolic.", "planning.nlp", "planning.transcription.", "planning.baselines.direct"), False),
     "ompl": (("planning.search.roadmap", "planning.baselines.rrt"), False),
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),

@@ -1,8 +1,8 @@
-"""Closed-loop roll-outs of a trajectory, all trials at once: true states, filters with noisy measurements, feedback.
+"""Closed-loop roll-outs of a trajectory, all trials at once: true states, noisy measurements, filters and feedback.
 
-Shares nothing with the transcription: the motion is that of `automaton.transition` with events inside the steps and
-with thresholds and gains drawn anew for every roll-out, as well as they are known; the estimate is that of the hybrid
-filter with noisy measurements, and the inputs are those of the policy.
+The code is independent of the transcription. True states move as in `automaton.transition`, with events within a step;
+thresholds and gains are drawn for each roll-out from their uncertainty. Measurements are noisy, the estimate is that of
+the hybrid filter, and the inputs follow from it by the plan's feedback.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Chances:
     """All that is random in t roll-outs of T steps.
 
     Attributes:
-        objects: t of them, with the boundaries where they truly are and the levers that they truly have.
+        objects: t of them, each with its own true thresholds and gains.
         starts: (t, n) true states at first [rad or m].
         process: (T, t, n) noise of the steps [rad or m].
-        observation: (T, t, n) noise of the measurements in standard deviations, which depend on mode and place; NaN:
-            not measured.
+        observation: (T, t, n) noise of the measurements, in standard deviations, which depend on mode and place; NaN
+            where a coordinate is not measured.
     """
 
     objects: TransitionBatch
@@ -54,7 +54,7 @@ class RollOuts:
         modes: (t,) indices of the true modes.
         states: (t, n) true states [rad or m].
         beliefs: of the filters, after the last measurement.
-        path: what the steps did to the problem's constraints on the path.
+        path: margins of the problem's constraints along the way.
     """
 
     modes: Ints
@@ -64,7 +64,7 @@ class RollOuts:
 
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int | tuple[int, ...]) -> Chances:
-    """The random part of that many roll-outs; the same for the same seed."""
+    """Everything random of that many roll-outs; the same seed gives the same."""
     problem = without_input_memory(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     stds = threshold_stds(automaton)
@@ -80,20 +80,18 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadline: Deadline = NEVER) -> RollOuts:
-    """Carry a trajectory out once per row of chances, and wait until all that was commanded has arrived.
+    """Execute a trajectory in each of the roll-outs, then wait until all commands have arrived.
 
     Raises:
         TimeLimitError: if the deadline passes.
     """
-    known, problem = with_input_memory(problem), without_input_memory(problem)
-    automaton, whole, limits = problem.automaton, known.automaton, limits_of(problem)
-    memory = {own.effect: known.start.mean[own.coordinates] for own in whole.input_memories}
-    channel = InputChannel(automaton, memory)
-    unseen = np.full((len(chances.starts), whole.n - automaton.n), np.nan)
-    trials, everyone = len(chances.starts), np.arange(len(chances.starts))
+    whole_problem, problem = with_input_memory(problem), without_input_memory(problem)
+    automaton, whole, limits = problem.automaton, whole_problem.automaton, limits_of(problem)
+    start, trials = whole_problem.start, len(chances.starts)
+    channel = InputChannel(automaton, {own.effect: start.mean[own.coordinates] for own in whole.input_memories})
+    unseen, everyone = np.full((trials, whole.n - automaton.n), np.nan), np.arange(trials)
     modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
-    start = initial_belief(whole, known.start.mean, known.start.std, trajectory.modes[0])
-    beliefs = repeated(whole, start, trials)
+    beliefs = repeated(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
     knots, path = time_knots(trajectory), PathRecord(problem, trials)
     for step, knot in enumerate(knots):
         deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")
@@ -121,7 +119,7 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
     for index in np.unique(modes):
         chosen = modes == index
         stds[chosen] = automaton.sensing(automaton.modes[index]).std_at(x[chosen])
-    # What is not measured has NaN for noise; infinity times a number would do, but for zero.
+    # An infinite std means not measured: the noise there is NaN already, and infinity times zero would warn.
     return np.asarray(np.where(np.isfinite(stds), stds, 1.0))
 
 

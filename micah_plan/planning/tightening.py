@@ -1,16 +1,15 @@
-"""A plan that roll-outs fail too often is planned again with more room, and believed only on fresh roll-outs.
+"""A plan that too many roll-outs fail is planned again with a higher confidence, and accepted only on fresh roll-outs.
 
-Guards and boundaries are planned to hold with the confidence one by one. Where several may fail, or where the Gaussian
-promises too much, all of them together hold less often; roll-outs tell how often. The plan is then made anew with a
-confidence whose allowed failures are fewer by the factor by which there were too many, so that transitions are
-overshot further, boundaries kept further away and more measurements made before the goal.
+Planning holds each guard and each boundary with the confidence, one by one. Where several may fail, or the Gaussian is
+too optimistic, all of them together hold less often; roll-outs tell how often. The plan is then made anew with a higher
+confidence, whose share of failures is smaller by the factor by which too many roll-outs failed. So transitions go
+deeper into their guards, boundaries are kept at a larger distance, and more measurements are made before the goal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -35,11 +34,11 @@ class Verifier(Protocol):
         """The plan with its success probability, or refused."""
 
 
-# Each round allows at most this share of the failures that the round before allowed.
+# A round allows at most this share of the failures that the round before allowed.
 _SLOWEST = 0.3
-# Planning never allows fewer failures: k-sigma would ask for more than Gaussians can promise.
+# Planning always allows this share of failures: a Gaussian says little about its far tails.
 _FEWEST_FAILURES = 1e-4
-# Seeds of the rounds' roll-outs lie so far apart, and from those that people choose.
+# Distance between the seeds of the rounds; also far from the small seeds that users choose.
 _SEED_STRIDE = 7_919
 
 
@@ -54,9 +53,9 @@ def verified_plan(
 ) -> Plan:
     """Plan, verify, and plan again with a higher confidence while the roll-outs succeed too rarely.
 
-    At most `rounds` times, while each round succeeds more often than the best before and within
-    `solve_time_limit_s`. A round's roll-outs have their own seeds; and a plan that a round accepts is rolled out once
-    more, because the best of several looks better than it is. That last share is in the plan.
+    At most `rounds` times, within `solve_time_limit_s`, and as long as each round succeeds more often than the best
+    before. Each round has roll-outs of its own. A plan that a round accepts is verified once more with others, because
+    the best of several looks better than it is; the plan states that last share.
 
     Args:
         problem: its confidence is what the roll-outs must confirm in every round.
@@ -71,63 +70,58 @@ def verified_plan(
     """
     settings = problem.settings
     deadline = deadline or Deadline(settings.solve_time_limit_s)
-    check = partial(_verified, verifier, problem, deadline=deadline)
+
+    def check(plan: Plan, seed: int) -> Plan:
+        if plan.trajectory is None:
+            return plan
+        begin = perf_counter()
+        answer = verifier(problem, plan, seed=seed, deadline=deadline)
+        spent = perf_counter() - begin
+        return replace(answer, timings=_added(answer.timings, {"verify": spent, "total": spent}))
+
     best = check(planner(problem, deadline=deadline), seed)
-    timings = dict(best.timings)
-    confidence = settings.confidence
-    most = settings.tightening_rounds if rounds is None else rounds
-    for number in range(1, most + 1):
+    timings, confidence = dict(best.timings), settings.confidence
+    for number in range(1, 1 + (settings.tightening_rounds if rounds is None else rounds)):
         if best.outcome != "not_verified" or deadline.is_over():
             break
-        confidence = tightened(confidence, settings.confidence, 1.0 - (best.success_probability or 0.0))
-        closer = replace(settings, confidence=confidence)
-        again = planner(replace(problem, settings=closer), deadline=deadline)
-        answer = _confirmed(check, again, seed + number * _SEED_STRIDE)
-        timings = {key: timings.get(key, 0.0) + spent for key, spent in answer.timings.items()}
-        if answer.trajectory is None or not _is_better(answer, best):
+        share = best.success_probability or 0.0
+        confidence = tightened(confidence, settings.confidence, 1.0 - share)
+        closer = replace(problem, settings=replace(settings, confidence=confidence))
+        plan, own_seed = planner(closer, deadline=deadline), seed + number * _SEED_STRIDE
+        answer = check(plan, own_seed)
+        if answer.outcome == "solved":  # these roll-outs have chosen the plan: its share is that of others
+            answer = check(replace(plan, timings=answer.timings), own_seed + 1)
+        timings = _added(timings, answer.timings)
+        if answer.trajectory is None:
             break
-        best = _told(answer, best, confidence, number)
+        if answer.outcome == "solved":
+            best = _told(answer, best, confidence, number)
+        elif (answer.success_probability or 0.0) > share:
+            best = answer
+        else:
+            break
     return replace(best, timings=timings)
+
+
+def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    """Seconds by stage of both."""
+    return {stage: first.get(stage, 0.0) + second.get(stage, 0.0) for stage in {**first, **second}}
 
 
 def tightened(planned: float, asked: float, failing: float) -> float:
     """The confidence to plan with next.
 
     Args:
-        planned: the last plan was made with it.
-        asked: what the roll-outs are to confirm.
+        planned: confidence of the last plan.
+        asked: confidence that the roll-outs must confirm.
         failing: share of the roll-outs that failed.
     """
     fewer = min(_SLOWEST, (1.0 - asked) / failing) if failing > 0.0 else _SLOWEST
     return max(planned, 1.0 - max(_FEWEST_FAILURES, (1.0 - planned) * fewer))
 
 
-def _verified(verifier: Verifier, problem: Problem, plan: Plan, seed: int, *, deadline: Deadline) -> Plan:
-    """The plan verified, with the time that it took; one without a trajectory as it is."""
-    if plan.trajectory is None:
-        return plan
-    begin = perf_counter()
-    answer = verifier(problem, plan, seed=seed, deadline=deadline)
-    spent = perf_counter() - begin
-    timings = {**answer.timings, "verify": answer.timings.get("verify", 0.0) + spent}
-    return replace(answer, timings={**timings, "total": answer.timings.get("total", 0.0) + spent})
-
-
-def _confirmed(check: Callable[[Plan, int], Plan], plan: Plan, seed: int) -> Plan:
-    """The plan verified twice: its share of successes is of roll-outs that did not choose it."""
-    once = check(plan, seed)
-    again = replace(plan, timings=once.timings)
-    return once if once.outcome != "solved" else check(again, seed + 1)
-
-
-def _is_better(answer: Plan, best: Plan) -> bool:
-    """Whether a plan is confirmed, or at least succeeds more often than another."""
-    return answer.outcome == "solved" or (answer.success_probability or 0.0) > (best.success_probability or 0.0)
-
-
 def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
-    if answer.outcome != "solved":
-        return answer
+    """A confirmed plan whose reason tells that and why it was planned again."""
     seen = [finding.sentence for finding in before.findings if finding.level == "verification"]
     why = f": {seen[0]}" if seen else ""
     times = "once" if rounds == 1 else f"{rounds} times"

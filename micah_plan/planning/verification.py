@@ -12,7 +12,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.path_constraints import PathRecord, joined
-from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Plan, Trajectory
@@ -22,7 +22,7 @@ from micah_plan.task.problem import Problem
 _STANDARD_ERRORS = 2.0
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
-# A sequential verification looks after these shares of its roll-outs, and errs this often where the answer is plain.
+# A sequential verification judges after these shares of its roll-outs; it ends early with this share of errors.
 _LOOKS = (0.125, 0.25, 0.5, 1.0)
 _ERRORS = 0.01
 
@@ -44,17 +44,14 @@ def verify(
         trials: number of roll-outs; None: from the settings. 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
-        sequential: end after an eighth, a quarter or half of the roll-outs where the answer is plain (`plain_answer`).
-            For decisions on the way, where nobody asks how large the share is.
+        sequential: end after an eighth, a quarter or half of the roll-outs where they suffice (`plain_answer`): for
+            decisions during an execution, where only the outcome counts, not how large the share is.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
     try:
-        if sequential:
-            ends = _ends_in_turns(problem, plan.trajectory, count, seed, deadline)
-        else:
-            ends = _ends(problem, plan.trajectory, count, seed, deadline)
+        ends = _ends(problem, plan.trajectory, count, seed, deadline, _LOOKS if sequential else ())
     except TimeLimitError as over:
         finding = finding_of_reason("verification", over.reason, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
@@ -77,7 +74,7 @@ def verify(
 
 @dataclass(frozen=True, eq=False)
 class _Ends:
-    """Where t roll-outs ended: modes (t,) by index, states (t, n) [rad or m], which are in the goal; and how."""
+    """Ends of t roll-outs: modes (t,) by index, states (t, n) [rad or m], whether in the goal (t,); and their paths."""
 
     modes: Ints
     states: Floats
@@ -86,31 +83,28 @@ class _Ends:
 
 
 def _ends(
-    problem: Problem, trajectory: Trajectory, count: int, seed: int | tuple[int, ...], deadline: Deadline
+    problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, looks: tuple[float, ...]
 ) -> _Ends:
-    """That many roll-outs at once."""
-    ends = roll_out(problem, trajectory, draw_chances(problem, trajectory, count, seed), deadline)
-    return _Ends(ends.modes, ends.states, are_in_goal(problem, ends), ends.path)
-
-
-def _ends_in_turns(problem: Problem, trajectory: Trajectory, total: int, seed: int, deadline: Deadline) -> _Ends:
-    """At most so many roll-outs, fewer where the answer is plain before."""
-    turns: list[_Ends] = []
-    for number, look in enumerate(_LOOKS):
-        done = sum(len(turn.in_goal) for turn in turns)
-        turns.append(_ends(problem, trajectory, max(1, math.ceil(look * total) - done), (seed, number), deadline))
-        in_goal = np.concatenate([turn.in_goal for turn in turns])
+    """That many roll-outs at once, or in turns, up to these shares of them, until the answer is plain."""
+    turns: list[RollOuts] = []
+    in_goal = np.zeros(0, dtype=bool)
+    for number, look in enumerate(looks or (1.0,)):
+        trials = max(1, math.ceil(look * count) - len(in_goal))
+        chances = draw_chances(problem, trajectory, trials, (seed, number) if looks else seed)
+        turns.append(roll_out(problem, trajectory, chances, deadline))
+        in_goal = np.append(in_goal, are_in_goal(problem, turns[-1]))
         clear = plain_answer(int(in_goal.sum()), len(in_goal), problem.settings.confidence)
-        if len(in_goal) >= total or clear is not None:
+        if len(in_goal) >= count or clear is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
     return _Ends(modes, states, in_goal, joined([turn.path for turn in turns]))
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
-    """Whether a plan with so many successes has the confidence rather than fails twice as often; None: too early.
+    """Whether so many successes tell that a plan has the confidence (True) or fails twice as often (False).
 
-    Either is taken for the other in at most one of a hundred cases. Source: Wald, "Sequential analysis", 1947.
+    None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
+    of one in a hundred. Source: Wald, "Sequential analysis", 1947.
     """
     failing = 1.0 - confidence
     worse = min(2.0 * failing, 0.5 * (1.0 + failing))
@@ -120,10 +114,10 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
 
 
 def least_share(confidence: float, trials: int) -> float:
-    """The smallest share of successes that so many roll-outs may show for a plan to be accepted.
+    """The smallest share of successes, of so many roll-outs, with which a plan is accepted.
 
-    It falls short of the confidence by two standard errors of a plan that has it: that of the observed share vanishes
-    where nothing succeeds.
+    It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
+    standard error of the observed share would vanish where nothing succeeds.
     """
     return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
 
@@ -142,35 +136,24 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
     for index, value, tolerance in goal.target:
         coordinate, distance = automaton.coordinates[index], np.abs(ends.states[:, index] - value)
-        missed = distance > tolerance
-        share = float(missed.mean())
-        need = float(np.quantile(distance, confidence))
+        missed, need = distance > tolerance, float(np.quantile(distance, confidence))
         if need <= tolerance:
             continue
         elsewhere = _elsewhere(names, missed, modes)
-        text, has = quantity(need, coordinate.unit), quantity(tolerance, coordinate.unit)
+        share, unit = float(missed.mean()), coordinate.unit
         sentence = (
             f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
-            f"{percent(confidence)} of all need {text}, its tolerance is {has}"
+            f"{percent(confidence)} of all need {quantity(need, unit)}, its tolerance is {quantity(tolerance, unit)}"
         )
-        wider = f"{plain(need)} {coordinate.unit}"  # in the unit of the file
+        wider = f"{plain(need)} {unit}"  # in the unit of the file
         remedy = f"widen the tolerance of '{coordinate.name}' to {wider}, lower the noise, or lower `confidence`"
         if elsewhere:
             remedy = "lower the noise or the start's std, so that the transitions are surer"
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
             remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
-        finding = Finding(
-            "verification",
-            sentence,
-            remedy,
-            modes,
-            constraint=f"the goal {coordinate.name} = {value:g} ± {tolerance:g}",
-            amount=need - tolerance,
-            room=tolerance,
-            need=need,
-            unit=coordinate.unit,
-        )
-        found.append((share, finding))
+        place = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
+        finding = Finding("verification", sentence, remedy, modes, constraint=place, unit=unit)
+        found.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
     return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 

@@ -15,8 +15,8 @@ from uncertain_joints import SHUT, unsure_door
 
 from micah_plan.automaton.region import above
 from micah_plan.belief.filter import initial_belief, update
-from micah_plan.planning.baselines import mixture
-from micah_plan.planning.baselines.mixture import mixture_step
+from micah_plan.planning.baselines import direct
+from micah_plan.planning.baselines.direct import mixture_step
 from micah_plan.planning.limits import Limits
 
 SIGMAS = np.concatenate([np.linspace(-30.0, 8.0, 96), [-5.0 - 1e-9, -5.0, -5.0 + 1e-9]])
@@ -24,7 +24,7 @@ SIGMAS = np.concatenate([np.linspace(-30.0, 8.0, 96), [-5.0 - 1e-9, -5.0, -5.0 +
 
 def compiled() -> ca.Function:
     t = ca.SX.sym("t")
-    value = mixture.log_ndtr(t)
+    value = direct.log_ndtr(t)
     slope = ca.gradient(value, t)
     return ca.Function("tail", [t], [value, slope, ca.gradient(slope, t)])
 

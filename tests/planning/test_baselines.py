@@ -14,7 +14,7 @@ from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.cli import main
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.baselines.mixture import mixture_step
+from micah_plan.planning.baselines.direct import mixture_step
 from micah_plan.planning.baselines.open_loop import nominal_trajectory
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.limits import limits_of

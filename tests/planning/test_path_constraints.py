@@ -24,9 +24,9 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.receding_horizon import RecedingHorizon
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.transcription.corridor import path_rows, path_terms_of
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.layout import pack
-from micah_plan.planning.transcription.path_rows import path_rows, path_terms_of
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import quantity
 from micah_plan.task.path import (

@@ -19,6 +19,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
 from micah_plan.planning.baselines.open_loop import nominal_start, plan_along
 from micah_plan.planning.limits import Limits, limited_input
+from micah_plan.planning.search.roadmap import box
 from micah_plan.planning.search.samples import goal_states
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
@@ -42,51 +43,37 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
 def _grow(attempt: Attempt) -> tuple[Floats, str]:
     """(T, m) inputs of a path to the goal, and how they were found."""
     attempt.progress("growing a tree", 0.0)
-    with attempt.clock.stage("search"):
-        inputs = _grown(attempt.problem, attempt.limits, attempt.mode, attempt.seed, attempt.deadline)
-    return inputs, f"found by RRT in {len(inputs)} steps"
-
-
-def _grown(problem: Problem, limits: Limits, mode: str, seed: int, deadline: Deadline) -> Floats:
-    """(T, m) inputs of a path to the goal."""
     # OMPL complains that generators exist already; those made from here on follow the seed, and no other is used.
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
-    ou.RNG.setSeed(seed + 1)
-    goals = _goal_sets(problem, limits)
-    if not goals:
-        raise NoWayError("the goal lies in the range of no mode that it may end in; move the goal into a range")
-    system = _System(problem, limits)
-    information = system.information()
-    definition = ob.ProblemDefinition(information)
-    start = information.allocState()
-    system.write(start, nominal_start(problem, limits, mode), mode)
-    definition.addStartState(start)
-    goal = _Goal(information, system, goals, np.random.default_rng(seed))
-    definition.setGoal(goal)
-    planner = oc.RRT(information)
-    planner.setProblemDefinition(definition)
-    planner.setup()
+    ou.RNG.setSeed(attempt.seed + 1)
     asked = 0
 
     def is_over() -> bool:
         nonlocal asked
         asked += 1
-        return asked > _MOST_EXTENSIONS or deadline.is_over()
+        return asked > _MOST_EXTENSIONS or attempt.deadline.is_over()
 
-    planner.solve(ob.PlannerTerminationCondition(is_over))
+    with attempt.clock.stage("search"):
+        system = _System(attempt.problem, attempt.limits)
+        information = system.information()
+        definition = ob.ProblemDefinition(information)
+        start = information.allocState()
+        system.write(start, nominal_start(attempt.problem, attempt.limits, attempt.mode), attempt.mode)
+        definition.addStartState(start)
+        goal = _Goal(information, system, np.random.default_rng(attempt.seed))
+        definition.setGoal(goal)
+        planner = oc.RRT(information)
+        planner.setProblemDefinition(definition)
+        planner.setup()
+        planner.solve(ob.PlannerTerminationCondition(is_over))
     if not definition.hasExactSolution():
         limit = f"{_MOST_EXTENSIONS} extensions" if asked > _MOST_EXTENSIONS else "the time limit (solve_time_limit_s)"
         raise NoWayError(f"RRT found no path to the goal within {limit}; this does not prove that there is none")
-    path, inputs = definition.getSolutionPath(), []
-    for i in range(path.getControlCount()):
-        control, times = path.getControl(i), round(path.getControlDuration(i))
-        inputs += [[control[j] for j in range(problem.automaton.m)]] * times
-    return np.array(inputs, dtype=float).reshape(-1, problem.automaton.m)
-
-
-def _goal_sets(problem: Problem, limits: Limits) -> list[tuple[str, Any]]:
-    sets = [(mode.name, goal_states(problem, limits, mode.name)) for mode in problem.automaton.modes]
-    return [(name, states) for name, states in sets if not states.is_empty]
+    path, m = definition.getSolutionPath(), attempt.problem.automaton.m
+    controls = [[path.getControl(i)[j] for j in range(m)] for i in range(path.getControlCount())]
+    durations = [round(path.getControlDuration(i)) for i in range(len(controls))]
+    inputs = np.repeat(np.array(controls, dtype=float).reshape(-1, m), durations, axis=0)
+    return inputs, f"found by RRT in {len(inputs)} steps"
 
 
 class _System:
@@ -97,24 +84,21 @@ class _System:
         width = limits.upper - limits.lower
         self.width = np.where(width > 0, width, 1.0)
         self.rest = np.zeros(problem.automaton.m)
+        sets = [(mode, goal_states(problem, limits, mode)) for mode in problem.automaton.mode_names]
+        self.goals = [(mode, states) for mode, states in sets if not states.is_empty]
+        if not self.goals:
+            raise NoWayError("the goal lies in the range of no mode that it may end in; move the goal into a range")
 
     def information(self) -> Any:
+        lowest = self.limits.lower / self.width
         continuous = ob.RealVectorStateSpace(self.automaton.n)
-        bounds = ob.RealVectorBounds(self.automaton.n)
-        for i, low in enumerate(self.limits.lower / self.width):
-            bounds.setLow(i, float(low))
-            bounds.setHigh(i, float(low) + 1.0)
-        continuous.setBounds(bounds)
+        continuous.setBounds(box(lowest, lowest + 1.0))
         space = ob.CompoundStateSpace()
         space.addSubspace(continuous, 1.0)
         # OMPL asks for two values at least; the second of one mode is never reached.
         space.addSubspace(ob.DiscreteStateSpace(0, max(1, len(self.automaton.modes) - 1)), _MODE_DISTANCE)
         controls = oc.RealVectorControlSpace(space, self.automaton.m)
-        most = ob.RealVectorBounds(self.automaton.m)
-        for j, largest in enumerate(self.limits.max_step):
-            most.setLow(j, -float(largest))
-            most.setHigh(j, float(largest))
-        controls.setBounds(most)
+        controls.setBounds(box(-self.limits.max_step, self.limits.max_step))
         information = oc.SpaceInformation(space, controls)
         information.setStatePropagator(self.propagate)
         information.setStateValidityChecker(self.is_valid)
@@ -153,18 +137,16 @@ class _System:
 class _Goal(ob.GoalSampleableRegion):  # type: ignore[misc]  # OMPL's wheel has no type information
     """The goal set, from which the tree's growth takes a state now and then."""
 
-    def __init__(
-        self, information: Any, system: _System, sets: list[tuple[str, Any]], rng: np.random.Generator
-    ) -> None:
+    def __init__(self, information: Any, system: _System, rng: np.random.Generator) -> None:
         super().__init__(information)
         self.setThreshold(_GOAL_SHARE)
-        self.system, self.sets, self.rng = system, sets, rng
+        self.system, self.rng = system, rng
 
     def distanceGoal(self, state: Any) -> float:  # noqa: N802  # OMPL's name
         return self.system.distance(state)
 
     def sampleGoal(self, state: Any) -> None:  # noqa: N802  # OMPL's name
-        name, states = self.sets[int(self.rng.integers(len(self.sets)))]
+        name, states = self.system.goals[int(self.rng.integers(len(self.system.goals)))]
         self.system.write(state, states.sample(self.rng, 1)[0], name)
 
     def maxSampleCount(self) -> int:  # noqa: N802  # OMPL's name

@@ -125,11 +125,7 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     space = ob.RealVectorStateSpace(states.shape[1])
-    bounds = ob.RealVectorBounds(states.shape[1])
-    for i, (low, high) in enumerate(zip(states.min(axis=0), states.max(axis=0), strict=True)):
-        bounds.setLow(i, float(low))
-        bounds.setHigh(i, float(high))
-    space.setBounds(bounds)
+    space.setBounds(box(states.min(axis=0), states.max(axis=0)))
     information = ob.SpaceInformation(space)
     samplers: list[_GivenStates] = []
 
@@ -151,6 +147,15 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     vertices = [data.getVertex(i).getState() for i in range(data.numVertices())]
     grown = np.array([[state[i] for i in range(states.shape[1])] for state in vertices])
     return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
+
+
+def box(lower: Floats, upper: Floats) -> Any:
+    """Corners (n,) as OMPL wants them."""
+    bounds = ob.RealVectorBounds(len(lower))
+    for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    return bounds
 
 
 class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information

@@ -8,7 +8,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
-  The same holds for constraints that a user puts on the path (`path_rows`).
+  The same holds for constraints that a user puts on the path (`corridor`).
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.input_memory import steps_of_memory
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme
-from micah_plan.planning.transcription.corridor import CorridorRow, corridor
+from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
-from micah_plan.planning.transcription.path_rows import PathRows, path_rows
-from micah_plan.planning.transcription.rows import Row, Rows
+from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
@@ -150,7 +149,7 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> 
         nlp.cost += effort_cost(nlp.problem, ca.sumsqr(inputs / ca.DM(largest)))
         _require_inputs(nlp, mode, guess, nlp.phases[-1])
     if boundaries:
-        _require_corridor(nlp, guess, nlp.phases[-1], boundaries)
+        _require_corridor(nlp, nlp.phases[-1], boundaries)
     if path is not None:
         _require_path(nlp, guess, nlp.phases[-1], path)
     if slack_start.size:
@@ -197,40 +196,26 @@ def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: Hal
     # A closed guard holds on its boundary already: stay a little away from it.
     closed = sign < 0 and not half_space.strict
     low = STRICT_SHARE * float(np.abs(half_space.b) @ nlp.limits.max_step) if closed else 0.0
-    name = f"'{half_space.name}'" if sign > 0 else f"staying out of '{half_space.name}'"
-    unit = _unit(nlp.problem.automaton, half_space)
+    name, unit = boundary_name(half_space, sign), unit_of(nlp.problem.automaton, half_space)
     return Row(guess.mode, guess.first_knot + step, name, unit, low, np.inf, "input")
 
 
-def _require_corridor(
-    nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, boundaries: list[CorridorRow]
-) -> None:
-    """The boundaries between the ends of the phase: hard for the mean, with a slack that costs at k-sigma."""
-    settings = nlp.problem.settings
-    directions = np.array([one.sign * np.array(one.half_space.a) for one in boundaries]).T
-    offsets = np.array([one.sign * one.half_space.c for one in boundaries])
+def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
+    """The boundaries between the ends of the phase."""
+    directions = np.array([one.normal for one in boundaries]).T
+    offsets = np.array([one.offset for one in boundaries])
     at = phase.states[:, [one.step for one in boundaries]]
     margins, stds = _margin_function(nlp.pattern).map(len(boundaries))(at, directions, offsets[None, :])
-    rows = [_boundary_row(nlp, guess, one) for one in boundaries]
-    nlp.require(margins, rows)
     uncertain = [i for i, one in enumerate(boundaries) if one.uncertain]
-    if uncertain:
-        scales = [boundaries[i].scale for i in uncertain]
-        total = _total_std(stds[uncertain].T, ca.DM([boundaries[i].spread for i in uncertain]))
-        phase.soft.extend(zip(range(len(nlp.rows), len(nlp.rows) + len(uncertain)), scales, strict=True))
-        slacks = phase.slacks[: len(uncertain)]
-        soft = margins[uncertain].T - settings.sigmas * total + ca.DM(scales) * slacks
-        nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in uncertain], total)
-
-
-def _boundary_row(nlp: Transcription, guess: PhaseGuess, one: CorridorRow) -> Row:
-    place = guess.mode, guess.first_knot + one.step, one.name, _unit(nlp.problem.automaton, one.half_space)
-    return Row(*place, 0.0, np.inf, "boundary", one.half_space, one.sign)
+    total = _total_std(stds[uncertain].T, ca.DM([boundaries[i].spread for i in uncertain]))
+    scales = np.array([boundaries[i].scale for i in uncertain])
+    rows, slacks = [one.row for one in boundaries], phase.slacks[: len(uncertain)]
+    _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
 
 
 def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows) -> None:
-    """What is asked of the steps of a phase: hard for the mean, with a slack that costs at k-sigma; and their cost."""
-    settings, terms = nlp.problem.settings, path.terms
+    """What is asked of the steps of a phase, and their cost."""
+    terms, count = path.terms, len(path.terms.requirements)
     inputs = ca.horzcat(*(nlp.phases[p].inputs[:, i] for p, i in path.inputs))
     at = phase.states[:, path.knots]
     margins, stds, _, costs = terms.function.map(len(path.knots))(at, inputs, path.covariances)
@@ -240,15 +225,30 @@ def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, 
         for knot in path.knots
         for name, unit in terms.requirements
     ]
+    uncertain = [j * count + i for j in range(len(path.knots)) for i in terms.uncertain]
+    scales, slacks = path.lengths[terms.uncertain].ravel(order="F"), phase.slacks[-path.slack.size :]
+    _require_with_room(nlp, phase, rows, margins, (uncertain, ca.vec(stds)[uncertain], scales, slacks))
+
+
+def _require_with_room(
+    nlp: Transcription,
+    phase: PhaseVariables,
+    rows: list[Row],
+    margins: ca.MX,
+    uncertain: tuple[list[int], ca.MX, Floats, ca.MX],
+) -> None:
+    """Rows that the mean must keep to; and that of some of them k-sigma does, with a slack that costs.
+
+    Args:
+        uncertain: numbers of these rows, stds of their margins, lengths of one step across them, slacks in steps.
+    """
     nlp.require(margins, rows)
-    if terms.uncertain:
-        chosen = [j * len(terms.requirements) + i for j in range(len(path.knots)) for i in terms.uncertain]
-        lengths = path.lengths[terms.uncertain]
-        slacks = ca.reshape(phase.slacks[-lengths.size :], *lengths.shape)
-        first = len(nlp.rows)
-        phase.soft.extend(zip(range(first, first + len(chosen)), lengths.ravel(order="F").tolist(), strict=True))
-        soft = margins[terms.uncertain, :] - settings.sigmas * stds[terms.uncertain, :] + lengths * slacks
-        nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in chosen], stds[terms.uncertain, :])
+    numbers, stds, scales, slacks = uncertain
+    if numbers:
+        settings = nlp.problem.settings
+        phase.soft.extend(zip(range(len(nlp.rows), len(nlp.rows) + len(numbers)), scales.tolist(), strict=True))
+        soft = ca.vec(margins)[numbers] - settings.sigmas * stds + ca.DM(scales) * slacks
+        nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in numbers], stds)
 
 
 def _margin_function(pattern: ca.Sparsity) -> ca.Function:
@@ -288,7 +288,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         scale = float(np.abs(half_space.a) @ nlp.limits.speed + np.abs(half_space.b) @ nlp.limits.max_step)
         low = STRICT_SHARE * scale if half_space.strict else 0.0
         name = f"the guard '{half_space.name}' of '{edge.edge.name}'"
-        place = guess.mode, knot, name, _unit(automaton, half_space)
+        place = guess.mode, knot, name, unit_of(automaton, half_space)
         row = Row(*place, low, np.inf, "guard", half_space, 1.0, None if certain else settings.confidence)
         a = np.array(half_space.a)
         total = _total_std(stds[i], float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2))
@@ -329,10 +329,3 @@ def _add_goal(nlp: Transcription) -> None:
             nlp.require(end[index] - value, [Row(*place, -tolerance, tolerance, "goal")])
     nlp.cost += sum(goal_cost(problem, end) for end, _ in ends)
     nlp.cost += variance_cost(problem, {index: ca.sumsqr(factor[index, :]) for index in problem.goal.indices})
-
-
-def _unit(automaton: HybridAutomaton, half_space: HalfSpace) -> str:
-    """The unit of a half-space's margin if all its coordinates share one, else empty."""
-    units = {c.unit for c, weight in zip(automaton.coordinates, half_space.a, strict=True) if weight}
-    units |= {c.unit for c, weight in zip(automaton.inputs, half_space.b, strict=True) if weight}
-    return units.pop() if len(units) == 1 else ""

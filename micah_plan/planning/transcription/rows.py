@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.quantities import percent
 
@@ -55,6 +56,18 @@ class Row:
         if np.isnan(value):
             return float("inf")
         return max(0.0, self.lower - value, value - self.upper)
+
+
+def boundary_name(half_space: HalfSpace, sign: float) -> str:
+    """What must hold: to stay inside of a boundary (+1) or outside of it (-1)."""
+    return f"'{half_space.name}'" if sign > 0 else f"staying out of '{half_space.name}'"
+
+
+def unit_of(automaton: HybridAutomaton, half_space: HalfSpace) -> str:
+    """The unit of a half-space's margin if all its coordinates and inputs share one, else empty."""
+    weights = zip((*automaton.coordinates, *automaton.inputs), (*half_space.a, *half_space.b), strict=True)
+    units = {item.unit for item, weight in weights if weight}
+    return units.pop() if len(units) == 1 else ""
 
 
 class Rows(list[Row]):

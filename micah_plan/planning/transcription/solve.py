@@ -59,47 +59,32 @@ def solve(nlp: Transcription, time_limit_s: float) -> BeliefPath:
 def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
     """What stands in the way of an infeasible problem, worst first.
 
-    Constraints on the path, and how far each must be relaxed, if that is enough; else the fewest rows to relax, with
-    the amounts. Empty if the solver finds no such point or no violation.
+    Constraints on the path, and by how much each must be relaxed at all knots, if that is enough: the row is that of
+    the knot where it is tightest. Else the worst rows where the summed violation of all but the dynamics is least
+    ("elastic mode", Gill, Murray and Saunders, SIAM Review 2005). Empty if the solver finds no such point or no
+    violation.
     """
-    programme = nlp.programme
+    programme, size = nlp.programme, len(nlp.programme.start)
     rows = programme.values(programme.start)[1]
     if not np.isfinite(rows).all():
         return _worst(nlp, programme.start, rows)
-    return _constraints_to_relax(nlp, programme, rows, time_limit_s) or _rows_to_relax(
-        nlp, programme, rows, time_limit_s
-    )
-
-
-def _constraints_to_relax(nlp: Transcription, programme: Programme, rows: Floats, limit_s: float) -> list[Shortfall]:
-    """The constraints on the path that would hold if each were relaxed by one amount at all knots; empty if none would.
-
-    The row is that of the knot where the constraint is tightest.
-    """
     asked = [i for i, row in enumerate(nlp.rows) if row.kind == "path" and row.confidence is None]
-    names = [nlp.rows[i].name for i in asked]
-    own = list(dict.fromkeys(names))
-    if not asked:
-        return []
-    found = Solver(_elastic(programme, rows, asked, list(map(own.index, names))), limit_s).solve()
-    if not found.is_feasible:
-        return []
-    g = programme.values(found.w[: len(programme.start)])[1]
-    amounts = dict(zip(own, found.w[len(programme.start) :].tolist(), strict=True))
-    tightest = {name: min((i for i in asked if nlp.rows[i].name == name), key=g.__getitem__) for name in own}
-    missed = sorted((name for name in own if amounts[name] > NEGLIGIBLE), key=lambda name: -amounts[name])
-    return [Shortfall(nlp.rows[tightest[name]], amounts[name]) for name in missed]
-
-
-def _rows_to_relax(nlp: Transcription, programme: Programme, rows: Floats, limit_s: float) -> list[Shortfall]:
-    """The worst rows where the summed violation of all but the dynamics is least.
-
-    Source: "elastic mode", Gill, Murray and Saunders, SIAM Review 2005.
-    """
-    loose = np.flatnonzero(nlp.rows.lower < nlp.rows.upper).tolist()
-    found = Solver(_elastic(programme, rows, loose, list(range(len(loose)))), limit_s).solve()
-    w = found.w[: len(programme.start)]
-    return _worst(nlp, w, np.where(nlp.rows.lower < nlp.rows.upper, programme.values(w)[1], nlp.rows.lower))
+    names = list(dict.fromkeys(nlp.rows[i].name for i in asked))
+    if asked:
+        amounts = [names.index(nlp.rows[i].name) for i in asked]
+        found = Solver(_elastic(programme, rows, asked, amounts), time_limit_s).solve()
+        values = programme.values(found.w[:size])[1]
+        missed = [
+            Shortfall(nlp.rows[min((i for i in asked if nlp.rows[i].name == name), key=values.__getitem__)], amount)
+            for name, amount in zip(names, found.w[size:].tolist(), strict=True)
+            if amount > NEGLIGIBLE
+        ]
+        if found.is_feasible and missed:
+            return sorted(missed, key=lambda shortfall: -shortfall.amount)
+    is_loose = nlp.rows.lower < nlp.rows.upper
+    loose = np.flatnonzero(is_loose).tolist()
+    w = Solver(_elastic(programme, rows, loose, list(range(len(loose)))), time_limit_s).solve().w[:size]
+    return _worst(nlp, w, np.where(is_loose, programme.values(w)[1], nlp.rows.lower))
 
 
 def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list[int]) -> Programme:
@@ -138,15 +123,10 @@ def _worst(nlp: Transcription, w: Floats, rows: Floats) -> list[Shortfall]:
 
 def blocks_of(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, Floats]]:
     """States, inputs and slacks of each phase as views into the decision variables."""
-    blocks, at = [], 0
-    for phase in nlp.phases:
-        found = []
-        for symbol in (phase.states, phase.inputs, phase.slacks):
-            rows, columns = symbol.shape
-            found.append(values[at : at + rows * columns].reshape((rows, columns), order="F"))
-            at += rows * columns
-        blocks.append((found[0], found[1], found[2]))
-    return blocks
+    shapes = [symbol.shape for phase in nlp.phases for symbol in (phase.states, phase.inputs, phase.slacks)]
+    parts = np.split(values, np.cumsum([rows * columns for rows, columns in shapes])[:-1])
+    blocks = [part.reshape(shape, order="F") for part, shape in zip(parts, shapes, strict=True)]
+    return list(zip(blocks[::3], blocks[1::3], blocks[2::3], strict=True))
 
 
 def _held_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
@@ -183,27 +163,22 @@ def _width(row: Row, other: Row) -> float | None:
 
 def path_of(nlp: Transcription, found: Solution, in_part: tuple[Shortfall, ...] = ()) -> BeliefPath:
     """The belief path that a solution stands for."""
-    means, factors, inputs, modes, transitions = [], [], [], [], []
-    for number, (guess, (states, steps, _)) in enumerate(zip(nlp.guess, blocks_of(nlp, found.w), strict=True)):
-        if number:
-            inputs.append(np.zeros((1, nlp.problem.automaton.m)))
-            transitions.append(True)
-        phase_means, phase_factors = unpack(states, nlp.pattern)
-        means.append(phase_means)
-        factors.append(phase_factors)
-        inputs.append(steps.T)
-        modes += [guess.mode] * (guess.steps + 1)
-        transitions += [False] * guess.steps
+    blocks, firsts = blocks_of(nlp, found.w), [phase.first_knot for phase in nlp.guess]
+    means, factors = unpack(np.hstack([states for states, _, _ in blocks]), nlp.pattern)
+    inputs, is_transition = np.zeros((len(means) - 1, nlp.problem.automaton.m)), np.zeros(len(means) - 1, dtype=bool)
+    is_transition[np.array(firsts[1:], dtype=np.int64) - 1] = True
+    for first, (_, steps, _) in zip(firsts, blocks, strict=True):
+        inputs[first : first + steps.shape[1]] = steps.T
     return BeliefPath(
         feasible=found.is_feasible,
         cost=found.cost,
         message="; ".join([found.said, *map(partly_held, in_part)]),
         is_out_of_time=found.is_out_of_time,
         iterations=found.iterations,
-        modes=tuple(modes),
-        means=np.concatenate(means),
-        factors=np.concatenate(factors),
-        inputs=np.concatenate(inputs),
-        is_transition=np.array(transitions, dtype=bool),
+        modes=tuple(phase.mode for phase in nlp.guess for _ in range(phase.steps + 1)),
+        means=means,
+        factors=factors,
+        inputs=inputs,
+        is_transition=is_transition,
         in_part=in_part,
     )
