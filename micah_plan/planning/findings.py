@@ -6,12 +6,13 @@ Level by level, as planning goes: start and goal, search, optimisation. `verific
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr
 
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.polytope import mode_states
@@ -33,69 +34,54 @@ def finding_of_reason(level: Level, reason: str, modes: tuple[str, ...] = ()) ->
 
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
     """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
-    start = _start_finding(problem)
-    return (start,) if start is not None else tuple(_goal_findings(problem))
+    mode, reason = start_mode(problem.automaton, problem.start)
+    return (_start_finding(problem, reason),) if mode is None else tuple(_goal_findings(problem))
 
 
-def _start_finding(problem: Problem) -> Finding | None:
+def _start_finding(problem: Problem, reason: str) -> Finding:
     """The start in no mode, or outside of its own: which coordinate is out of the nearest mode's range, and how far."""
     automaton, start = problem.automaton, problem.start
-    mode, reason = start_mode(automaton, start)
-    if mode is not None:
-        return None
-    sentence, _, remedy = reason.rpartition("; ")
-    modes = [automaton.mode(start.mode)] if start.mode is not None else list(automaton.modes)
-    nearest = min(modes, key=lambda mode: max(_outside(problem, mode.name)))
-    outside = _outside(problem, nearest.name)
-    worst = int(np.argmax(outside))
-    if outside[worst] <= 0:  # it is out of a range that is not of one coordinate alone
-        return Finding("start", sentence, remedy, mode=nearest.name)
-    coordinate = automaton.coordinates[worst]
-    low, high = nearest.interval(worst)
-    place = min(max(start.mean[worst], low), high)
-    return Finding(
-        "start",
-        f"{sentence}: it misses mode '{nearest.name}' by {quantity(outside[worst], coordinate.unit)}",
-        f"start {coordinate.name} at {place:.4g} {coordinate.unit}, or name the mode that the object is in",
-        mode=nearest.name,
-        constraint=f"{coordinate.name} in [{low:g}, {high:g}] {coordinate.unit}",
-        amount=outside[worst],
-        unit=coordinate.unit,
+    outside = []
+    for mode in [automaton.mode(start.mode)] if start.mode is not None else automaton.modes:
+        ranges = enumerate(map(mode.interval, range(automaton.n)))
+        outside.append((mode, [max(0.0, low - start.mean[i], start.mean[i] - high) for i, (low, high) in ranges]))
+    nearest, amounts = min(outside, key=lambda pair: max(pair[1]))
+    worst = int(np.argmax(amounts))
+    amount, coordinate, (low, high) = amounts[worst], automaton.coordinates[worst], nearest.interval(worst)
+    finding = replace(finding_of_reason("start", reason), mode=nearest.name)
+    if amount <= 0:  # it is out of a range that is not of one coordinate alone
+        return finding
+    unit, place = coordinate.unit, min(max(start.mean[worst], low), high)
+    return replace(
+        finding,
+        sentence=f"{finding.sentence}: it misses mode '{nearest.name}' by {quantity(amount, unit)}",
+        remedy=f"start {coordinate.name} at {place:.4g} {unit}, or name the mode that the object is in",
+        constraint=f"{coordinate.name} in [{low:g}, {high:g}] {unit}",
+        amount=amount,
+        unit=unit,
     )
 
 
-def _outside(problem: Problem, mode: str) -> list[float]:
-    """How far each coordinate of the start's mean lies outside of a mode's range [its unit]; 0 inside."""
-    intervals = [problem.automaton.mode(mode).interval(i) for i in range(problem.automaton.n)]
-    return [max(0.0, low - x, x - high) for x, (low, high) in zip(problem.start.mean, intervals, strict=True)]
-
-
-def _goal_findings(problem: Problem) -> list[Finding]:
+def _goal_findings(problem: Problem) -> Iterator[Finding]:
     """Targets that no mode (of those that the goal names) holds."""
-    goal, found = problem.goal, []
-    modes = [mode for mode in problem.automaton.modes if goal.admits(mode.name)]
-    for index, value, tolerance in goal.target:
+    modes = [mode for mode in problem.automaton.modes if problem.goal.admits(mode.name)]
+    for index, value, tolerance in problem.goal.target:
         coordinate, ranges = problem.automaton.coordinates[index], problem.automaton.ranges(index, modes)
         if not ranges:
             continue
         nearest = min((min(max(value, low), high) for low, high in ranges), key=lambda x: abs(x - value))
-        missing = abs(nearest - value) - tolerance
-        room = LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
-        if missing > room:
-            unit = coordinate.unit
+        missing, name, unit = abs(nearest - value) - tolerance, coordinate.name, coordinate.unit
+        if missing > LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0):
             texts = " or ".join(f"[{low:g}, {high:g}]" for low, high in ranges)
-            found.append(
-                Finding(
-                    "goal",
-                    f"the goal {coordinate.name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} "
-                    f"by {quantity(missing, unit)}",
-                    f"move its target to {nearest:.4g} {unit}",
-                    constraint=f"{coordinate.name} in {texts} {unit}",
-                    amount=missing,
-                    unit=unit,
-                )
+            yield Finding(
+                "goal",
+                f"the goal {name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} by "
+                f"{quantity(missing, unit)}",
+                f"move its target to {nearest:.4g} {unit}",
+                constraint=f"{name} in {texts} {unit}",
+                amount=missing,
+                unit=unit,
             )
-    return found
 
 
 def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> str:
@@ -133,10 +119,11 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
             )
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
+        others = f" (as is {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
+        remedy = "relax it" if is_asked else "make room there, or let the object change its mode first"
         return (
             f"no motion of the modes that can be reached leads to the goal without '{in_the_way[0]}', which alone is "
-            f"in the way{_others(in_the_way[1:])}; "
-            + ("relax it" if is_asked else "make room there, or let the object change its mode first")
+            f"in the way{others}; {remedy}"
         )
     return (
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
@@ -145,29 +132,21 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
 
 
 def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
-    automaton = problem.automaton
-    wanted = _listed(
-        f"{automaton.coordinates[i].name} = {value:g} ± {tolerance:g} {automaton.coordinates[i].unit}"
-        for i, value, tolerance in problem.goal.target
-    )
-    names = problem.goal.modes or automaton.mode_names
-    indices = list(problem.goal.indices)
-    ranges = "; ".join(f"'{name}' {_range_text(automaton, limits, name, indices)}" for name in names)
-    among = "the goal's modes" if problem.goal.modes else "the modes"
-    return f"the goal {wanted} lies in the range of none of {among} ({ranges}); move the goal into a range"
-
-
-def _range_text(automaton: HybridAutomaton, limits: Limits, name: str, indices: list[int]) -> str:
-    states = mode_states(automaton.mode(name), limits)
-    return "holds " + _listed(
-        f"{automaton.coordinates[i].name} in [{states.lower[i]:g}, {states.upper[i]:g}] {automaton.coordinates[i].unit}"
-        for i in indices
-    )
+    automaton, goal = problem.automaton, problem.goal
+    items = [(automaton.coordinates[i], i, value, tolerance) for i, value, tolerance in goal.target]
+    wanted = ", ".join(f"{c.name} = {value:g} ± {tolerance:g} {c.unit}" for c, _, value, tolerance in items)
+    ranges = []
+    for name in goal.modes or automaton.mode_names:
+        states = mode_states(automaton.mode(name), limits)
+        texts = [f"{c.name} in [{states.lower[i]:g}, {states.upper[i]:g}] {c.unit}" for c, i, _, _ in items]
+        ranges.append(f"'{name}' holds {', '.join(texts)}")
+    among = "the goal's modes" if goal.modes else "the modes"
+    return f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)}); move the goal into a range"
 
 
 def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> str:
     if guard_states(problem, limits, edge).is_empty:
-        rows = _listed(f"'{h.name}'" for h in edge.guard.half_spaces)
+        rows = ", ".join(f"'{h.name}'" for h in edge.guard.half_spaces)
         return (
             f"the guard of '{edge.name}' ({rows}) holds nowhere in mode '{edge.source}' with inputs up to max_step; "
             f"check it against the mode's invariant, or raise max_step"
@@ -179,23 +158,10 @@ def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> str:
 
 
 def _reachable(start: str, edges: Iterable[Edge]) -> set[str]:
-    following: dict[str, list[str]] = {}
-    for edge in edges:
-        following.setdefault(edge.source, []).append(edge.target)
-    reached, frontier = {start}, [start]
-    while frontier:
-        new = [target for target in following.get(frontier.pop(), []) if target not in reached]
-        reached.update(new)
-        frontier.extend(new)
+    edges, reached = list(edges), {start}
+    for _ in edges:  # no chain of transitions is longer
+        reached |= {edge.target for edge in edges if edge.source in reached}
     return reached
-
-
-def _others(names: tuple[str, ...]) -> str:
-    return f" (as is {_listed(repr(name) for name in names)})" if names else ""
-
-
-def _listed(items: Iterable[str]) -> str:
-    return ", ".join(items)
 
 
 def sentence_of(shortfall: Shortfall) -> str:
@@ -229,30 +195,27 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
     """A constraint of the optimisation that does not hold, in the words of the user."""
-    row, room, need = shortfall.row, None, None
-    sentence, remedy = _missed(shortfall), _plain_remedy(problem, shortfall)
-    if shortfall.std is not None:
-        need = problem.settings.sigmas * shortfall.std
-        is_narrow = shortfall.width is not None and shortfall.width < 2.0 * need
-        if is_narrow:
-            room, need = shortfall.width or 0.0, 2.0 * need
-        else:  # there would be room for the belief between the boundaries, but not where the path leads
-            room = need - shortfall.amount
-        sentence = _sentence(problem, row, room, need, is_narrow)
-        remedy = _remedy(problem, row, room, need)
-    return Finding(
-        level="optimisation",
-        sentence=sentence,
-        remedy=remedy,
-        modes=modes,
-        mode=row.mode,
-        knot=row.knot,
-        constraint=row.label,
-        amount=float(shortfall.amount) if np.isfinite(shortfall.amount) else None,
-        room=room,
-        need=need,
+    row, amount = shortfall.row, float(shortfall.amount)
+    finding = Finding(
+        "optimisation",
+        _missed(shortfall),
+        _plain_remedy(problem, shortfall),
+        modes,
+        row.mode,
+        row.knot,
+        row.label,
+        amount if np.isfinite(amount) else None,
         unit=row.unit,
     )
+    if shortfall.std is None:
+        return finding
+    need = problem.settings.sigmas * shortfall.std
+    room = need - amount  # between the boundaries there would be more, but not where the path leads
+    is_narrow = shortfall.width is not None and shortfall.width < 2.0 * need
+    if is_narrow:
+        room, need = shortfall.width or 0.0, 2.0 * need
+    sentence = _sentence(problem, row, room, need, is_narrow)
+    return replace(finding, sentence=sentence, remedy=_remedy(problem, row, room, need), room=room, need=need)
 
 
 def _missed(shortfall: Shortfall) -> str:
@@ -291,11 +254,9 @@ def _remedy(problem: Problem, row: Row, room: float, need: float) -> str:
     ways += [f"relax {row.name} by {quantity(need - room, row.unit)}"] if row.kind == "path" else []
     # The confidence at which the room suffices, rounded down.
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
-    lower = possible > _LEAST_CONFIDENCE
-    ways.append(
-        f"lower `confidence` to {possible:.2f}" if lower else "make more room (no confidence above 0.5 suffices)"
-    )
-    return ", ".join(ways[:-1]) + f", or {ways[-1]}"
+    is_enough = possible > _LEAST_CONFIDENCE
+    last = f"lower `confidence` to {possible:.2f}" if is_enough else "make more room (no confidence above 0.5 suffices)"
+    return f"{', '.join(ways)}, or {last}"
 
 
 def _turned_by(problem: Problem, row: Row) -> str | None:
