@@ -40,18 +40,17 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, st
 
     A mode's range is its invariant, and the part of it that the automaton's Init allows if there is one.
     """
-    text = _start_text(automaton, start)
-    if start.mode is not None:
-        mode = automaton.mode(start.mode)
-        if _sigmas_outside(automaton, start, mode) <= _START_SIGMAS:
-            return mode.name, ""
-        return None, f"the start {text} lies outside the range of its mode '{mode.name}'; correct either"
-    outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in automaton.modes}
+    modes = automaton.modes if start.mode is None else (automaton.mode(start.mode),)
+    outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in modes}
     nearest = min(outside, key=outside.__getitem__)
     if outside[nearest] <= _START_SIGMAS:
         return nearest, ""
+    values = zip(automaton.coordinates, start.mean, start.std, strict=True)
+    text = f"the start {', '.join(f'{c.name} = {mean:g} ± {std:g} {c.unit}' for c, mean, std in values)} lies"
+    if start.mode is not None:
+        return None, f"{text} outside the range of its mode '{nearest}'; correct either"
     names = ", ".join(f"'{name}'" for name in outside)
-    return None, f"the start {text} lies in the range of no mode ({names}); move it into one"
+    return None, f"{text} in the range of no mode ({names}); move it into one"
 
 
 def start_regions(automaton: HybridAutomaton, mode: Mode) -> tuple[Region, ...]:
@@ -131,8 +130,3 @@ def _sigmas_beyond(mean: Floats, std: Floats, region: Region) -> float:
         if shortage > 0:
             outside = max(outside, shortage / max(float(np.linalg.norm(std * weights)) / size, _SMALLEST_STD))
     return outside
-
-
-def _start_text(automaton: HybridAutomaton, start: Start) -> str:
-    pairs = zip(automaton.coordinates, start.mean, start.std, strict=True)
-    return ", ".join(f"{c.name} = {mean:g} ± {std:g} {c.unit}" for c, mean, std in pairs)

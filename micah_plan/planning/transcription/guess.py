@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.feedback import belief_lqr
@@ -67,7 +66,8 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
     Raises:
         NoWayError: if the path needs more than max_knots.
     """
-    needed = [_path_steps(problem, limits, sequence, p) for p in range(len(sequence.modes))]
+    flows = [motion_per_input(problem.automaton, mode, limits.max_step) for mode in sequence.modes]
+    needed = [_input_length(path, B, limits) for path, B in zip(sequence.waypoints, flows, strict=True)]
     steps = _divide(problem, limits, sequence, needed, stretch)
     # The overshoot into a guard lengthens a phase; it follows from the belief that is rolled out.
     rolled, needed = _roll(problem, limits, sequence, steps)
@@ -82,15 +82,10 @@ def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps:
     return _roll(problem, limits, sequence, steps)[0]
 
 
-def _path_steps(problem: Problem, limits: Limits, sequence: ModeSequence, phase: int) -> float:
-    """Least number of steps (not rounded) of one mode's waypoints."""
-    B = motion_per_input(problem.automaton, sequence.modes[phase], limits.max_step)
-    return _input_length(sequence.waypoints[phase], B, limits.max_step)
-
-
-def _input_length(path: Floats, B: Floats, max_step: Floats) -> float:
+def _input_length(path: Floats, B: Floats, limits: Limits) -> float:
+    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n)."""
     u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
-    return float(np.sum(np.max(np.abs(u) / max_step, axis=1, initial=0.0)))
+    return float(np.sum(np.max(np.abs(u) / limits.max_step, axis=1, initial=0.0)))
 
 
 def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float) -> list[int]:
@@ -126,54 +121,47 @@ def _roll(
     """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
     automaton = problem.automaton
     # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
-    first = problem.automaton.mode(sequence.modes[0])
+    first = automaton.mode(sequence.modes[0])
     mean = mode_states(first, limits).nearest(np.array(problem.start.mean))
     factor = np.diag(np.array(problem.start.std, dtype=float))
     mean, factor = _belief(compiled_mode(automaton, sequence.modes[0]).condition(mean, factor))
-    gains = _gains(problem, limits, sequence, steps)
+    modes = [mode for mode, count in zip(sequence.modes, steps, strict=True) for _ in range(count + 1)]
+    is_transition = np.zeros(len(modes) - 1, dtype=bool)
+    is_transition[np.cumsum(np.array(steps) + 1)[:-1] - 1] = True
+    gains = belief_lqr(problem, limits, tuple(modes), is_transition)
     spread = np.zeros_like(factor)
     phases: list[PhaseGuess] = []
     needed, first_knot = [], 0
     for p, name in enumerate(sequence.modes):
         mode, count = compiled_mode(automaton, name), steps[p]
-        A, slope = linear_step(problem.automaton, name, mean, limits.max_step, limits.max_step)
+        A, slope = linear_step(automaton, name, mean, limits.max_step, limits.max_step)
         own = gains[first_knot : first_knot + count]
         closed = A + slope @ own
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
-            _, factors = _roll_phase(mode, mean, factor, np.zeros((count, problem.automaton.m)))
+            _, factors = _roll_phase(mode, mean, factor, np.zeros((count, automaton.m)))
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
-        B = motion_per_input(problem.automaton, name, limits.max_step)
-        needed.append(_input_length(path, B, limits.max_step))
+        B = motion_per_input(automaton, name, limits.max_step)
+        needed.append(_input_length(path, B, limits))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
-        if edge is not None and problem.automaton.input_memories and not mode.mode.B.any():
-            inputs[:] = _pull(problem.automaton, edge, limits)
+        if edge is not None and automaton.input_memories and not mode.mode.B.any():
+            # What the guard asks for while the object is still held, as large as it may be.
+            inputs[:] = limits.max_step * np.sign(sum(np.array(h.b) for h in automaton.edges[edge].guard.half_spaces))
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)
         spreads = _spreads(mode, spread, factors, closed)
         phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads, own, closed))
         first_knot += count + 1
         if edge is not None:
-            u = inputs[-1] if count else np.zeros(problem.automaton.m)
+            u = inputs[-1] if count else np.zeros(automaton.m)
             mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
-            spread = _spread_after(problem, edge, spreads[-1])
+            # The estimate's covariance goes through the reset; there is none of what the new mode pins.
+            carried, taken = spreads[-1], automaton.edges[edge]
+            A, free = matrix_after(automaton, taken), automaton.mode(taken.target).free
+            spread = np.asarray(A @ carried @ A.T * np.outer(free, free))
     return tuple(phases), needed
-
-
-def _pull(automaton: HybridAutomaton, edge: int, limits: Limits) -> Floats:
-    """(m,) the input that the guard of an edge asks for while the object is still held, as large as it may be."""
-    wanted = sum((np.array(h.b) for h in automaton.edges[edge].guard.half_spaces), np.zeros(automaton.m))
-    return np.asarray(limits.max_step * np.sign(wanted))
-
-
-def _gains(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> Floats:
-    """(K-1, m, n) feedback gains, which depend on the modes of the knots alone."""
-    modes = [mode for mode, count in zip(sequence.modes, steps, strict=True) for _ in range(count + 1)]
-    is_transition = np.zeros(len(modes) - 1, dtype=bool)
-    is_transition[np.cumsum(np.array(steps) + 1)[:-1] - 1] = True
-    return belief_lqr(problem, limits, tuple(modes), is_transition)
 
 
 def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats) -> Floats:
@@ -183,14 +171,6 @@ def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats
         predicted = _belief(mode.predict(np.zeros(len(spread)), before, u))[1]
         spreads.append(carried @ spreads[-1] @ carried.T + predicted @ predicted.T - after @ after.T)
     return np.array(spreads)
-
-
-def _spread_after(problem: Problem, edge: int, spread: Floats) -> Floats:
-    """The estimate's covariance after a transition: through the reset, and none where the new mode pins."""
-    automaton = problem.automaton
-    A = matrix_after(automaton, automaton.edges[edge])
-    free = automaton.mode(automaton.edges[edge].target).free
-    return np.asarray(A @ spread @ A.T * np.outer(free, free))
 
 
 def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
@@ -251,6 +231,4 @@ def _resample(path: Floats, speed: Floats, steps: int) -> Floats:
     """(steps + 1, n) states at equal distances (in steps) along a path (w, n)."""
     lengths = np.concatenate([[0.0], np.cumsum(np.max(np.abs(np.diff(path, axis=0)) / speed, axis=1))])
     at = np.linspace(0.0, lengths[-1], steps + 1)
-    if lengths[-1] == 0.0:
-        return np.repeat(path[:1], steps + 1, axis=0)
     return np.stack([np.interp(at, lengths, column) for column in path.T], axis=1)
