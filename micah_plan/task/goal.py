@@ -46,6 +46,13 @@ class Goal:
             inside &= np.abs(x[..., index] - value) <= tolerance
         return inside
 
+    def reached_from(self, x: Floats) -> Floats:
+        """(n,) the state x (n,) with the goal's values in place of its own."""
+        changed = np.array(x)
+        for index, value, _ in self.target:
+            changed[index] = value
+        return changed
+
     def error(self, x: Floats) -> float:
         """Largest distance of a constrained coordinate of x (n,) from its target [rad or m]; 0 if there is none."""
         return max((abs(float(x[index]) - value) for index, value, _ in self.target), default=0.0)

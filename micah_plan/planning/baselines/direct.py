@@ -92,14 +92,9 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
 
 def _straight(problem: Problem, limits: Limits, x: Floats) -> Floats:
     """(T, m) equal inputs that would lead the mean straight to the target if all modes moved as the most mobile do."""
-    automaton = problem.automaton
-    target = x.copy()
-    for index, value, _ in problem.goal.target:
-        target[index] = value
-    stacked = np.stack([mode.B for mode in automaton.modes])
-    strongest = np.abs(stacked).argmax(axis=0)
-    B = np.take_along_axis(stacked, strongest[None], axis=0)[0]
-    total = np.linalg.pinv(B) @ (target - x)
+    stacked = np.stack([mode.B for mode in problem.automaton.modes])
+    B = np.take_along_axis(stacked, np.abs(stacked).argmax(axis=0)[None], axis=0)[0]
+    total = np.linalg.pinv(B) @ (problem.goal.reached_from(x) - x)
     wanted = int(np.ceil(np.max(np.abs(total) / limits.max_step, initial=0.0) / PACE)) + _SPARE_STEPS
     steps = int(np.clip(wanted, 1, problem.settings.max_knots - 1))
     return np.repeat(total[None] / steps, steps, axis=0)

@@ -10,7 +10,6 @@ Source: Prentice and Roy, "The belief roadmap", IJRR 2009, for searching roadmap
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,18 +25,6 @@ from micah_plan.task.problem import Problem
 # Steps added at the end for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
 MOST_LOCALISING_STEPS = 20
 WORTH_A_STEP = 0.98
-
-
-@dataclass(frozen=True, eq=False)
-class _Modes:
-    """Per mode (q, ...): inverse input matrix (q, m, n), process variance, variance of the gain, measured std and its
-    growth (q, n)."""
-
-    inverse: Floats
-    process: Floats
-    gain: Floats
-    std: Floats
-    growth: Floats
 
 
 class PathBeliefs:
@@ -58,25 +45,23 @@ class PathBeliefs:
         }
         modes = [automaton.mode(name) for name in roadmap.graphs]
         sensing = [automaton.sensing(mode) for mode in modes]
-        self._modes = _Modes(
-            np.array([np.linalg.pinv(mode.B) for mode in modes]),
-            np.square([free_process_std(automaton, mode) for mode in modes]),
-            np.square([free_gain_std(automaton, mode) for mode in modes]),
-            np.array([one.std for one in sensing]),
-            np.array([one.growth for one in sensing]),
-        )
+        # Per mode (q, ...): inverse input matrix, process variance, variance of the gain, std measured and its growth.
+        self._inverse = np.array([np.linalg.pinv(mode.B) for mode in modes])
+        self._process = np.square([free_process_std(automaton, mode) for mode in modes])
+        self._gain = np.square([free_gain_std(automaton, mode) for mode in modes])
+        self._std, self._growth = (np.array([getattr(one, name) for one in sensing]) for name in ("std", "growth"))
         self._light = sensing[0].at
         self._k = problem.settings.sigmas
 
     def start(self, vertex: int) -> Floats:
         """(n,) variance once feedback had the time to make up for a start that is k standard deviations off."""
         mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
-        variance: Floats = np.square(np.array(self.problem.start.std, dtype=float))
+        variance = np.square(np.array([self.problem.start.std], dtype=float))
         for pin in mode.pins:
-            variance[[pin.coordinate]] = _together(variance[[pin.coordinate]], np.array([pin.std**2]))
+            variance[:, pin.coordinate] = _together(variance[:, pin.coordinate], np.array([pin.std**2]))
         for _ in range(steps_to_correct_start(self.problem, self.limits, mode)):
-            variance = self._measured(variance[None], self.points[[vertex]], self.mode_of[[vertex]])[0]
-        return variance
+            variance = self._measured(variance, self.points[[vertex]], self.mode_of[[vertex]])
+        return np.asarray(variance[0])
 
     def hop(self, variance: Floats, origin: Ints, end: Ints) -> tuple[Floats, Floats, Floats]:
         """Variances (p, n) after each moved from a vertex (p,) to a neighbour (p,).
@@ -86,7 +71,7 @@ class PathBeliefs:
         """
         mode, delta = self.mode_of[origin], self.points[end] - self.points[origin]
         moves = mode == self.mode_of[end]
-        u = np.abs(np.einsum("pmn,pn->pm", self._modes.inverse[mode], delta)) / self.limits.max_step
+        u = np.abs(np.einsum("pmn,pn->pm", self._inverse[mode], delta)) / self.limits.max_step
         least = np.where(moves, u.max(axis=1, initial=0.0), 0.0)
         count = np.ceil(least / PACE - 1e-9).astype(np.int64)
         variance = variance.copy()
@@ -94,16 +79,17 @@ class PathBeliefs:
             on = step < count
             each = delta[on] / count[on, None]
             x = self.points[origin[on]] + each * (step + 1.0)
-            moving = variance[on] + self._modes.gain[mode[on]] * each**2
+            moving = variance[on] + self._gain[mode[on]] * each**2
             variance[on] = self._measured(moving, x, mode[on])
         overshoot = np.zeros(len(origin))
         leaves = np.flatnonzero(~moves)
-        pairs = zip(origin[leaves].tolist(), end[leaves].tolist(), strict=True)
-        taken = np.array([self.edge_of[pair] for pair in pairs], dtype=np.int64)
-        for edge in np.unique(taken):
-            on = leaves[taken == edge]
-            overshoot[on] = self._overshoot(self.problem.automaton.edges[edge], variance[on])
-            variance[on] = self._after(self.problem.automaton.edges[edge], variance[on])
+        taken = np.array(
+            [self.edge_of[i, j] for i, j in zip(origin[leaves].tolist(), end[leaves].tolist(), strict=True)]
+        )
+        for number in np.unique(taken).tolist():
+            on, edge = leaves[taken == number], self.problem.automaton.edges[int(number)]
+            overshoot[on] = self._overshoot(edge, variance[on])
+            variance[on] = self._after(edge, variance[on])
         return variance, overshoot, least + overshoot
 
     def ending(self, variance: Floats, vertex: Ints, spare: Floats) -> Floats:
@@ -117,7 +103,7 @@ class PathBeliefs:
         before = np.full(len(variance), np.inf)
         open_ = np.full(len(variance), bool(index))
         for step in range(MOST_LOCALISING_STEPS):
-            prior = variance + self._modes.process[self.mode_of[vertex]]
+            prior = variance + self._process[self.mode_of[vertex]]
             widest = np.max(self._k * np.sqrt(prior[:, index]) / tolerance, axis=1, initial=0.0)
             open_ &= (widest > 1.0) & (widest <= WORTH_A_STEP * before) & (step < spare)
             if not open_.any():
@@ -130,11 +116,11 @@ class PathBeliefs:
 
     def _measured(self, variance: Floats, x: Floats, mode: Ints) -> Floats:
         """One step's process noise, then one measurement at x (p, n)."""
-        prior = variance + self._modes.process[mode]
-        observed = np.square(self._modes.std[mode])
+        prior = variance + self._process[mode]
+        observed = np.square(self._std[mode])
         if self._light:
             away = np.array([x[:, i] - value for i, value in self._light])
-            observed = observed + np.square(self._modes.growth[mode]) * np.square(away).sum(axis=0)[:, None]
+            observed = observed + np.square(self._growth[mode]) * np.square(away).sum(axis=0)[:, None]
         return _together(prior, observed)
 
     def _overshoot(self, edge: Edge, variance: Floats) -> Floats:

@@ -98,9 +98,7 @@ class _Sampler:
         self._problem, self._automaton, self._limits = problem, problem.automaton, limits
         self._rng, self._deadline, self._landmarks = rng, deadline, _landmarks(problem)
         self.start = np.array(problem.start.mean)
-        self.target = self.start.copy()
-        for index, value, _ in problem.goal.target:
-            self.target[index] = value
+        self.target = problem.goal.reached_from(self.start)
         self.modes = {mode.name: ModeStates(mode_states(mode, limits)) for mode in self._automaton.modes}
         sets = {name: goal_states(problem, limits, name) for name in self.modes}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
