@@ -31,7 +31,7 @@ from micah_plan.documents.model import load_model  # noqa: E402
 from micah_plan.execution.mujoco.parameters import PhysicalParameters  # noqa: E402
 from micah_plan.execution.mujoco.standing import StandingPlant  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
-from micah_plan.planning.pomdp_hd import replan  # noqa: E402
+from micah_plan.planning.replanning import replan  # noqa: E402
 from micah_plan.task.goal import Goal  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 from micah_plan.task.settings import PlannerSettings  # noqa: E402

@@ -222,8 +222,8 @@ def execute(
         PlantError: if the machine cannot be reset.
     """
     from micah_plan.execution.trials import run_trials
-    from micah_plan.planning.pomdp_hd import replan
     from micah_plan.planning.receding_horizon import RecedingHorizon
+    from micah_plan.planning.replanning import replan
 
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))

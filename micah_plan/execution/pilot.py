@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
 
 Floats = NDArray[np.float64]
-Replan = Callable[[HybridBelief], Trajectory | None]
+Replan = Callable[[HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 AskArm = Callable[[Trajectory, Floats | None], "ArmTrajectory | ArmFailure"]
 
@@ -32,7 +32,8 @@ class Replanning:
     """Where new trajectories come from during an execution, and who may refuse them.
 
     Attributes:
-        replan: gives a trajectory from a belief, or None if there is none; None: never replan.
+        replan: gives a trajectory from a belief, or None if there is none, told the trajectory that is followed and the
+            knot that the next input belongs to; None: never replan.
         continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
         ask_arm: gives the arm's joints along a new trajectory, from the joints that it is at, or what stands in the
             way: such a trajectory is refused. None: new trajectories are followed without asking.
@@ -93,7 +94,7 @@ class Pilot:
             return advice.u
         self._asked += 1
         self._waited = 0
-        fresh = self._replan(belief)
+        fresh = self._replan(belief, self._follower.place)
         if fresh is None or not self._follow(fresh, joints):
             return advice.u
         self.replans += 1

@@ -23,7 +23,7 @@ from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
-ProblemReplan = Callable[[Problem, HybridBelief], Trajectory | None]
+ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
 Progress = Callable[[str, float], None]
 Keep = Callable[[Recording], None]
@@ -82,7 +82,7 @@ def run_trials(
         plant: name of one that comes with the package, or what makes one from the problem: it is closed at the end,
             whatever happens. Or a plant, which stays open.
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
-        replan: gives a trajectory from a belief; None: never replan.
+        replan: gives a trajectory from a belief and what was followed (`pilot.Replanning`); None: never replan.
         continuation: makes for a plan's trajectory what optimises the rest of it again; None: never.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when

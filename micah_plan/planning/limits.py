@@ -60,6 +60,12 @@ def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> 
     return np.asarray((moved[: automaton.m] - moved[automaton.m :]).T / (2.0 * largest))
 
 
+def input_length(path: Floats, B: Floats, limits: Limits) -> float:
+    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n), moved by B (n, m)."""
+    u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
+    return float(np.sum(np.max(np.abs(u) / limits.max_step, axis=1, initial=0.0)))
+
+
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
     """(..., m) inputs cut to |u| <= max_step and to the half-spaces of the mode's admissible inputs at x (..., n).
 

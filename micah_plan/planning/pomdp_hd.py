@@ -12,28 +12,22 @@ Source: Jain and Niekum, "Efficient hierarchical robot motion planning under unc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.automaton.thresholds import with_known_boundaries
-from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.search.mode_search import ModeSequence, search_modes
-from micah_plan.planning.tightening import verified_plan
+from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
-from micah_plan.planning.verification import verify
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import Start
 
 # How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
@@ -53,36 +47,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    return attempted(_hierarchical, "search", problem, seed, progress, deadline)
-
-
-def replan(problem: Problem, belief: HybridBelief, seed: int = 0) -> Trajectory | None:
-    """A new trajectory from the most likely mode of a belief (`believed_problem`).
-
-    None if there is none, or none that roll-outs confirm: as many of them as it takes to tell (`verify`, sequential).
-    """
-
-    def planner(task: Problem, *, deadline: Deadline) -> Plan:
-        return Attempt(task, seed, deadline).made_by(_hierarchical, "search")
-
-    here = believed_problem(with_input_memory(problem), belief)
-    found = verified_plan(here, planner, seed, verifier=partial(verify, sequential=True))
-    return found.trajectory if found.outcome == "solved" else None
-
-
-def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
-    """The problem from the most likely mode of a belief, its stds taken as independent.
-
-    Thresholds lie where the belief estimates them, with the stds that it has left.
-    """
-    index = belief.most_likely
-    stds = np.linalg.norm(belief.factors[index], axis=1)
-    mode = problem.automaton.modes[index].name
-    start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
-    automaton = problem.automaton
-    if belief.shifts is not None and belief.shift_stds is not None:
-        automaton = with_known_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
-    return replace(problem, start=start, automaton=automaton)
+    return attempted(planned, "search", problem, seed, progress, deadline)
 
 
 def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
@@ -92,13 +57,17 @@ def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
     return replace(sequence, waypoints=tuple(paths))
 
 
-def _hierarchical(attempt: Attempt) -> Plan:
-    """The algorithm. A memory of inputs does not change which mode sequences there are."""
+def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
+    """The algorithm; `found`: mode sequences to optimise over x, None: those that a search finds.
+
+    A memory of inputs does not change which mode sequences there are.
+    """
     attempt = replace(attempt, problem=with_input_memory(attempt.problem))
-    attempt.progress("searching mode sequences", 0.0)
-    plain = without_input_memory(attempt.problem)
-    with attempt.clock.stage("search"):
-        found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
+    if found is None:
+        attempt.progress("searching mode sequences", 0.0)
+        plain = without_input_memory(attempt.problem)
+        with attempt.clock.stage("search"):
+            found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
     if not found.sequences:
         raise NoWayError(found.reason)
     tried = []

@@ -13,15 +13,14 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.thresholds import boundaries_of_pins, boundary_of, boundary_stds
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.nlp import Solution, Solver
-from micah_plan.planning.pomdp_hd import believed_problem, trajectory_of
-from micah_plan.planning.search.mode_search import ModeSequence
+from micah_plan.planning.pomdp_hd import trajectory_of
+from micah_plan.planning.replanning import believed_problem, rest_of
 from micah_plan.planning.transcription.guess import guess_again
 from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.transcription.programme import Transcription, transcribe
@@ -120,35 +119,6 @@ def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: i
     """The programme of what is left of a trajectory from a knot on, from the problem's start."""
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
     return transcribe(problem, limits, guess_again(problem, limits, sequence, steps))
-
-
-def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tuple[ModeSequence, list[int]]:
-    """The modes and means that a trajectory goes through from a knot on, as a search would give them.
-
-    Returns:
-        the sequence, and the number of steps in each of its modes.
-    """
-    modes: list[str] = []
-    edges: list[int] = []
-    waypoints: list[list[Floats]] = []
-    for k in range(knot, len(trajectory.modes)):
-        if not modes or trajectory.is_transition[k - 1]:
-            if modes:
-                edges.append(_edge_taken(automaton, trajectory, k - 1))
-            modes.append(trajectory.modes[k])
-            waypoints.append([])
-        waypoints[-1].append(trajectory.means[k])
-    steps = [len(means) - 1 for means in waypoints]
-    return ModeSequence(tuple(modes), tuple(edges), tuple(map(np.array, waypoints)), float(sum(steps))), steps
-
-
-def _edge_taken(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> int:
-    """The edge of the transition after a knot: of several between its modes the one whose guard holds best."""
-    ends = trajectory.modes[knot], trajectory.modes[knot + 1]
-    u = trajectory.inputs[min(knot + 1, len(trajectory.inputs) - 1)]
-    between = [i for i, edge in enumerate(automaton.edges) if (edge.source, edge.target) == ends]
-    margins = [automaton.edges[i].guard.margins(trajectory.means[knot], u).min(initial=np.inf) for i in between]
-    return between[int(np.argmax(margins))]
 
 
 class WarmStartedProgramme:

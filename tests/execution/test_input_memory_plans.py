@@ -21,8 +21,8 @@ from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.planning.input_memory import coasted, linear_step, steps_of_memory, with_input_memory
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.pomdp_hd import replan
 from micah_plan.planning.receding_horizon import RecedingHorizon
+from micah_plan.planning.replanning import replan
 from micah_plan.planning.roll_outs import draw_chances, roll_out
 from micah_plan.view.plan_page import plan_page
 

@@ -11,7 +11,8 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
 from micah_plan.belief.filter import initial_belief
-from micah_plan.planning.pomdp_hd import plan, replan
+from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.replanning import replan
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
@@ -130,6 +131,36 @@ def test_replanning_starts_from_the_belief() -> None:
     np.testing.assert_allclose(trajectory.means[0], [0.7])
     np.testing.assert_allclose(trajectory.factors[0], [[0.01]], rtol=1e-6)
     assert replan(door_problem(0.2, 3.0), initial_belief(problem.automaton, [0.7], [0.01], "swings")) is None
+
+
+@pytest.mark.parametrize(("angle", "mode"), [(0.7, "swings"), (0.15, "swings"), (DOOR_SHUT, "shut")])
+def test_replanning_keeps_to_the_modes_that_are_left_of_what_was_followed(
+    angle: float, mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # 0.15 is further from the goal than the plan began: its modes still serve, its number of steps does not.
+    problem = door_problem(0.2, DOOR_SHUT)
+    followed = plan(problem).trajectory
+    assert followed is not None
+    belief = initial_belief(problem.automaton, [angle], [0.0 if mode == "shut" else 0.01], mode)
+    searched = replan(problem, belief)
+    monkeypatch.setattr("micah_plan.planning.pomdp_hd.search_modes", lambda *_args, **_options: pytest.fail("searched"))
+    rest = replan(problem, belief, (followed, 4))
+    assert rest is not None
+    assert searched is not None
+    assert rest.modes == searched.modes
+    np.testing.assert_allclose(rest.means, searched.means, atol=1e-3)
+
+
+def test_replanning_searches_where_what_was_followed_does_not_lead_through_the_belief() -> None:
+    problem = door_problem(DOOR_SHUT, 0.3, mode="shut", goal_modes=("swings",))
+    away = plan(problem).trajectory
+    assert away is not None
+    ends = replace(away, modes=("swings",), means=away.means[-1:], factors=away.factors[-1:], inputs=away.inputs[:0])
+    ends = replace(ends, gains=away.gains[:0], is_transition=away.is_transition[:0])
+    again = replan(problem, initial_belief(problem.automaton, [DOOR_SHUT], [0.0], "shut"), (ends, 0))
+    assert again is not None
+    assert again.modes[0] == "shut"
+    assert again.modes[-1] == "swings"
 
 
 def test_planning_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:

@@ -15,8 +15,9 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.pomdp_hd import believed_problem, plan, replan, trajectory_of
+from micah_plan.planning.pomdp_hd import plan, trajectory_of
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new, rest_of
+from micah_plan.planning.replanning import believed_problem, replan
 from micah_plan.task.problem import Problem
 
 STD = 0.04

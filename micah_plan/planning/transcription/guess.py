@@ -12,7 +12,7 @@ from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
-from micah_plan.planning.limits import Limits, motion_per_input
+from micah_plan.planning.limits import Limits, input_length, motion_per_input
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.motion import PACE
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
@@ -67,7 +67,7 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
         NoWayError: if the path needs more than max_knots.
     """
     flows = [motion_per_input(problem.automaton, mode, limits.max_step) for mode in sequence.modes]
-    needed = [_input_length(path, B, limits) for path, B in zip(sequence.waypoints, flows, strict=True)]
+    needed = [input_length(path, B, limits) for path, B in zip(sequence.waypoints, flows, strict=True)]
     steps = _divide(problem, limits, sequence, needed, stretch)
     # The overshoot into a guard lengthens a phase; it follows from the belief that is rolled out.
     rolled, needed = _roll(problem, limits, sequence, steps)
@@ -80,12 +80,6 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
 def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> tuple[PhaseGuess, ...]:
     """The start point on a path that is followed already, with its number of steps in each mode."""
     return _roll(problem, limits, sequence, steps)[0]
-
-
-def _input_length(path: Floats, B: Floats, limits: Limits) -> float:
-    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n)."""
-    u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
-    return float(np.sum(np.max(np.abs(u) / limits.max_step, axis=1, initial=0.0)))
 
 
 def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float) -> list[int]:
@@ -144,7 +138,7 @@ def _roll(
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
-        needed.append(_input_length(path, B, limits))
+        needed.append(input_length(path, B, limits))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
             # What the guard asks for while the object is still held, as large as it may be.

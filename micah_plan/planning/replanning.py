@@ -1,0 +1,128 @@
+"""Planning anew during an execution: from the belief of now, through what is left of the plan if that still serves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.input_memory import own_size
+from micah_plan.automaton.thresholds import with_known_boundaries
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.attempt import Attempt
+from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.limits import input_length, limits_of, motion_per_input
+from micah_plan.planning.pomdp_hd import planned
+from micah_plan.planning.search.mode_search import ModeSequence, SearchResult
+from micah_plan.planning.tightening import verified_plan
+from micah_plan.planning.verification import verify
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import Start
+
+
+def replan(
+    problem: Problem, belief: HybridBelief, followed: tuple[Trajectory, int] | None = None, seed: int = 0
+) -> Trajectory | None:
+    """A new trajectory from the most likely mode of a belief (`believed_problem`).
+
+    The modes that the plan followed until now still leads through are tried first, and searched anew only if no
+    trajectory through them is confirmed by roll-outs: as many of them as it takes to tell (`verify`, sequential).
+
+    Args:
+        problem: what is planned for.
+        belief: where the object is believed to be.
+        followed: the trajectory that is followed and the knot that the next input belongs to; None: there is none.
+        seed: of search and roll-outs.
+
+    Returns:
+        None if there is no trajectory, or none that roll-outs confirm.
+    """
+    here, confirm = believed_problem(with_input_memory(problem), belief), partial(verify, sequential=True)
+
+    def planner(task: Problem, *, deadline: Deadline, found: SearchResult | None = None) -> Plan:
+        return Attempt(task, seed, deadline).made_by(partial(planned, found=found), "search")
+
+    rest = None if followed is None else rest_through(here, *followed)
+    if rest is not None:
+        through = partial(planner, found=SearchResult((rest,)))
+        answer = verified_plan(here, through, seed, rounds=0, verifier=confirm)
+        if answer.outcome == "solved":
+            return answer.trajectory
+    answer = verified_plan(here, planner, seed, verifier=confirm)
+    return answer.trajectory if answer.outcome == "solved" else None
+
+
+def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
+    """The problem from the most likely mode of a belief, its stds taken as independent.
+
+    Thresholds lie where the belief estimates them, with the stds that it has left.
+    """
+    index = belief.most_likely
+    stds = np.linalg.norm(belief.factors[index], axis=1)
+    mode = problem.automaton.modes[index].name
+    start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
+    automaton = problem.automaton
+    if belief.shifts is not None and belief.shift_stds is not None:
+        automaton = with_known_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
+    return replace(problem, start=start, automaton=automaton)
+
+
+def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequence | None:
+    """The way over x through the modes that a trajectory still leads through, from where a problem starts.
+
+    It joins the trajectory where that is nearest, which may be before or after the knot.
+
+    Args:
+        here: starts in one of the trajectory's modes.
+        trajectory, knot: what was followed, and the knot that the next input belongs to.
+
+    Returns:
+        None where the trajectory does not lead through the mode of the start, or leaves a memory of inputs out.
+    """
+    mode, limits = here.start.mode, limits_of(here)
+    at = [k for k, other in enumerate(trajectory.modes) if other == mode]
+    if mode is None or not at or trajectory.means.shape[1] != here.automaton.n:
+        return None
+    # Of the visits of the mode the present one, else the next, else the last.
+    visits = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+    visit = next((visit for visit in visits if visit[-1] >= knot), visits[-1])
+    start, B = np.array(here.start.mean), motion_per_input(here.automaton, mode, limits.max_step)
+    nearest = min(visit.tolist(), key=lambda k: input_length(np.stack([start, trajectory.means[k]]), B, limits))
+    sequence, _ = rest_of(here.automaton, trajectory, nearest)
+    first, *later = sequence.waypoints
+    own = slice(own_size(here.automaton))
+    return replace(sequence, waypoints=tuple(path[:, own] for path in (np.vstack([start, first]), *later)))
+
+
+def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tuple[ModeSequence, list[int]]:
+    """The modes and means that a trajectory goes through from a knot on, as a search would give them.
+
+    Returns:
+        the sequence, and the number of steps in each of its modes.
+    """
+    modes: list[str] = []
+    edges: list[int] = []
+    waypoints: list[list[Floats]] = []
+    for k in range(knot, len(trajectory.modes)):
+        if not modes or trajectory.is_transition[k - 1]:
+            if modes:
+                edges.append(_edge_taken(automaton, trajectory, k - 1))
+            modes.append(trajectory.modes[k])
+            waypoints.append([])
+        waypoints[-1].append(trajectory.means[k])
+    steps = [len(means) - 1 for means in waypoints]
+    return ModeSequence(tuple(modes), tuple(edges), tuple(map(np.array, waypoints)), float(sum(steps))), steps
+
+
+def _edge_taken(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> int:
+    """The edge of the transition after a knot: of several between its modes the one whose guard holds best."""
+    ends = trajectory.modes[knot], trajectory.modes[knot + 1]
+    u = trajectory.inputs[min(knot + 1, len(trajectory.inputs) - 1)]
+    between = [i for i, edge in enumerate(automaton.edges) if (edge.source, edge.target) == ends]
+    margins = [automaton.edges[i].guard.margins(trajectory.means[knot], u).min(initial=np.inf) for i in between]
+    return between[int(np.argmax(margins))]
