@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +18,6 @@ from matplotlib.patches import Ellipse, Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
@@ -28,7 +28,7 @@ from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.motion import step_times, stretches
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK, mode_colors
-from micah_plan.view.placement import thresholds
+from micah_plan.view.placement import guards_of, thresholds
 
 Floats = NDArray[np.float64]
 
@@ -62,49 +62,53 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
     executed = [] if runs is None else executed_configurations(problem, runs)
     figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
-    steps = step_times(trajectory)
-    settings = problem.settings
-    k = settings.sigmas
-    margin = f"± {plain(k)} σ (confidence {percent(settings.confidence)})"
-    bars = k * np.sqrt((trajectory.factors**2).sum(axis=2))
-    _name_modes(grid[0], trajectory, steps)
+    steps, colors, settings = step_times(trajectory), mode_colors(automaton), problem.settings
+    bands = [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in stretches(trajectory.modes)]
+    margin = f"± {plain(settings.sigmas)} σ (confidence {percent(settings.confidence)})"
+    bars = settings.sigmas * np.sqrt((trajectory.factors**2).sum(axis=2))
+    _name_modes(grid[0], bands)
     for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):
-        _shade_modes(axes, problem, trajectory, steps)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.02)
+        for name, left, right in bands:
+            axes.axvspan(left, right, color=colors[name], alpha=0.16, lw=0, zorder=0)
         _mark_goal_and_guards(axes, problem, i)
-        for number, x in enumerate(executed):
+        for x in executed:
             label = f"executed ({count(len(executed), 'run')})" if len(executed) > 1 else "executed"
-            axes.plot(x[:, i], color=EXECUTED, lw=1.1, alpha=0.85, label="" if number else label, zorder=3)
+            axes.plot(x[:, i], color=EXECUTED, lw=1.1, alpha=0.85, label=label, zorder=3)
         _plot_belief(axes, steps, trajectory.means[:, i], bars[:, i], margin)
         axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
     grid[-1].set_xlabel("step")
     grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    named = {label: line for axes in grid for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    grid[0].legend(
-        named.values(), named.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, frameon=False, fontsize=9
-    )
+    _legend(grid[0], grid, bbox_to_anchor=(0.5, 1.05), ncols=4, fontsize=9)
     return figure
+
+
+def _legend(place: Axes, panels: Sequence[Axes], **look: Any) -> None:
+    """One entry for everything that has the same label in any of the panels."""
+    named = {label: mark for axes in panels for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    place.legend(named.values(), named.keys(), loc="lower center", frameon=False, **look)
 
 
 def _plot_belief(axes: Axes, steps: NDArray[np.int64], mean: Floats, bars: Floats, margin: str) -> None:
     """Mean (K,) with error bars (K,), or with a band where bars would stand too close."""
+    look: dict[str, Any] = {"color": BELIEF, "lw": 1.8, "label": f"belief, {margin}", "zorder": 4}
     if int(steps[-1]) > _MOST_BARS:
         axes.fill_between(steps, mean - bars, mean + bars, color=BELIEF, alpha=0.28, lw=0, zorder=3)
-        axes.plot(steps, mean, color=BELIEF, lw=1.8, label=f"belief, {margin}", zorder=4)
-        return
-    axes.errorbar(
-        steps, mean, yerr=bars, color=BELIEF, lw=1.8, elinewidth=1.0, capsize=2.5, label=f"belief, {margin}", zorder=4
-    )
+        axes.plot(steps, mean, **look)
+    else:
+        axes.errorbar(steps, mean, yerr=bars, elinewidth=1.0, capsize=2.5, **look)
 
 
 def _stacked(n: int) -> tuple[Figure, list[Axes]]:
     """A figure with n axes below each other."""
-    figure = _figure((8.0, 1.6 + (2.8 if n < 4 else 1.9) * n))
+    figure = empty_figure((8.0, 1.6 + (2.8 if n < 4 else 1.9) * n), layout="constrained")
     return figure, list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
 
 
 def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]) -> tuple[Figure, list[Axes]]:
     """A figure with the plane on the left, and two axes below each other for the coordinates."""
-    figure = _figure((14.0, 7.2))
+    figure = empty_figure((14.0, 7.2), layout="constrained")
     columns = figure.add_gridspec(2, 2, width_ratios=(6.0, 8.0))
     plot_plane(figure.add_subplot(columns[:, 0]), problem, trajectory, executed)
     upper = figure.add_subplot(columns[0, 1])
@@ -136,42 +140,27 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     replace_file(path, buffer.getvalue())
 
 
-def _figure(size: tuple[float, float]) -> Figure:
-    figure = Figure(figsize=size, layout="constrained", facecolor="white")
+def empty_figure(size: tuple[float, float], **options: Any) -> Figure:
+    """A white figure of a width and height [in]."""
+    figure = Figure(figsize=size, facecolor="white", **options)
     FigureCanvasAgg(figure)
     return figure
 
 
-def _stretches(trajectory: Trajectory, steps: NDArray[np.int64]) -> list[tuple[str, float, float]]:
-    """(mode, first step, last step) of every stretch of one mode."""
-    return [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in stretches(trajectory.modes)]
-
-
-def _shade_modes(axes: Axes, problem: Problem, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
-    colors = mode_colors(problem.automaton)
-    for name, left, right in _stretches(trajectory, steps):
-        axes.axvspan(left, right, color=colors[name], alpha=0.16, lw=0, zorder=0)
-    _tidy(axes)
-
-
-def _name_modes(axes: Axes, trajectory: Trajectory, steps: NDArray[np.int64]) -> None:
+def _name_modes(axes: Axes, bands: list[tuple[str, float, float]]) -> None:
     """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
+    narrow = [right - left < 0.15 * bands[-1][2] for _, left, right in bands]
     waiting: list[str] = []
-    stretches = _stretches(trajectory, steps)
-    for number, (name, left, right) in enumerate(stretches):
-        narrow = right - left < 0.15 * float(steps[-1])
-        following = stretches[number + 1] if number + 1 < len(stretches) else None
-        if narrow and following is not None and following[2] - following[1] < 0.15 * float(steps[-1]):
-            waiting.append(name)
+    for number, (name, left, right) in enumerate(bands):
+        waiting.append(name)
+        if narrow[number] and any(narrow[number + 1 : number + 2]):
             continue
-        place, side = (right, "right") if narrow else (left, "left")
-        text = ", ".join([*waiting, name])
-        waiting = []
-        shift = (-2, 0) if narrow else (2, 0)
+        place, side, shift = (right, "right", -2) if narrow[number] else (left, "left", 2)
         axes.annotate(
-            text, (place, 1.01), shift, xycoords=("data", "axes fraction"), textcoords="offset points", ha=side,
-            fontsize=9, color=INK,
+            ", ".join(waiting), (place, 1.01), (shift, 0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha=side, fontsize=9, color=INK,
         )  # fmt: skip
+        waiting = []
 
 
 def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None:
@@ -179,17 +168,8 @@ def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None
         if index == coordinate:
             axes.axhspan(value - tolerance, value + tolerance, color=GOAL, alpha=0.3, lw=0, label="goal", zorder=1)
             axes.axhline(value, color=GOAL, lw=0.8, zorder=1)
-    labelled = False
-    for mark in thresholds(problem.automaton):
-        if mark.coordinate == coordinate and mark.target != COLLIDED:  # one side of a box alone does not end a mode
-            axes.axhline(mark.value, color=GUARD, lw=1.1, ls="--", label="" if labelled else "guard", zorder=2)
-            labelled = True
-
-
-def _tidy(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.margins(x=0.02)
+    for value in guards_of(problem.automaton, coordinate):
+        axes.axhline(value, color=GUARD, lw=1.1, ls="--", label="guard", zorder=2)
 
 
 def is_plane(automaton: HybridAutomaton) -> bool:
@@ -209,21 +189,18 @@ def plot_plane(axes: Axes, problem: Problem, trajectory: Trajectory, executed: S
     """
     automaton = problem.automaton
     colors = mode_colors(automaton)
-    named: set[str] = set()
     for mode, mean, factor in zip(trajectory.modes, trajectory.means, trajectory.factors, strict=True):
-        label = "" if mode in named else f"belief in {mode}, 1 σ"
-        named.add(mode)
-        axes.add_patch(_ellipse(mean, factor, colors[mode], label))
+        axes.add_patch(_ellipse(mean, factor, colors[mode], f"belief in {mode}, 1 σ"))
     axes.plot(*trajectory.means.T, color=BELIEF, lw=1.6, marker=".", ms=3.5, zorder=5)
-    for number, x in enumerate(executed):
-        axes.plot(*x.T, color=EXECUTED, lw=0.9, alpha=0.85, label="" if number else "executed", zorder=4)
+    for x in executed:
+        axes.plot(*x.T, color=EXECUTED, lw=0.9, alpha=0.85, label="executed", zorder=4)
     _show(axes, trajectory)
     _draw_light(axes, problem)
     _draw_goal_and_walls(axes, problem)
     axes.set_aspect("equal", adjustable="box")
-    for name, coordinate in zip(("x", "y"), automaton.coordinates, strict=True):
-        axes.set(**{f"{name}label": f"{coordinate.name} [{coordinate.unit}]"})
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8)
+    x_label, y_label = (f"{coordinate.name} [{coordinate.unit}]" for coordinate in automaton.coordinates)
+    axes.set(xlabel=x_label, ylabel=y_label)
+    _legend(axes, [axes], bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
 
 
 def _ellipse(mean: Floats, factor: Floats, color: str, label: str) -> Ellipse:
@@ -265,6 +242,5 @@ def _draw_goal_and_walls(axes: Axes, problem: Problem) -> None:
     size = right - left, high - low
     axes.add_patch(Rectangle((left, low), *size, fc=GOAL, ec=GOAL, alpha=0.45, label="goal", zorder=2))
     lines = (axes.axvline, axes.axhline)
-    marks = sorted({(mark.coordinate, mark.value) for mark in thresholds(problem.automaton)})
-    for number, (coordinate, value) in enumerate(marks):
-        lines[coordinate](value, color=GUARD, lw=2.0, label="" if number else "guard", zorder=1)
+    for coordinate, value in sorted({(mark.coordinate, mark.value) for mark in thresholds(problem.automaton)}):
+        lines[coordinate](value, color=GUARD, lw=2.0, label="guard", zorder=1)

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.quantities import count
 from micah_plan.recording.value import Recording
+from micah_plan.view.figures import empty_figure
 from micah_plan.view.learned import LearnedRun, learned_runs
 from micah_plan.view.learning_panels import (
     PANEL_INK,
@@ -72,15 +73,13 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
         return _plain(recording)
     blocks = [_block(learned, recording) for learned in runs[:MOST_BLOCKS]]
     note = 0.3 if len(runs) > MOST_BLOCKS else 0.0
-    height = sum(block.height for block in blocks) + note
-    figure = _figure(height)
-    top = height
-    several_runs = len(recording.runs) > 1
+    top = sum(block.height for block in blocks) + note
+    figure = empty_figure((WIDTH, top))
     for block in blocks:
-        _draw_block(figure, block, top, several_runs)
+        _draw_block(figure, block, top, several_runs=len(recording.runs) > 1)
         top -= block.height
     if note:
-        figure.text(_LEFT / WIDTH, 0.1 / height, f"{count(len(runs) - MOST_BLOCKS, 'more run')} not shown", color=MUTED)
+        _write(figure, 0.1, f"{count(len(runs) - MOST_BLOCKS, 'more run')} not shown", color=MUTED)
     return figure
 
 
@@ -100,17 +99,11 @@ def _lines(text: str) -> list[str]:
     return [line.replace(glue, " ± ") for line in textwrap.wrap(text.replace(" ± ", glue), _CHARACTERS)]
 
 
-def _figure(height: float) -> Figure:
-    figure = Figure(figsize=(WIDTH, height), facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _plain(recording: Recording) -> Figure:
     height = 4.6
-    figure = _figure(height)
-    plot_plain_track(_space(figure, height, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
-    axes = _panel(figure, height, _SPLIT, 0.6, WIDTH - _SPLIT - 0.5, height - 1.1)
+    figure = empty_figure((WIDTH, height))
+    plot_plain_track(_space(figure, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
+    axes = _panel(figure, _SPLIT, 0.6, WIDTH - _SPLIT - 0.5, height - 1.1)
     for name, values, style in zip("xyz", recording.position.T, ("-", "--", ":"), strict=True):
         axes.plot(values, style, color=INK, lw=1.4)
         axes.annotate(name, (len(values) - 1, values[-1]), xytext=(5, 0), textcoords="offset points", va="center")
@@ -118,17 +111,19 @@ def _plain(recording: Recording) -> Figure:
     return figure
 
 
-def _draw_block(figure: Figure, block: _Block, top: float, several_runs: bool) -> None:
-    learned, total = block.learned, figure.get_figheight()
-    _write_header(figure, learned, top, several_runs)
-    panels_top, width = top - _HEADER, WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
-    bottom = panels_top
+def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool) -> None:
+    """The finding in large letters, on yellow if no joint fits; changepoints and parameters; panels; sentences."""
+    learned = block.learned
+    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
+    title = block_title(learned, several_runs=several_runs)
+    _write(figure, top - 0.38, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box)
+    _write(figure, top - 0.7, "   ·   ".join(block_words(learned)), fontsize=10, color=PANEL_INK, va="center")
+    width = WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
+    bottom = top - _HEADER + _GAP
     axes: list[Axes] = []
     for height in block.panels:
-        bottom -= height
-        axes.append(_panel(figure, total, _SPLIT, bottom, width, height, shared=axes[0] if axes else None))
-        bottom -= _GAP
-    bottom += _GAP
+        bottom -= _GAP + height
+        axes.append(_panel(figure, _SPLIT, bottom, width, height, sharex=axes[0] if axes else None))
     plot_configuration(axes[0], learned, width)
     if len(axes) > 1:
         plot_evidence(axes[1], learned, block.panels[1])
@@ -139,42 +134,33 @@ def _draw_block(figure: Figure, block: _Block, top: float, several_runs: bool) -
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
     axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
-    plot_track(_space(figure, total, 0.2, space_bottom, _SPLIT - 1.15, panels_top + 0.35 - space_bottom), learned)
+    plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
+    if learned.counts:
+        plot_counts(_panel(figure, 0.45, bottom - 0.05, 1.15, _BARS - 0.1), learned)
     if block.bars:
-        bars_bottom = bottom - 0.05
-        if learned.counts:
-            plot_counts(_panel(figure, total, 0.45, bars_bottom, 1.15, _BARS - 0.1), learned)
-        plot_kinds(_panel(figure, total, 2.3 if learned.counts else 0.95, bars_bottom, 1.25, _BARS - 0.1), learned)
+        plot_kinds(_panel(figure, 2.3 if learned.counts else 0.95, bottom - 0.05, 1.25, _BARS - 0.1), learned)
     for number, line in enumerate(block.words):
-        place = bottom - _AXIS - _LINE * (number + 0.5)
-        figure.text(_LEFT / WIDTH, place / total, line, fontsize=9, color=PANEL_INK, va="center")
+        _write(figure, bottom - _AXIS - _LINE * (number + 0.5), line, fontsize=9, color=PANEL_INK, va="center")
 
 
-def _write_header(figure: Figure, learned: LearnedRun, top: float, several_runs: bool) -> None:
-    """The finding in large letters, on yellow if no joint fits; below it changepoints and the joints' parameters."""
-    height = figure.get_figheight()
-    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
-    title = block_title(learned, several_runs=several_runs)
-    figure.text(
-        _LEFT / WIDTH, (top - 0.38) / height, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box
-    )
-    words = "   ·   ".join(block_words(learned))
-    figure.text(_LEFT / WIDTH, (top - 0.7) / height, words, fontsize=10, color=PANEL_INK, va="center")
+def _write(figure: Figure, height: float, text: str, **look: Any) -> None:
+    figure.text(_LEFT / WIDTH, height / figure.get_figheight(), text, **look)
 
 
-def _panel(
-    figure: Figure, total: float, left: float, bottom: float, width: float, height: float, shared: Axes | None = None
-) -> Axes:
-    axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), sharex=shared)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(MUTED)
+def _axes(figure: Figure, left: float, bottom: float, width: float, height: float, **options: Any) -> Any:
+    total = figure.get_figheight()
+    return figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), **options)
+
+
+def _panel(figure: Figure, left: float, bottom: float, width: float, height: float, **options: Any) -> Axes:
+    axes: Axes = _axes(figure, left, bottom, width, height, **options)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(MUTED)
     axes.tick_params(labelsize=9, color=MUTED, labelcolor=PANEL_INK)
     return axes
 
 
-def _space(figure: Figure, total: float, left: float, bottom: float, width: float, height: float) -> Axes:
-    axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), projection="3d")
+def _space(figure: Figure, left: float, bottom: float, width: float, height: float) -> Any:
+    axes = _axes(figure, left, bottom, width, height, projection="3d")
     axes.patch.set_alpha(0.0)
     return axes

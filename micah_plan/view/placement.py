@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, poses_of_states
@@ -117,6 +118,11 @@ def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
                 key = (coordinate, round(value, 9), frozenset((edge.source, edge.target)))
                 found.setdefault(key, Threshold(edge.source, edge.target, coordinate, value))
     return tuple(found.values())
+
+
+def guards_of(automaton: HybridAutomaton, coordinate: int) -> list[float]:
+    """Where a coordinate alone makes the mode change; not where it is one side of a box, which alone ends no mode."""
+    return [mark.value for mark in thresholds(automaton) if mark.coordinate == coordinate and mark.target != COLLIDED]
 
 
 def ellipsoid(covariance: Floats, factor: float, floor: float) -> tuple[Floats, Floats]:

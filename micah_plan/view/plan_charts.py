@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.quantities import count, percent, plain
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.motion import duration, knot_times, step_times, stretches
 from micah_plan.view.page import Chart
 from micah_plan.view.palette import BELIEF, GOAL, mode_colors
-from micah_plan.view.placement import thresholds
+from micah_plan.view.placement import guards_of
 from micah_plan.view.svg import AXIS, Panel, Svg, cursor, drawing
 
 Floats = NDArray[np.float64]
@@ -86,7 +85,11 @@ def _belief(chart: _Steps, k: float) -> Svg:
         high = max([float((mean + k * std).max()), *(end for _, end in goals)])
         panel = chart.panel(panels[-1] if panels else None, _MEAN, low, high)
         parts += [panel.level_band(*goal, "level", GOAL) for goal in goals]
-        parts += [panel.level(value, "guard") for value in _guards(chart.problem, i) if panel.y0 < value < panel.y1]
+        parts += [
+            panel.level(value, "guard")
+            for value in guards_of(chart.problem.automaton, i)
+            if panel.y0 < value < panel.y1
+        ]
         parts.append(panel.area(chart.steps, mean - k * std, mean + k * std, "spread", BELIEF))
         parts.append(panel.curve(chart.steps, mean, "line", BELIEF))
         parts.append(panel.y_axis(f"{coordinate.name}\n[{coordinate.unit}]"))
@@ -94,11 +97,6 @@ def _belief(chart: _Steps, k: float) -> Svg:
         parts += [below.curve(chart.steps, std, "line", BELIEF), below.y_axis("σ", 2)]
         panels += [panel, below]
     return chart.drawing(panels, parts, "belief over the steps of the plan")
-
-
-def _guards(problem: Problem, coordinate: int) -> list[float]:
-    """Where the coordinate alone makes the mode change; not where it is one side of a box."""
-    return [g.value for g in thresholds(problem.automaton) if g.coordinate == coordinate and g.target != COLLIDED]
 
 
 def _arm(chart: _Steps, arm: ArmTrajectory) -> Svg:
