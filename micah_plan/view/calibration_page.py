@@ -13,7 +13,7 @@ from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, ORANGE
-from micah_plan.view.svg import AXIS, Panel, Svg, drawing
+from micah_plan.view.svg import Panel, Svg, drawing
 
 Floats = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ def _scatter(x: Floats, y: Floats, y_label: str, x_label: str, reach: float, col
         panel.y_axis(y_label),
         panel.named_x_axis(x_label, sides) if is_side else panel.x_axis(x_label, 5, whole=False),
     ]
-    return drawing(_WIDTH, panel.bottom + AXIS, parts, f"{y_label} against {x_label}".replace("\n", " "))
+    return drawing(_WIDTH, [panel], parts, f"{y_label} against {x_label}".replace("\n", " "))
 
 
 def _trend(panel: Panel, x: Floats, y: Floats) -> Svg:

@@ -6,6 +6,7 @@ Source: Page, Biometrika 1954, for cumulated evidence that a floor keeps ready t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.certainty import ActionChannel, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.recording.value import Recording
 from micah_plan.view.segments import (
@@ -168,11 +168,10 @@ def _gap(a: Segment, b: Segment) -> int:
 
 def _configuration(segment: Segment, position: Floats, rotation: Rotation | None) -> Floats:
     """(k,) configurations by a segment's joint; turns are counted where it turns nearly all the way round."""
-    joint: Joint = segment.joint
     low, high = segment.configuration_range
-    if high - low < _NEARLY_A_TURN or joint.kind == "prismatic":
-        return inverse(joint, position, rotation, near=(low + high) / 2)
-    c = np.unwrap(inverse(joint, position, rotation))
+    if high - low < _NEARLY_A_TURN or segment.joint.kind == "prismatic":
+        return inverse(segment.joint, position, rotation, near=(low + high) / 2)
+    c = np.unwrap(inverse(segment.joint, position, rotation))
     turns = np.round((segment.configuration_start - c[:1]) / (2 * np.pi))
     return np.asarray(c + 2 * np.pi * turns)
 
@@ -185,13 +184,8 @@ def _traced(
     if trace is None or not own.any():
         return traced[own], (), ()
     density = np.nan_to_num(np.array(trace.log_density, dtype=float)[own], nan=_IMPOSSIBLE, neginf=_IMPOSSIBLE)
-    lines = tuple(
-        EvidenceLine(model, color, values)
-        for model, color, values in zip(
-            trace.models, _model_colors(trace.models, density, traced[own], stretches), relative_evidence(density).T,
-            strict=True,
-        )
-    )  # fmt: skip
+    colors = _model_colors(trace.models, density, traced[own], stretches)
+    lines = tuple(map(EvidenceLine, trace.models, colors, relative_evidence(density).T))
     return traced[own], lines, _change_bars(traced[own], np.array(trace.changepoint, dtype=float)[own], rows, stretches)
 
 
@@ -223,12 +217,8 @@ def relative_evidence(log_density: Floats) -> Floats:
     if not len(log_density):
         return log_density
     gain = log_density - log_density[:, [int(log_density.sum(axis=0).argmax())]]
-    values = np.zeros_like(gain)
-    sums = np.zeros(gain.shape[1])
-    for i, step in enumerate(gain):
-        sums = np.maximum(sums + step, FLOOR)
-        values[i] = sums
-    return values
+    sums = accumulate(gain, lambda total, step: np.maximum(total + step, FLOOR), initial=np.zeros(gain.shape[1]))
+    return np.array(list(sums)[1:])
 
 
 def _model_colors(models: tuple[str, ...], density: Floats, rows: Ints, stretches: list[Stretch]) -> list[str | None]:

@@ -29,7 +29,7 @@ from micah_plan.view.learning_words import (
 from micah_plan.view.page import Bar, Bars, Chart
 from micah_plan.view.palette import MISFIT
 from micah_plan.view.segments import is_misfit
-from micah_plan.view.svg import AXIS, Panel, Svg, cursor, drawing, rectangle, text
+from micah_plan.view.svg import Panel, Svg, evenly, played, rectangle, text
 
 Floats = NDArray[np.float64]
 
@@ -59,15 +59,15 @@ def learning_charts(recording: Recording, runs: Sequence[LearnedRun], shown: Flo
 def learning_chart(recording: Recording, learned: LearnedRun, shown: Floats, *, several_runs: bool) -> Chart:
     """One part and run; `shown` as above."""
     panels = _panels(learned)
+    drawn = zip((_configuration, _evidence, _changepoint), panels, strict=False)
+    parts = [_shades(panel, learned) for panel in panels] + [part(panel, learned) for part, panel in drawn]
     notes = [misfit_words(stretch.segment) for stretch in learned.stretches]
     notes += [channel_words(learned, recorded=recording.has_actions)]
-    rows = learned.rows[
-        np.unique(np.linspace(0, len(learned.rows) - 1, min(len(learned.rows), _MOST_KEYFRAMES)).astype(int))
-    ]
+    rows = learned.rows[evenly(len(learned.rows), _MOST_KEYFRAMES)]
     return Chart(
         block_title(learned, several_runs=several_runs),
         tuple(map(_sentence, block_words(learned))),
-        _drawing(learned, panels),
+        played(_WIDTH, panels, parts, "row of the recording", f"{headline(learned)} over rows"),
         tuple(bars for bars in (_counts(learned), _kinds(learned)) if bars.rows),
         tuple(_sentence(note) for note in notes if note),
         has_misfit(learned),
@@ -86,23 +86,14 @@ def _panels(learned: LearnedRun) -> list[Panel]:
     measured = np.concatenate([stretch.measured for stretch in learned.stretches])
     low, high = float(measured.min()), float(measured.max())
     margin = 0.08 * (high - low) or 0.01
-    panels = [Panel(_LEFT, _TOP, width, _CONFIGURATION, first, last, low - margin, high + margin)]
-    if learned.evidence:
-        top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
-        extra = 0.08 * (top - FLOOR)
-        second = Panel(_LEFT, panels[0].bottom + _GAP, width, _EVIDENCE, first, last, FLOOR - extra, top + extra)
-        highest = 1.08 * max([0.05, *(bar.probability for bar in learned.changepoints)])
-        panels += [second, Panel(_LEFT, second.bottom + _GAP, width, _CHANGEPOINT, first, last, 0.0, highest)]
-    return panels
-
-
-def _drawing(learned: LearnedRun, panels: list[Panel]) -> Svg:
-    drawn = (_configuration, _evidence, _changepoint)[: len(panels)]
-    marks = [part(panel, learned) for part, panel in zip(drawn, panels, strict=True)]
-    shades = [_shades(panel, learned) for panel in panels]
-    frames = [panel.frame for panel in panels]
-    body = [*shades, *marks, *frames, panels[-1].x_axis("row of the recording"), cursor(panels)]
-    return drawing(_WIDTH, panels[-1].bottom + AXIS, body, f"{headline(learned)} over rows")
+    upper = Panel(_LEFT, _TOP, width, _CONFIGURATION, first, last, low - margin, high + margin)
+    if not learned.evidence:
+        return [upper]
+    top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
+    extra = 0.08 * (top - FLOOR)
+    middle = upper.below(_GAP, _EVIDENCE, FLOOR - extra, top + extra)
+    highest = max([0.05, *(bar.probability for bar in learned.changepoints)])
+    return [upper, middle, middle.below(_GAP, _CHANGEPOINT, 0.0, 1.08 * highest)]
 
 
 def _shades(panel: Panel, learned: LearnedRun) -> Svg:

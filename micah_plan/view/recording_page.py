@@ -27,6 +27,7 @@ from micah_plan.view.segments import (
     rows_of_run,
 )
 from micah_plan.view.solids import beads
+from micah_plan.view.svg import evenly
 
 Floats = NDArray[np.float64]
 
@@ -83,8 +84,7 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
 
 def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float) -> None:
     if len(points):
-        thinned = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_BEADS)).astype(int))]
-        scene.mesh(path, beads(thinned, 0.014 * size), color)
+        scene.mesh(path, beads(points[evenly(len(points), _MOST_BEADS)], 0.014 * size), color)
 
 
 def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: ColoredSegment, size: float) -> None:
@@ -124,7 +124,7 @@ def _animate(
     poses = recording.poses()
     for number, part in enumerate(recording.parts):
         rows = np.flatnonzero([name == part for name in recording.part])
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_KEYFRAMES)).astype(int))]
+        rows = rows[evenly(len(rows), _MOST_KEYFRAMES)]
         path = f"frames/{slug(part, number)}"
         draw_frame(scene, path, 0.3 * size)
         scene.animate(path, shown[rows], poses[rows])
@@ -150,10 +150,8 @@ def _bands(recording: Recording, segments: tuple[ColoredSegment, ...], shown: Fl
 def _readouts(recording: Recording, bands: list[Band], shown: Floats) -> tuple[tuple[float, tuple[str, ...]], ...]:
     """Row, time and the segments of all parts, at (some of) the rows."""
     several = len(recording.runs) > 1
-    order = np.argsort(shown, kind="stable")
-    order = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), _MOST_KEYFRAMES)).astype(int))]
     readouts = []
-    for row in order:
+    for row in np.argsort(shown, kind="stable")[evenly(len(shown), _MOST_KEYFRAMES)]:
         time = float(shown[row])
         lines = [f"row {row}, t = {recording.time[row]:.2f} s"]
         lines += [f"run {recording.run[row]}"] if several else []

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _MOST_POINTS = 600
-_TICK_ROOM, _LABEL_ROOM = 15.0, 31.0
-AXIS = 38.0
-"""Height below a panel that the axis of its x and its label need."""
+_TICK_ROOM, _LABEL_ROOM, _AXIS_ROOM = 15.0, 31.0, 38.0
 
 
 class Svg(str):
@@ -63,6 +61,10 @@ class Panel:
     x1: float
     y0: float
     y1: float
+
+    def below(self, gap: float, height: float, y0: float, y1: float) -> Panel:
+        """A panel of another height and y further down, over the same x."""
+        return replace(self, top=self.bottom + gap, height=height, y0=y0, y1=y1)
 
     def x(self, value: float) -> float:
         return self.left + self.width * (value - self.x0) / (self.x1 - self.x0)
@@ -110,8 +112,7 @@ class Panel:
         self, x: NDArray[np.float64 | np.int64], y: Floats, kind: str, color: str = "", *, dots: bool = False
     ) -> Svg:
         """A line through points (k,), (k,); or a dot at each."""
-        chosen = np.unique(np.linspace(0, max(len(x) - 1, 0), min(len(x), _MOST_POINTS)).astype(int))
-        points = [f"{self.x(float(x[i])):.1f} {self.y(float(y[i])):.1f}" for i in chosen]
+        points = [f"{self.x(float(x[i])):.1f} {self.y(float(y[i])):.1f}" for i in evenly(len(x), _MOST_POINTS)]
         path = "".join(f"M{point}h0" for point in points) if dots else "M" + "L".join(points)
         return element("path", kind=kind, color=color, d=path) if points else Svg()
 
@@ -137,16 +138,23 @@ class Panel:
         return Svg("".join([*parts, text(self.left + self.width / 2, self.bottom + _LABEL_ROOM, label, "label mid")]))
 
 
-def drawing(width: float, height: float, parts: Sequence[str], label: str) -> Svg:
-    """The SVG around its parts; `label` describes it to screen readers."""
-    box = f"0 0 {width:.0f} {height:.0f}"
-    return element("svg", Svg("".join(parts)), kind="chart", viewBox=box, role="img", aria_label=label)
+def drawing(width: float, panels: Sequence[Panel], parts: Sequence[Svg], label: str) -> Svg:
+    """The SVG of parts in panels below each other; `label` describes it to screen readers."""
+    box = f"0 0 {width:.0f} {panels[-1].bottom + _AXIS_ROOM:.0f}"
+    return element("svg", *parts, kind="chart", viewBox=box, role="img", aria_label=label)
 
 
-def cursor(panels: Sequence[Panel]) -> Svg:
-    """The line through panels below each other that follows the player of the page."""
+def played(width: float, panels: Sequence[Panel], parts: Sequence[Svg], x_label: str, label: str) -> Svg:
+    """A drawing whose panels share an axis, with the line through them that follows the player of the page."""
     top, bottom = panels[0].top, panels[-1].bottom
-    return element("line", kind="cursor", x1=0.0, x2=0.0, y1=top, y2=bottom, visibility="hidden")
+    line = element("line", kind="cursor", x1=0.0, x2=0.0, y1=top, y2=bottom, visibility="hidden")
+    frames = [panel.frame for panel in panels]
+    return drawing(width, panels, [*parts, *frames, panels[-1].x_axis(x_label), line], label)
+
+
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of the numbers below `count`, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.int64))
 
 
 def rectangle(left: float, top: float, width: float, height: float, kind: str, color: str = "") -> Svg:
