@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
-from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.joint import Joint, Quaternion
 from micah_plan.automaton.kinematics import origin
-from micah_plan.scene.body import corners
+from micah_plan.scene.body import corners, vector3
 from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
@@ -176,8 +176,6 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
         reach: length of its motion, to scale a prismatic part by [m].
     """
     pose = origin(joint)
-    if joint.kind == "rigid":
-        return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         length = max(reach, 2 * _SMALLEST)
@@ -185,7 +183,7 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
         return (_box(pose, pose.translation, frame, (length, 0.7 * length, 0.35 * length)),)
     arm = np.array(joint.position) - joint.center
     radius = float(np.linalg.norm(arm))
-    if radius < _SMALLEST / 4:
+    if joint.kind == "rigid" or radius < _SMALLEST / 4:
         return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
     frame = np.column_stack([arm / radius, np.cross(axis, arm / radius), axis])
     return (_box(pose, joint.center + arm / 2, frame, (radius, 0.05 * radius, 0.75 * radius)),)
@@ -203,9 +201,8 @@ def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
         return (_box(RigidTransform.identity(), center, frame, (2 * length, 0.75 * length, 0.04 * length), MUTED),)
     radius = max(float(np.linalg.norm(position - joint.center)), _SMALLEST)
     across = perpendicular(axis)
-    upright = Rotation.from_matrix(np.column_stack([across, np.cross(axis, across), axis])).as_quat()
-    size = (0.06 * radius, 0.85 * radius)
-    return (Primitive("cylinder", size, _triple(joint.center), _quadruple(upright), MUTED),)
+    upright = Rotation.from_matrix(np.column_stack([across, np.cross(axis, across), axis]))
+    return (Primitive("cylinder", (0.06 * radius, 0.85 * radius), joint.center, _quaternion(upright), MUTED),)
 
 
 def _level_frame(axis: Floats) -> Floats:
@@ -221,12 +218,9 @@ def _box(
 ) -> Primitive:
     """A box given in the base frame, written in the frame of a part at pose `part`."""
     relative = part.inv() * RigidTransform.from_components(center, Rotation.from_matrix(frame))
-    return Primitive("box", size, _triple(relative.translation), _quadruple(relative.rotation.as_quat()), color)
+    return Primitive("box", size, vector3(relative.translation), _quaternion(relative.rotation), color)
 
 
-def _triple(values: Floats | tuple[float, float, float]) -> tuple[float, float, float]:
-    return (float(values[0]), float(values[1]), float(values[2]))
-
-
-def _quadruple(values: Floats) -> tuple[float, float, float, float]:
-    return (float(values[0]), float(values[1]), float(values[2]), float(values[3]))
+def _quaternion(rotation: Rotation) -> Quaternion:
+    x, y, z, w = rotation.as_quat().tolist()
+    return x, y, z, w

@@ -21,6 +21,7 @@ from micah_plan.view.learning_words import (
     has_misfit,
     headline,
     kind_probabilities,
+    kind_words,
     line_labels,
     misfit_words,
     segment_labels,
@@ -163,9 +164,7 @@ def _kinds(learned: LearnedRun) -> Bars:
     for stretch in learned.stretches:
         if stretch.segment.certainty is None:
             continue
-        (name, probability), *rest = kind_probabilities(stretch.segment)
-        others = [f"{other} {percent(p, 0)}" for other, p in rest if p >= 0.005][:1]
-        words = ", then ".join([f"{name} {percent(probability, 0)}", *others])
+        words = ", then ".join(filter(None, kind_words(stretch.segment)))
         label = f"rows {stretch.segment.start} to {stretch.segment.end}"
-        rows.append(Bar(label, words, probability, stretch.colored.color))
+        rows.append(Bar(label, words, kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
     return Bars("Kind of joint", tuple(rows))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import viewing_direction
-from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun, Stretch
-from micah_plan.view.learning_words import kind_probabilities, line_labels, segment_labels, shown_counts
+from micah_plan.view.learned import FLOOR, LearnedRun, Stretch
+from micah_plan.view.learning_words import kind_probabilities, kind_words, line_labels, segment_labels, shown_counts
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.placement import joint_axis, joint_curve
 from micah_plan.view.segments import is_misfit
@@ -105,14 +105,11 @@ def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor(GRID)
         axis._axinfo["grid"].update(color=GRID, linewidth=0.5)
-        axis.set_major_locator(_locator(float(length / half.max())))
+        # As many ticks as a side of this length has room for.
+        most = max(2, round(4.4 * float(length / half.max())))
+        axis.set_major_locator(MaxNLocator(nbins=most, steps=[1, 2, 5, 10], min_n_ticks=1))
         axis.line.set_color(MUTED)
     space.tick_params(labelsize=8, pad=1, colors=INK)
-
-
-def _locator(share: float) -> Any:
-    """As many ticks as a side of this length, relative to the longest, has room for."""
-    return MaxNLocator(nbins=max(2, round(4.4 * share)), steps=[1, 2, 5, 10], min_n_ticks=1)
 
 
 def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
@@ -123,11 +120,9 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
     """
     size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
     for stretch in learned.stretches:
-        wrong = is_misfit(stretch.segment)
-        axes.plot(
-            stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=stretch.colored.color,
-            mec=INK if wrong else stretch.colored.color, zorder=3,
-        )  # fmt: skip
+        color = stretch.colored.color
+        edge = INK if is_misfit(stretch.segment) else color
+        axes.plot(stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
         if stretch.segment.joint.kind == "rigid" and learned.quantity == "configuration" and len(stretch.rows):
             resting = stretch.segment.configuration_start
             axes.plot(stretch.rows[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
@@ -136,7 +131,12 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
     first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)
     axes.set_xlim(first, last)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=9, integer=True, steps=[1, 2, 5, 10]))
-    _name_segments(axes, learned, width / max(last - first, 1.0))
+    for label in segment_labels(learned, _LETTER * max(last - first, 1.0) / width):
+        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
+        axes.annotate(
+            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
+        )  # fmt: skip
 
 
 def shade_segments(axes: Axes, learned: LearnedRun) -> None:
@@ -148,12 +148,11 @@ def shade_segments(axes: Axes, learned: LearnedRun) -> None:
             axes.axvspan(left, right, facecolor="none", edgecolor=MISFIT, hatch="///", alpha=0.5, lw=0, zorder=0)
         else:
             axes.axvspan(left, right, color=stretch.colored.color, alpha=0.15, lw=0, zorder=0)
-        if not number:
-            continue
-        if stretch.interval is not None:
+        if number and stretch.interval is not None:
             low, high = stretch.interval
             axes.axvspan(low - 0.5, high + 0.5, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
-        axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
+        if number:
+            axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
 
 
 def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
@@ -165,8 +164,7 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
     rows = learned.evidence_rows
     for line in sorted(learned.evidence, key=lambda line: line.color is not None):
         color, lw = (MUTED, 1.0) if line.color is None else (line.color, 2.2)
-        outline = color == MISFIT
-        if outline:
+        if color == MISFIT:
             axes.plot(rows, line.values, color=INK, lw=3.2, zorder=3)
         axes.plot(rows, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
     top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
@@ -174,7 +172,13 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
     axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
     axes.axhline(FLOOR, color=MUTED, lw=0.7, ls=":", zorder=1)
-    _name_lines(axes, learned.evidence, height)
+    low, high = axes.get_ylim()
+    for place, name, used in line_labels(learned.evidence, _LINE_HEIGHT / height * (high - low)):
+        look: dict[str, Any] = {"weight": "bold", "color": INK} if used else {"weight": "normal", "color": PANEL_INK}
+        axes.annotate(
+            name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
+            va="center", fontsize=8.5, **look,
+        )  # fmt: skip
 
 
 def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
@@ -220,42 +224,16 @@ def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
         [f"{s.segment.start}–{s.segment.end}" for s in assessed], fontsize=8.5,
     )  # fmt: skip
     axes.tick_params(length=0)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["left", "bottom"]].set_visible(False)
     axes.set_xlabel("kind of joint, by rows", fontsize=8.5, color=PANEL_INK, labelpad=2)
 
 
 def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
-    left = 0.0
-    ranked = kind_probabilities(stretch.segment)
-    for number, (_, probability) in enumerate(ranked):
-        color = stretch.colored.color if number == 0 else GRID
-        axes.barh(place, probability, left=left, height=0.66, color=color, edgecolor="white", lw=0.8)
-        left += probability
+    ranked = [probability for _, probability in kind_probabilities(stretch.segment)]
+    left = np.cumsum([0.0, *ranked[:-1]])
+    colors = [stretch.colored.color] + [GRID] * (len(ranked) - 1)
+    axes.barh([place] * len(ranked), ranked, left=left, height=0.66, color=colors, edgecolor="white", lw=0.8)
     box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
-    name, probability = ranked[0]
-    axes.text(
-        0.03, place, f"{name} {percent(probability, 0)}", va="center", fontsize=8, weight="bold", color=INK, bbox=box
-    )
-    rest = [f"{name} {percent(probability, 0)}" for name, probability in ranked[1:] if probability >= 0.005][:1]
-    axes.text(1.04, place, "".join(rest), va="center", fontsize=8.5, color=PANEL_INK)
-
-
-def _name_segments(axes: Axes, learned: LearnedRun, inches_per_row: float) -> None:
-    for label in segment_labels(learned, _LETTER / inches_per_row):
-        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
-        axes.annotate(
-            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
-        )  # fmt: skip
-
-
-def _name_lines(axes: Axes, lines: tuple[EvidenceLine, ...], height: float) -> None:
-    """Each model's name at the end of its line."""
-    low, high = axes.get_ylim()
-    for place, name, used in line_labels(lines, _LINE_HEIGHT / height * (high - low)):
-        weight: Any = "bold" if used else "normal"
-        axes.annotate(
-            name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
-            va="center", fontsize=8.5, weight=weight, color=INK if used else PANEL_INK,
-        )  # fmt: skip
+    first, following = kind_words(stretch.segment)
+    axes.text(0.03, place, first, va="center", fontsize=8, weight="bold", color=INK, bbox=box)
+    axes.text(1.04, place, following, va="center", fontsize=8.5, color=PANEL_INK)

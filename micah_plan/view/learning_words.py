@@ -204,6 +204,12 @@ def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:
     return sorted([*kinds, ("free motion", free)], key=lambda pair: -pair[1])
 
 
+def kind_words(segment: Segment) -> tuple[str, str]:
+    """The most probable kind with its probability, and the next one, empty if it is out of the question."""
+    first, second, *_ = (f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in kind_probabilities(segment))
+    return first, second
+
+
 def shown_counts(learned: LearnedRun, least: int = 3) -> tuple[float, ...]:
     """Probabilities of 0, 1, 2, ... changepoints, as far as they matter, and at least so many."""
     counts = learned.counts + (0.0,) * (least - len(learned.counts))
