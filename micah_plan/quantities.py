@@ -16,7 +16,7 @@ Files keep full precision and SI units, and so do numbers that a message asks so
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
 _SMALL, _LARGE = -4, 6
@@ -44,9 +44,7 @@ def quantity(value: float, unit: str, *, digits: int = _DIGITS, degrees: bool = 
         digits: significant ones; 2 for a spread that stands alone.
         degrees: whether an angle has them in brackets.
     """
-    scale, shown = _scaled(value, unit)
-    text = _with_unit(plain(scale * value, digits), shown)
-    return f"{text} ({in_degrees(value, digits=digits)})" if unit == "rad" and degrees and value else text
+    return _in_units(lambda amount: plain(amount, digits), unit, degrees, value)
 
 
 def in_degrees(angle: float, spread: float | None = None, *, digits: int = _DIGITS) -> str:
@@ -57,11 +55,7 @@ def in_degrees(angle: float, spread: float | None = None, *, digits: int = _DIGI
 
 def with_spread(value: float, spread: float, unit: str, *, degrees: bool = True) -> str:
     """An amount and its standard deviation or tolerance: ``"50 ± 2 mm"``, ``"1.204 ± 0.012 rad (68.98 ± 0.69°)"``."""
-    scale, shown = _scaled(max(abs(value), abs(spread)), unit)
-    text = _with_unit(_pair(scale * value, scale * spread), shown)
-    if unit == "rad" and degrees and (value or spread):
-        text += f" ({_pair(math.degrees(value), math.degrees(spread))}°)"
-    return text
+    return _in_units(_pair, unit, degrees, value, spread)
 
 
 def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str:
@@ -70,11 +64,7 @@ def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str
     if len(finite) < 2:
         end = quantity(finite[0], unit, degrees=degrees) if finite else ""
         return f"at {'least' if math.isfinite(low) else 'most'} {end}" if finite else "any"
-    scale, shown = _scaled(max(abs(low), abs(high)), unit)
-    text = _with_unit(_ends(scale * low, scale * high), shown)
-    if unit == "rad" and degrees and (low or high):
-        text += f" ({_ends(math.degrees(low), math.degrees(high))}°)"
-    return text
+    return _in_units(_ends, unit, degrees, low, high)
 
 
 def way(values: Sequence[float], unit: str) -> str:
@@ -121,6 +111,13 @@ def count(amount: int, noun: str, plural: str | None = None) -> str:
 def common_unit(units: Iterable[str]) -> str:
     """The unit of amounts that were put together: theirs if it is one, else ``"m or rad"``."""
     return " or ".join(sorted(set(units)))
+
+
+def _in_units(write: Callable[..., str], unit: str, degrees: bool, *values: float) -> str:
+    """Numbers as `write` puts them, in the unit that the largest asks for; angles with degrees in brackets."""
+    scale, shown = _scaled(max(map(abs, values)), unit)
+    text = _with_unit(write(*(scale * value for value in values)), shown)
+    return f"{text} ({write(*map(math.degrees, values))}°)" if unit == "rad" and degrees and any(values) else text
 
 
 def _scaled(value: float, unit: str) -> tuple[float, str]:

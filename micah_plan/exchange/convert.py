@@ -67,8 +67,11 @@ def convert(source: str | Path, target: str | Path, *, topics: Collection[str] =
         write_recording(read_recording(source, topics=topics), target)
         return "recording", ()
     if given == ".json":
-        stored = load_plan(source)
-        replace_file(target, trajectory_mcap(stored) if wanted == ".mcap" else trajectory_json(stored).encode())
+        message = joint_trajectory(load_plan(source))
+        content = f"{json.dumps(message, indent=2, ensure_ascii=False)}\n".encode()
+        if wanted == ".mcap":
+            content = write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, message)])
+        replace_file(target, content)
         return "plan", ()
     if given == ".urdf":
         automaton, notes = load_urdf(source)
@@ -102,17 +105,3 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
         point = {"positions": positions[k].tolist(), "velocities": [], "accelerations": [], "effort": []}
         points.append({**point, "time_from_start": split_time(round(step * period * NANOSECONDS))})
     return {"header": header_at(0, "base"), "joint_names": names, "points": points}
-
-
-def trajectory_json(stored: StoredPlan) -> str:
-    """The message as JSON text, its keys as in ROS 2."""
-    return json.dumps(joint_trajectory(stored), indent=2, ensure_ascii=False) + "\n"
-
-
-def trajectory_mcap(stored: StoredPlan) -> bytes:
-    """The content of an MCAP file with the message.
-
-    Raises:
-        MissingDependencyError: without the extra ``ros``.
-    """
-    return write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, joint_trajectory(stored))])

@@ -11,7 +11,7 @@ the last message until its time. All poses must be in one frame.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +39,7 @@ def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str
         MissingDependencyError: without the extra ``ros``.
     """
     with located_in(path):
-        collected = _Collected(read_log(read_bytes(path)), topics)
-        return checked(_recording(collected), minimum_rows=minimum_rows)
+        return checked(_recording(read_log(read_bytes(path)), topics), minimum_rows=minimum_rows)
 
 
 def write_mcap(recording: Recording, path: str | Path) -> None:
@@ -95,69 +94,40 @@ def _messages(recording: Recording, row: int) -> Iterable[Logged]:
         yield Logged("/joint_states", "sensor_msgs/msg/JointState", time, state)
 
 
-class _Collected:
-    """What the messages of a log say, by part."""
-
-    def __init__(self, messages: Iterable[Logged], topics: Collection[str]) -> None:
-        self.poses: dict[str, list[Sample]] = {}
-        self.vectors: dict[str, dict[int, tuple[float, ...]]] = {}
-        self.joints: dict[str, list[Sample]] = {}
-        self._frames: dict[str, str] = {}
-        self._topics = topics
-        for logged in messages:
-            self._add(logged)
-
-    def _add(self, logged: Logged) -> None:
-        message = logged.message
-        if logged.kind == _POSE:
-            pose = message.pose
-            part = logged.topic.strip("/").removesuffix("/pose") or DEFAULT_PART
-            self._pose(logged.topic, part, message.header, logged.time, pose.position, pose.orientation)
-        elif logged.kind == "tf2_msgs/msg/TFMessage":
-            for item in message.transforms:
-                moved = item.transform
-                frame = item.child_frame_id
-                self._pose(frame, frame.strip("/"), item.header, logged.time, moved.translation, moved.rotation)
-        elif logged.kind == _VECTOR:
-            vector = message.vector
-            values = self.vectors.setdefault(logged.topic.strip("/"), {})
-            values[stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
+def _recording(messages: Iterable[Logged], topics: Collection[str]) -> Recording:
+    poses: dict[str, list[Sample]] = {}
+    frames: dict[str, str] = {}
+    vectors: dict[str, dict[int, tuple[float, ...]]] = {}
+    joints: dict[str, list[Sample]] = {}
+    for logged in messages:
+        if logged.kind == _VECTOR:
+            time, vector = stamp_ns(logged.message.header, logged.time), logged.message.vector
+            vectors.setdefault(logged.topic.strip("/"), {})[time] = (vector.x, vector.y, vector.z)
         elif logged.kind == "sensor_msgs/msg/JointState":
-            time = stamp_ns(message.header, logged.time)
-            for name, position in zip(message.name, message.position, strict=False):
-                self.joints.setdefault(name, []).append((time, (position,)))
-
-    def _pose(self, topic: str, part: str, header: Any, logged: int, position: Any, rotation: Any) -> None:
-        if self._topics and topic not in self._topics and topic.strip("/") not in self._topics:
-            return
-        frame = self._frames.setdefault(part, header.frame_id)
-        if frame != header.frame_id:
-            problem = f"{shown(topic)} is given in the frames {shown(frame)} and {shown(header.frame_id)}"
-            raise InputError(problem, remedy=_SELECT)
-        values = (position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
-        self.poses.setdefault(part, []).append((stamp_ns(header, logged), values))
-
-    @property
-    def frames(self) -> set[str]:
-        """In which poses are given."""
-        return set(self._frames.values())
-
-
-def _recording(found: _Collected) -> Recording:
-    if not found.poses:
+            time = stamp_ns(logged.message.header, logged.time)
+            for name, position in zip(logged.message.name, logged.message.position, strict=False):
+                joints.setdefault(name, []).append((time, (position,)))
+        for topic, part, header, p, q in _poses(logged):
+            if topics and topic not in topics and topic.strip("/") not in topics:
+                continue
+            if frames.setdefault(part, header.frame_id) != header.frame_id:
+                problem = f"{shown(topic)} is given in the frames {shown(frames[part])} and {shown(header.frame_id)}"
+                raise InputError(problem, remedy=_SELECT)
+            poses.setdefault(part, []).append((stamp_ns(header, logged.time), (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+    if not poses:
         problem = "expected poses (geometry_msgs/PoseStamped or tf2_msgs/TFMessage), found none"
         raise InputError(problem, remedy="log poses of the part, or name other topics")
-    if len(found.frames) > 1:
-        problem = f"expected poses in one frame, found {shown(', '.join(sorted(found.frames)))}"
+    if len(set(frames.values())) > 1:
+        problem = f"expected poses in one frame, found {shown(', '.join(sorted(set(frames.values()))))}"
         raise InputError(problem, remedy=_SELECT)
-    rows = sorted((time, i, values) for i, part in enumerate(found.poses) for time, values in found.poses[part])
-    names = list(found.poses)
+    names = list(poses)
+    rows = sorted((time, i, values) for i, part in enumerate(names) for time, values in poses[part])
     parts = tuple(names[i] for _, i, _ in rows)
     times = np.array([time for time, _, _ in rows], dtype=np.int64)
-    poses = np.array([values for _, _, values in rows])
+    table = np.array([values for _, _, values in rows])
 
-    def vectors(kind: str) -> Floats | None:
-        given = {part: found.vectors.get(f"{part}/{kind}", {}) for part in names}
+    def of_parts(kind: str) -> Floats | None:
+        given = {part: vectors.get(f"{part}/{kind}", {}) for part in names}
         if not any(given.values()):
             return None
         nothing = (np.nan,) * 3
@@ -165,14 +135,26 @@ def _recording(found: _Collected) -> Recording:
 
     return Recording(
         time=times / NANOSECONDS,
-        position=poses[:, :3],
-        quaternion=poses[:, 3:],
-        action=vectors("action"),
-        force=vectors("force"),
+        position=table[:, :3],
+        quaternion=table[:, 3:],
+        action=of_parts("action"),
+        force=of_parts("force"),
         part=parts,
         has_part=True,
-        extra={f"{_JOINT}{name}": _held(samples, times) for name, samples in sorted(found.joints.items())},
+        extra={f"{_JOINT}{name}": _held(samples, times) for name, samples in sorted(joints.items())},
     )
+
+
+def _poses(logged: Logged) -> Iterator[tuple[str, str, Any, Any, Any]]:
+    """The poses of a message: topic or child frame, part, header, position and orientation."""
+    message = logged.message
+    if logged.kind == _POSE:
+        part = logged.topic.strip("/").removesuffix("/pose") or DEFAULT_PART
+        yield logged.topic, part, message.header, message.pose.position, message.pose.orientation
+    elif logged.kind == "tf2_msgs/msg/TFMessage":
+        for item in message.transforms:
+            frame, moved = item.child_frame_id, item.transform
+            yield frame, frame.strip("/"), item.header, moved.translation, moved.rotation
 
 
 def _held(samples: list[Sample], times: Any) -> tuple[str, ...]:

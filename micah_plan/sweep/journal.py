@@ -10,7 +10,6 @@ import fcntl
 import json
 import os
 import stat
-from collections.abc import Mapping
 from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
@@ -38,11 +37,14 @@ def read_journal(path: Path) -> dict[str, CaseRun]:
     if not path.exists():
         return {}
     with Journal(path, changes=False) as journal:
-        return dict(journal.finished)
+        return journal.finished
 
 
 class Journal:
     """An open journal; nobody else can write into it meanwhile.
+
+    Attributes:
+        finished: every run in it, by the case's key.
 
     Raises:
         InputError: if the file is no journal, damaged, in use by another sweep, or cannot be written.
@@ -59,8 +61,7 @@ class Journal:
         try:
             if changes:
                 self._lock()
-            whole, finished = self._read()
-            self._finished = finished
+            whole, self.finished = self._read()
             if changes:
                 self._begin(whole)
         except BaseException:
@@ -73,16 +74,11 @@ class Journal:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         os.close(self._file)
 
-    @property
-    def finished(self) -> Mapping[str, CaseRun]:
-        """Every run in the journal, by the case's key."""
-        return self._finished
-
     def append(self, key: str, run: CaseRun) -> None:
         """Write down a finished case; when this returns it is on the disk."""
         line = json.dumps({"key": key, **asdict(run)}, allow_nan=False)
         self._write(line.encode() + b"\n")
-        self._finished[key] = run
+        self.finished[key] = run
 
     def _lock(self) -> None:
         try:

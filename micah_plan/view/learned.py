@@ -1,4 +1,4 @@
-"""What learning found in one run of one part, as series to draw: configurations, evidence over time, posteriors.
+"""What learning found, as pages and figures show it: segments with colours and names, and the series of each run.
 
 Source: Page, Biometrika 1954, for cumulated evidence that a floor keeps ready to rise (`EvidenceLine`).
 """
@@ -10,21 +10,14 @@ from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.certainty import ActionChannel, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.recording.value import Recording
-from micah_plan.view.segments import (
-    UNITS,
-    ColoredSegment,
-    colored_segments,
-    is_misfit,
-    parent_poses,
-    rows_of,
-    rows_of_run,
-)
+from micah_plan.view.palette import MISFIT, category
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,6 +31,97 @@ _REPLACED = 2.0
 _NEARLY_A_TURN = 0.9 * np.pi
 
 
+UNITS = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad"}
+NO_JOINT = "no single joint"
+
+_SAME_DIRECTION = np.cos(np.radians(20.0))
+_SAME_SHARE = 0.2
+_SAME_PLACE_M = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class ColoredSegment:
+    """A segment as pages and figures show it.
+
+    Attributes:
+        segment, edge: the segment and whose it is.
+        color: one colour stands for one joint: a segment that returns to an earlier joint of its part has its again.
+        name, label: the joint's kind, and the entry in the legend.
+        rows: (k,) of the recording that belong to it.
+    """
+
+    segment: Segment
+    edge: KinematicEdge
+    color: str
+    name: str
+    label: str
+    rows: Ints
+
+
+def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
+    """All segments of a graph in order, each with the colour of its joint; what fits no joint has its own colour."""
+    edges = () if graph is None else graph.edges
+    found: list[ColoredSegment] = []
+    joints = 0
+    for edge in edges:
+        earlier: list[tuple[Joint, str]] = []
+        visited = [c for s in edge.segments for c in s.configuration_range]
+        for segment in edge.segments:
+            name, color = NO_JOINT, MISFIT
+            if not is_misfit(segment):
+                same = [shade for joint, shade in earlier if _same_joint(joint, segment.joint, float(np.ptp(visited)))]
+                name, color = segment.joint.kind, same[0] if same else category(joints)
+                if not same:
+                    earlier.append((segment.joint, color))
+                    joints += 1
+            label = f"{name}, rows {segment.start} to {segment.end}"
+            label = f"{edge.child}: {label}" if len(edges) > 1 else label
+            of_run = rows_of_run(recording, edge, segment.run)
+            rows = of_run[(of_run >= segment.start) & (of_run <= segment.end)]
+            found.append(ColoredSegment(segment, edge, color, name, label, rows))
+    return tuple(found)
+
+
+def is_misfit(segment: Segment) -> bool:
+    """Whether no single joint explains the segment."""
+    return segment.certainty is not None and segment.certainty.misfit is not None
+
+
+def rows_of_run(recording: Recording, edge: KinematicEdge, run: int) -> Ints:
+    """Rows of the recording in which the edge's part was measured in a run, in order."""
+    of_run = recording.run == run
+    if edge.child in recording.parts:
+        of_run = of_run & (np.array(recording.part) == edge.child)
+    return np.flatnonzero(of_run)
+
+
+def parent_poses(recording: Recording, edge: KinematicEdge, run: int, rows: Ints) -> RigidTransform:
+    """(k,) poses of the edge's parent in the base frame, measured closest in time to the rows (k,) of a run."""
+    of_parent = np.flatnonzero((np.array(recording.part) == edge.parent) & (recording.run == run))
+    if edge.parent == BASE or not len(of_parent):
+        return RigidTransform.identity(len(rows))
+    times, wanted = recording.time[of_parent], recording.time[rows]
+    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1)) % len(times)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(wanted - times[before] <= times[after] - wanted, before, after)
+    return recording.poses()[of_parent[nearest]]
+
+
+def _same_joint(a: Joint, b: Joint, span: float) -> bool:
+    """Whether two joints of one part look like one; `span` is the range of its configurations [rad or m]."""
+    if a.kind != b.kind:
+        return False
+    apart = np.subtract(b.position, a.position)
+    if a.kind == "rigid":
+        by_pose = float(np.linalg.norm(apart)) <= _SAME_PLACE_M
+        return abs(a.held - b.held) <= _SAME_SHARE * span if span > 0 else by_pose
+    if abs(float(np.dot(a.axis, b.axis))) < _SAME_DIRECTION:
+        return False
+    between = np.subtract(b.center, a.center)
+    aside = np.linalg.norm(between - np.dot(between, a.axis) * np.array(a.axis))
+    return a.kind == "prismatic" or float(aside) <= _SAME_SHARE * max(radius(a), radius(b)) + _SAME_PLACE_M
+
+
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """A segment in a run.
@@ -46,17 +130,21 @@ class Stretch:
         colored: the segment with its colour and name.
         rows: (k,) its rows.
         measured: (k,) configuration by the closest joint that moves, or displacement from the run's first row [m].
-        interval: rows (both inclusive) between which it starts with 95 % probability; None if not estimated.
     """
 
     colored: ColoredSegment
     rows: Ints
     measured: Floats
-    interval: tuple[int, int] | None
 
     @property
     def segment(self) -> Segment:
         return self.colored.segment
+
+    @property
+    def interval(self) -> tuple[int, int] | None:
+        """Rows (both inclusive) between which it starts with 95 % probability; None if not estimated."""
+        certainty = self.segment.certainty
+        return None if certainty is None or certainty.start is None else certainty.start.interval()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +210,7 @@ class LearnedRun:
 
 def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRun, ...]:
     """Every part's runs, parts in the order of the graph."""
-    segments = colored_segments(graph)
+    segments = colored_segments(recording, graph)
     found = []
     for edge in graph.edges:
         runs = list(dict.fromkeys(segment.run for segment in edge.segments))
@@ -141,15 +229,14 @@ def _learned_run(
     moving = [s for s in edge.segments if s.joint.kind != "rigid" and not is_misfit(s)]
     stretches = []
     for colored in own:
-        chosen = np.isin(rows, rows_of(recording, colored))
+        chosen = np.isin(rows, colored.rows)
         if moving:
             closest = min(moving, key=lambda s: (s is not colored.segment, s.run != run, _gap(s, colored.segment)))
             rotation = poses.rotation[chosen] if recording.has_orientation else None
             measured = _configuration(closest, poses.translation[chosen], rotation)
         else:
             measured = np.linalg.norm(poses.translation[chosen] - poses.translation[0], axis=1)
-        start = None if colored.segment.certainty is None else colored.segment.certainty.start
-        stretches.append(Stretch(colored, rows[chosen], measured, None if start is None else start.interval()))
+        stretches.append(Stretch(colored, rows[chosen], measured))
     certainty = edge.certainty
     trace_rows, lines, changes = _traced(None if certainty is None else certainty.trace, rows, stretches)
     counts = certainty.changepoint_counts if certainty is not None else ()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
-from micah_plan.view.learned import FLOOR, LearnedRun
+from micah_plan.view.learned import FLOOR, LearnedRun, is_misfit
 from micah_plan.view.learning_words import (
     LEVELS,
     block_title,
@@ -29,7 +29,6 @@ from micah_plan.view.learning_words import (
 )
 from micah_plan.view.page import Bar, Bars, Chart
 from micah_plan.view.palette import MISFIT
-from micah_plan.view.segments import is_misfit
 from micah_plan.view.svg import Panel, Svg, evenly, played, rectangle, text
 
 Floats = NDArray[np.float64]

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import viewing_direction
-from micah_plan.view.learned import FLOOR, LearnedRun, Stretch
+from micah_plan.view.learned import FLOOR, LearnedRun, Stretch, is_misfit
 from micah_plan.view.learning_words import kind_probabilities, kind_words, line_labels, segment_labels, shown_counts
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.placement import joint_axis, joint_curve
-from micah_plan.view.segments import is_misfit
 
 Floats = NDArray[np.float64]
 

@@ -13,8 +13,7 @@ from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.quantities import in_degrees, percent, quantity, with_spread
-from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun
-from micah_plan.view.segments import is_misfit
+from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun, is_misfit
 
 NO_FIT = "no single-joint model fits"
 LEVELS = 2

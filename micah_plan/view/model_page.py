@@ -78,33 +78,27 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
 
 def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     """Every mode in turn: each coordinate it moves goes through its range and back, the others rest."""
-    times: list[float] = []
+    times: list[Floats] = []
     modes: list[str] = []
     states: list[Floats] = []
     bands: list[Band] = []
     colors = mode_colors(automaton)
     clock = 0.0
     for mode in automaton.modes:
-        begin = clock
-        rest = representative_state(automaton, mode)
-        moved = np.flatnonzero(mode.driven & mode.free).tolist()
-        for coordinate in moved:
+        begin, rest = clock, representative_state(automaton, mode)
+        moves = []
+        for coordinate in np.flatnonzero(mode.driven & mode.free).tolist():
             lower, upper, _ = coordinate_range(automaton, mode, coordinate)
-            phase = np.linspace(0.0, 2 * np.pi, _SWEEP_FRAMES)
-            for share, angle in zip(np.linspace(0.0, 1.0, _SWEEP_FRAMES), phase, strict=True):
-                x = rest.copy()
-                x[coordinate] = lower + (upper - lower) * (1 - np.cos(angle)) / 2
-                times.append(clock + share * _SWEEP_S)
-                modes.append(mode.name)
-                states.append(x)
-            clock += _SWEEP_S + _GAP_S
-        if not moved:
-            times += [clock, clock + _REST_S]
-            modes += [mode.name] * 2
-            states += [rest, rest]
-            clock += _REST_S + _GAP_S
+            x = np.tile(rest, (_SWEEP_FRAMES, 1))
+            x[:, coordinate] = lower + (upper - lower) * (1 - np.cos(np.linspace(0.0, 2 * np.pi, _SWEEP_FRAMES))) / 2
+            moves.append((_SWEEP_S, x))
+        for seconds, x in moves or [(_REST_S, np.stack([rest, rest]))]:
+            times.append(clock + np.linspace(0.0, 1.0, len(x)) * seconds)
+            modes += [mode.name] * len(x)
+            states.append(x)
+            clock += seconds + _GAP_S
         bands.append(Band(begin, clock, colors[mode.name], mode.name))
-    return Keyframes(np.array(times), tuple(modes), np.stack(states)), tuple(bands)
+    return Keyframes(np.concatenate(times), tuple(modes), np.concatenate(states)), tuple(bands)
 
 
 def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved) -> None:

@@ -11,21 +11,20 @@ from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
-from micah_plan.view.learned import learned_runs
+from micah_plan.view.learned import (
+    UNITS,
+    ColoredSegment,
+    colored_segments,
+    is_misfit,
+    learned_runs,
+    parent_poses,
+    rows_of_run,
+)
 from micah_plan.view.learning_charts import learning_charts
 from micah_plan.view.learning_words import NO_FIT, misfit_words
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
-from micah_plan.view.segments import (
-    UNITS,
-    ColoredSegment,
-    colored_segments,
-    is_misfit,
-    parent_pose,
-    rows_of,
-    rows_of_run,
-)
 from micah_plan.view.solids import beads
 from micah_plan.view.svg import evenly
 
@@ -47,12 +46,11 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
     scene = Scene()
     scene.reserve(recording.position)
     size = max(float(np.linalg.norm(np.ptp(recording.position, axis=0))), 0.02)
-    segments = colored_segments(graph)
+    segments = colored_segments(recording, graph)
     shown_rows = np.zeros(len(recording), dtype=bool)
     for number, colored in enumerate(segments):
-        rows = rows_of(recording, colored)
-        shown_rows[rows] = True
-        _draw_track(scene, f"track/{number}", recording.position[rows], colored.color, size)
+        shown_rows[colored.rows] = True
+        _draw_track(scene, f"track/{number}", recording.position[colored.rows], colored.color, size)
         if not is_misfit(colored.segment):
             _draw_segment_joint(scene, f"joints/{number}", recording, colored, size)
     _draw_track(scene, "track/rest", recording.position[~shown_rows], MUTED, size)
@@ -93,7 +91,7 @@ def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: 
     draw_joint(scene, path, segment.joint, segment.configuration_range, JointLook(INK, size, thickness=0.5))
     if segment.joint.kind in ("revolute", "screw"):
         scene.mesh(f"{path}/center", beads(np.array([segment.joint.center]), 0.03 * size), INK)
-    scene.place(path, parent_pose(recording, colored))
+    scene.place(path, parent_poses(recording, colored.edge, segment.run, np.array([segment.start]))[0])
 
 
 def _shown_times(recording: Recording) -> tuple[Floats, float]:
@@ -138,7 +136,7 @@ def _bands(recording: Recording, segments: tuple[ColoredSegment, ...], shown: Fl
     parts = list(dict.fromkeys(c.edge.child for c in segments))
     bands = []
     for colored in segments:
-        rows, part = rows_of(recording, colored), colored.edge.child
+        rows, part = colored.rows, colored.edge.child
         label = f"{part}: {colored.name}" if len(parts) > 1 else colored.name
         of_run = rows_of_run(recording, colored.edge, colored.segment.run)
         following = of_run[of_run > rows[-1]]
