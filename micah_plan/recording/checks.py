@@ -12,17 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, shown
-from micah_plan.recording.value import Recording
+from micah_plan.recording.value import COLUMNS, Recording
 
 Floats = NDArray[np.float64]
 Place = Callable[[int, str], str]
 """How a message names row i (0-based) and column c, e.g. "line 7, column 'x'"."""
 
-POSITION = ("x", "y", "z")
-QUATERNION = ("qx", "qy", "qz", "qw")
-ACTION = ("ax", "ay", "az")
-FORCE = ("fx", "fy", "fz")
-REQUIRED = ("t", *POSITION)
+TIME, POSITION, QUATERNION, ACTION, FORCE = COLUMNS.values()
+REQUIRED = (*TIME, *POSITION)
 OPTIONAL_GROUPS = (QUATERNION, ACTION, FORCE)
 NUMERIC = (*REQUIRED, *QUATERNION, *ACTION, *FORCE)
 KNOWN = ("run", "part", *NUMERIC)
@@ -100,14 +97,8 @@ def check_header(names: Collection[str], where: str) -> None:
 
 def numeric_columns(recording: Recording) -> list[tuple[str, Floats]]:
     """The numeric columns that the recording has, in the order of the format: name and (n,) values."""
-    groups = (
-        (("t",), recording.time[:, None]),
-        (POSITION, recording.position),
-        (QUATERNION, recording.quaternion),
-        (ACTION, recording.action),
-        (FORCE, recording.force),
-    )
-    return [(name, a[:, i]) for names, a in groups if a is not None for i, name in enumerate(names)]
+    arrays = ((names, getattr(recording, field)) for field, names in COLUMNS.items())
+    return [pair for names, a in arrays if a is not None for pair in zip(names, np.atleast_2d(a.T), strict=True)]
 
 
 def _check_texts(recording: Recording, place: Place) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +18,16 @@ from numpy.typing import NDArray
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import replace_file
 from micah_plan.recording.checks import (
-    ACTION,
-    FORCE,
     KNOWN,
     MAY_BE_EMPTY,
     NUMERIC,
-    POSITION,
-    QUATERNION,
     Place,
     check_header,
     checked,
     numeric_columns,
 )
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
-from micah_plan.recording.value import DEFAULT_PART, Recording
+from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
 
 
 def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
@@ -115,17 +111,12 @@ def _recording(columns: Mapping[str, tuple[str, ...]], place: Place) -> Recordin
             raise InputError("a second header line", where=place(row, name), remedy=remedy)
         raise InputError(found.problem, where=place(row, name), remedy=found.remedy)
 
-    def group(names: Sequence[str]) -> NDArray[Any] | None:
-        return np.stack([values[name] for name in names], axis=1) if names[0] in values else None
-
-    position = np.stack([values[name] for name in POSITION], axis=1)
+    given = {field: [values[name] for name in names] for field, names in COLUMNS.items() if names[0] in values}
+    arrays = {field: np.stack(parts, axis=-1) if len(parts) > 1 else parts[0] for field, parts in given.items()}
+    if "run" in columns:
+        arrays["run"] = values["run"]
     return Recording(
-        time=values["t"],
-        position=position,
-        quaternion=group(QUATERNION),
-        action=group(ACTION),
-        force=group(FORCE),
-        run=values.get("run", np.zeros(len(position), dtype=np.int64)),
+        **arrays,
         part=columns.get("part", ()),
         has_run="run" in columns,
         has_part="part" in columns,

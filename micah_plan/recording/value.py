@@ -25,7 +25,14 @@ Ints = NDArray[np.int64]
 DEFAULT_PART = "part"
 _ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known
 
-_WIDTHS = {"time": 0, "position": 3, "quaternion": 4, "action": 3, "force": 3, "run": 0}
+COLUMNS = {
+    "time": ("t",),
+    "position": ("x", "y", "z"),
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "action": ("ax", "ay", "az"),
+    "force": ("fx", "fy", "fz"),
+}
+"""The arrays of numbers, and what text files call their columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +71,12 @@ class Recording:
             object.__setattr__(self, "run", np.zeros(n, dtype=np.int64))
         if not self.part:
             object.__setattr__(self, "part", (DEFAULT_PART,) * n)
-        for name, width in _WIDTHS.items():
+        for name, columns in {**COLUMNS, "run": ("run",)}.items():
             value = getattr(self, name)
             if value is None:
                 continue
             array = np.array(value, dtype=np.int64 if name == "run" else np.float64)
-            expected = (n, width) if width else (n,)
+            expected = (n, len(columns)) if len(columns) > 1 else (n,)
             if array.shape != expected:
                 raise InputError(f"Recording.{name} must have shape {expected}. Got {array.shape}")
             array.setflags(write=False)
@@ -108,7 +115,7 @@ class Recording:
     def rows(self, index: Any) -> Recording:
         """The rows that a NumPy index (integers, slice or booleans) selects, in that order."""
         chosen = np.arange(len(self))[index]
-        given: dict[str, Any] = {name: getattr(self, name) for name in _WIDTHS}
+        given: dict[str, Any] = {name: getattr(self, name) for name in (*COLUMNS, "run")}
         arrays: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in given.items()}
         return replace(
             self,

@@ -152,7 +152,8 @@ def segment_labels(learned: LearnedRun, rows_per_letter: float) -> tuple[Segment
     for stretch in learned.stretches:
         segment = stretch.segment
         wrong = is_misfit(segment)
-        text = NO_FIT if wrong else f"{segment.joint.kind} {percent(kind_probability(segment), 0)}"
+        own = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
+        text = NO_FIT if wrong else f"{segment.joint.kind} {percent(own, 0)}"
         half = rows_per_letter * len(text) / 2
         first, last = float(learned.rows[0]), float(learned.rows[-1])
         middle = min(max((segment.start + segment.end) / 2, first + half), max(last - half, first))
@@ -188,12 +189,6 @@ def model_name(model: str) -> str:
     kind, _, number = model.partition("_")
     kind = "free motion" if kind == "free" else kind
     return f"{kind} ({number})" if number else kind
-
-
-def kind_probability(segment: Segment) -> float:
-    """Probability of a segment's own kind of joint."""
-    kinds = () if segment.certainty is None else segment.certainty.kinds
-    return dict(kinds).get(segment.joint.kind, segment.probability)
 
 
 def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:

@@ -95,12 +95,8 @@ def _draw(scene: Scene, path: str, shape: Shape) -> None:
         return
     points = np.array(shape.vertices)
     hull = ConvexHull(points)
-    turned = np.einsum("ij,ij->i", _normals(points, hull.simplices), hull.equations[:, :3]) < 0
+    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
+    turned = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces = np.where(turned[:, None], hull.simplices[:, ::-1], hull.simplices)  # seen from outside
     scene.mesh(path, Mesh(points, faces.astype(np.int64)), shape.color)
     scene.place(path, transform(shape.position, shape.quaternion))
-
-
-def _normals(points: Floats, faces: NDArray[np.int32]) -> Floats:
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    return np.asarray(np.cross(b - a, c - a))
