@@ -127,11 +127,9 @@ def _cell(value: Any, kind: str) -> Any:
 
 
 def _written(columns: Columns, suffix: str) -> bytes:
-    return _parquet(columns) if suffix.lower() == ".parquet" else _csv(columns)
-
-
-def _csv(columns: Columns) -> bytes:
-    """Numbers as short as they can be without losing a bit; nothing where there is none."""
+    """In CSV numbers are as short as they can be without losing a bit; nothing stands where there is none."""
+    if suffix.lower() == ".parquet":
+        return _parquet(columns)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

@@ -11,6 +11,7 @@ from micah_plan.quantities import count, interval, percent, plain, quantity, wit
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
+from micah_plan.view.learning_words import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, ORANGE
 from micah_plan.view.svg import Panel, Svg, drawing
@@ -41,14 +42,14 @@ def calibration_page(found: Calibration, title: str) -> str:
         "badge": _BADGES[found.verdict],
         "message": SENTENCES[found.verdict],
         "notes": found.notes,
-        "modes": [f"{_capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
+        "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
         "parameters": _parameters(found),
         "effects": [_effect(one) for one in found.effects],
         "errors": _errors(found),
         "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
         "explained.",
         "coordinates": [_coordinate(one) for one in found.traces],
-        "experiment": f"{_capital(found.experiment)}.",
+        "experiment": f"{capital(found.experiment)}.",
     }
     return render("calibration.html.j2", page=page)
 
@@ -170,7 +171,3 @@ def _trend(panel: Panel, x: Floats, y: Floats) -> Svg:
     at = np.array([float(np.median(x[group])) for group in groups])
     mean = np.array([float(np.mean(y[group])) for group in groups])
     return panel.curve(at, mean, "trend")
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]

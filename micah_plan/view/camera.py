@@ -52,9 +52,9 @@ def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: F
     toward = _directions(_ELEVATION)
     if blockers is not None and len(blockers):
         toward = np.concatenate([toward, _directions(_LOW_ELEVATION)])  # to look under what stands above
-    hidden = [_hidden_share(way, motion, blockers) for way in toward]
-    quality = [_view_quality(way, motion, target, radius) for way in toward]
-    return np.asarray(toward[np.argmax(np.array(quality) - _HIDDEN_COST * np.array(hidden))])
+    hidden = np.array([_hidden_share(way, motion, blockers) for way in toward])
+    quality = np.array([_view_quality(way, motion, target, radius) for way in toward])
+    return np.asarray(toward[np.argmax(quality - _HIDDEN_COST * hidden)])
 
 
 def _directions(elevation: float) -> Floats:

@@ -17,6 +17,7 @@ from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import arrow, merge, perpendicular, tube
+from micah_plan.view.svg import rounded_up
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +80,7 @@ def draw_ground(scene: Scene) -> float:
     """A grid under what the camera sees; returns the spacing of its lines [m] (1, 2 or 5 times a power of ten)."""
     lower, upper = scene.bounds()
     span = float(np.linalg.norm(upper - lower))
-    spacing = _round_length(span / 8)
+    spacing = rounded_up(span / 8)
     half = spacing * math.ceil(0.9 * span / spacing)
     center = spacing * np.round((lower + upper)[:2] / 2 / spacing)
     offsets = np.arange(-half, half + spacing / 2, spacing)
@@ -158,11 +159,6 @@ def draw_copy(
 def shape_corners(shapes: tuple[Primitive, ...], pose: RigidTransform) -> Floats:
     """(k, 3) corners of boxes around the shapes of a body at a pose (single), for `Scene.reserve`."""
     return np.concatenate([np.zeros((0, 3)), *(pose.apply(corners(shape)) for shape in shapes)])
-
-
-def _round_length(length: float) -> float:
-    power = 10.0 ** math.floor(math.log10(length))
-    return power * next(step for step in (1, 2, 5, 10) if step * power >= length * 0.999)
 
 
 def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:

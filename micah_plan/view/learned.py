@@ -203,6 +203,17 @@ class LearnedRun:
     assessed: bool
 
     @property
+    def evidence_range(self) -> tuple[float, float]:
+        """What an axis of the evidence shows [nats]."""
+        top = max([12.0, *(float(line.values.max()) for line in self.evidence)])
+        return FLOOR - 0.08 * (top - FLOOR), top + 0.08 * (top - FLOOR)
+
+    @property
+    def changepoint_range(self) -> tuple[float, float]:
+        """What an axis of the changepoints' probabilities shows."""
+        return 0.0, 1.08 * max([0.05, *(bar.probability for bar in self.changepoints)])
+
+    @property
     def in_base(self) -> bool:
         """Whether positions are in the base frame."""
         return self.edge.parent == BASE

@@ -12,21 +12,8 @@ from numpy.typing import NDArray
 
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
-from micah_plan.view.learned import FLOOR, LearnedRun, is_misfit
-from micah_plan.view.learning_words import (
-    LEVELS,
-    block_title,
-    block_words,
-    channel_words,
-    has_misfit,
-    headline,
-    kind_probabilities,
-    kind_words,
-    line_labels,
-    misfit_words,
-    segment_labels,
-    shown_counts,
-)
+from micah_plan.view import learning_words as words
+from micah_plan.view.learned import LearnedRun, is_misfit
 from micah_plan.view.page import Bar, Bars, Chart
 from micah_plan.view.palette import MISFIT
 from micah_plan.view.svg import Panel, Svg, evenly, played, rectangle, text
@@ -37,7 +24,7 @@ MOST_BLOCKS = 40
 
 _WIDTH, _LEFT, _RIGHT = 420.0, 62.0, 8.0
 _NAMES = 106.0
-_TOP, _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 18.0 + 15.0 * (LEVELS - 1), 150.0, 104.0, 56.0
+_TOP, _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 18.0 + 15.0 * (words.LEVELS - 1), 150.0, 104.0, 56.0
 _GAP = 14.0
 _LETTER, _LINE = 7.2, 13.5
 _MOST_KEYFRAMES = 120
@@ -61,22 +48,16 @@ def learning_chart(recording: Recording, learned: LearnedRun, shown: Floats, *, 
     panels = _panels(learned)
     drawn = zip((_configuration, _evidence, _changepoint), panels, strict=False)
     parts = [_shades(panel, learned) for panel in panels] + [part(panel, learned) for part, panel in drawn]
-    notes = [misfit_words(stretch.segment) for stretch in learned.stretches]
-    notes += [channel_words(learned, recorded=recording.has_actions)]
     rows = learned.rows[evenly(len(learned.rows), _MOST_KEYFRAMES)]
     return Chart(
-        block_title(learned, several_runs=several_runs),
-        tuple(map(_sentence, block_words(learned))),
-        played(_WIDTH, panels, parts, "row of the recording", f"{headline(learned)} over rows"),
+        words.block_title(learned, several_runs=several_runs),
+        tuple(map(words.capital, words.block_words(learned))),
+        played(_WIDTH, panels, parts, "row of the recording", f"{words.headline(learned)} over rows"),
         tuple(bars for bars in (_counts(learned), _kinds(learned)) if bars.rows),
-        tuple(_sentence(note) for note in notes if note),
-        has_misfit(learned),
+        tuple(words.block_notes(learned, recorded=recording.has_actions)),
+        words.has_misfit(learned),
         tuple((float(shown[row]), panels[0].x(float(row))) for row in rows),
     )
-
-
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:]
 
 
 def _panels(learned: LearnedRun) -> list[Panel]:
@@ -89,11 +70,8 @@ def _panels(learned: LearnedRun) -> list[Panel]:
     upper = Panel(_LEFT, _TOP, width, _CONFIGURATION, first, last, low - margin, high + margin)
     if not learned.evidence:
         return [upper]
-    top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
-    extra = 0.08 * (top - FLOOR)
-    middle = upper.below(_GAP, _EVIDENCE, FLOOR - extra, top + extra)
-    highest = max([0.05, *(bar.probability for bar in learned.changepoints)])
-    return [upper, middle, middle.below(_GAP, _CHANGEPOINT, 0.0, 1.08 * highest)]
+    middle = upper.below(_GAP, _EVIDENCE, *learned.evidence_range)
+    return [upper, middle, middle.below(_GAP, _CHANGEPOINT, *learned.changepoint_range)]
 
 
 def _shades(panel: Panel, learned: LearnedRun) -> Svg:
@@ -115,7 +93,7 @@ def _configuration(panel: Panel, learned: LearnedRun) -> Svg:
         if is_misfit(stretch.segment):
             parts.append(panel.curve(stretch.rows, stretch.measured, "dots rim", dots=True))
         parts.append(panel.curve(stretch.rows, stretch.measured, "dots", stretch.colored.color, dots=True))
-    for label in segment_labels(learned, _LETTER * (panel.x1 - panel.x0) / panel.width):
+    for label in words.segment_labels(learned, _LETTER * (panel.x1 - panel.x0) / panel.width):
         x, y = panel.x(label.row), panel.top - 6 - 15 * label.level
         if label.misfit:
             half = _LETTER * len(label.text) / 2
@@ -130,7 +108,7 @@ def _evidence(panel: Panel, learned: LearnedRun) -> Svg:
         kind = "line" if line.color else "line other"
         parts.append(panel.curve(learned.evidence_rows, line.values, kind, line.color or ""))
     step = _LINE * (panel.y1 - panel.y0) / panel.height
-    for place, name, used in line_labels(learned.evidence, step):
+    for place, name, used in words.line_labels(learned.evidence, step):
         parts.append(text(panel.right + 5, panel.y(place) + 4, name, "name" if used else "number"))
     return Svg("".join(parts))
 
@@ -142,17 +120,14 @@ def _changepoint(panel: Panel, learned: LearnedRun) -> Svg:
             top = panel.y(bar.probability)
             width = max(bar.width * panel.width / (panel.x1 - panel.x0), 1.0)
             parts.append(rectangle(panel.x(bar.row) - width / 2, top, width, panel.bottom - top, "bar"))
-    for stretch in learned.stretches[1:]:
-        if stretch.interval is not None:
-            low, high = stretch.interval
-            words = f"95 %: {low} to {high}" if high > low else f"95 %: {low}"
-            parts.append(text(panel.x(low - 0.5) - 5, panel.top + 12, words, "number end"))
+    for first, name in words.interval_labels(learned):
+        parts.append(text(panel.x(first - 0.5) - 5, panel.top + 12, name, "number end"))
     return Svg("".join(parts))
 
 
 def _counts(learned: LearnedRun) -> Bars:
     chosen = len(learned.stretches) - 1
-    probabilities = shown_counts(learned) if learned.counts else ()
+    probabilities = words.shown_counts(learned) if learned.counts else ()
     rows = [Bar(str(k), percent(p, 0), p, faint=k != chosen) for k, p in enumerate(probabilities)]
     return Bars("Number of changepoints", tuple(rows))
 
@@ -163,7 +138,7 @@ def _kinds(learned: LearnedRun) -> Bars:
     for stretch in learned.stretches:
         if stretch.segment.certainty is None:
             continue
-        words = ", then ".join(filter(None, kind_words(stretch.segment)))
+        named = ", then ".join(filter(None, words.kind_words(stretch.segment)))
         label = f"rows {stretch.segment.start} to {stretch.segment.end}"
-        rows.append(Bar(label, words, kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
+        rows.append(Bar(label, named, words.kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
     return Bars("Kind of joint", tuple(rows))

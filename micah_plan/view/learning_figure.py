@@ -6,7 +6,6 @@ Sizes are in inches: panels have fixed places, so that every block looks the sam
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,20 +15,10 @@ from matplotlib.figure import Figure
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.quantities import count
 from micah_plan.recording.value import Recording
+from micah_plan.view import learning_panels as panels
+from micah_plan.view import learning_words as words
 from micah_plan.view.figures import empty_figure
 from micah_plan.view.learned import LearnedRun, learned_runs
-from micah_plan.view.learning_panels import (
-    PANEL_INK,
-    plot_changepoint,
-    plot_configuration,
-    plot_counts,
-    plot_evidence,
-    plot_kinds,
-    plot_plain_track,
-    plot_track,
-    shade_segments,
-)
-from micah_plan.view.learning_words import block_title, block_words, channel_words, has_misfit, misfit_words
 from micah_plan.view.palette import INK, MISFIT, MUTED
 
 WIDTH = 11.0
@@ -84,25 +73,19 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
 
 
 def _block(learned: LearnedRun, recording: Recording) -> _Block:
-    words = [channel_words(learned, recorded=recording.has_actions)]
-    words += [misfit_words(stretch.segment) for stretch in learned.stretches]
-    lines = tuple(line for text in words if text for line in _lines(text[0].upper() + text[1:]))
+    notes = words.block_notes(learned, recorded=recording.has_actions)
+    glued = [note.replace(" ± ", f"{words.NO_BREAK}±{words.NO_BREAK}") for note in notes]
+    lines = tuple(line for note in glued for line in words.wrapped(note, _CHARACTERS))
     traced = (_EVIDENCE, _CHANGEPOINT) if learned.evidence else ()
     bars = bool(learned.counts) or any(s.segment.certainty is not None for s in learned.stretches)
     needed = _LEAST_SPACE + (_BARS + 0.5 if bars else 0.0) - sum(traced) - _GAP * len(traced)
     return _Block(learned, lines, (max(_CONFIGURATION, needed), *traced), bars)
 
 
-def _lines(text: str) -> list[str]:
-    """Lines of a sentence; a number and its spread stay in one."""
-    glue = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
-    return [line.replace(glue, " ± ") for line in textwrap.wrap(text.replace(" ± ", glue), _CHARACTERS)]
-
-
 def _plain(recording: Recording) -> Figure:
     height = 4.6
     figure = empty_figure((WIDTH, height))
-    plot_plain_track(_space(figure, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
+    panels.plot_plain_track(_space(figure, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
     axes = _panel(figure, _SPLIT, 0.6, WIDTH - _SPLIT - 0.5, height - 1.1)
     for name, values, style in zip("xyz", recording.position.T, ("-", "--", ":"), strict=True):
         axes.plot(values, style, color=INK, lw=1.4)
@@ -114,33 +97,34 @@ def _plain(recording: Recording) -> Figure:
 def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool) -> None:
     """The finding in large letters, on yellow if no joint fits; changepoints and parameters; panels; sentences."""
     learned = block.learned
-    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
-    title = block_title(learned, several_runs=several_runs)
+    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if words.has_misfit(learned) else None
+    title = words.block_title(learned, several_runs=several_runs)
     _write(figure, top - 0.38, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box)
-    _write(figure, top - 0.7, "   ·   ".join(block_words(learned)), fontsize=10, color=PANEL_INK, va="center")
+    found = "   ·   ".join(words.block_words(learned))
+    _write(figure, top - 0.7, found, fontsize=10, color=panels.PANEL_INK, va="center")
     width = WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
     bottom = top - _HEADER + _GAP
     axes: list[Axes] = []
     for height in block.panels:
         bottom -= _GAP + height
         axes.append(_panel(figure, _SPLIT, bottom, width, height, sharex=axes[0] if axes else None))
-    plot_configuration(axes[0], learned, width)
+    panels.plot_configuration(axes[0], learned, width)
     if len(axes) > 1:
-        plot_evidence(axes[1], learned, block.panels[1])
-        plot_changepoint(axes[2], learned)
+        panels.plot_evidence(axes[1], learned, block.panels[1])
+        panels.plot_changepoint(axes[2], learned)
     for panel in axes:
-        shade_segments(panel, learned)
+        panels.shade_segments(panel, learned)
         panel.tick_params(labelbottom=panel is axes[-1])
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
-    axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
+    axes[-1].set_xlabel("row of the recording", color=panels.PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
-    plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
+    panels.plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
     if learned.counts:
-        plot_counts(_panel(figure, 0.45, bottom - 0.05, 1.15, _BARS - 0.1), learned)
+        panels.plot_counts(_panel(figure, 0.45, bottom - 0.05, 1.15, _BARS - 0.1), learned)
     if block.bars:
-        plot_kinds(_panel(figure, 2.3 if learned.counts else 0.95, bottom - 0.05, 1.25, _BARS - 0.1), learned)
+        panels.plot_kinds(_panel(figure, 2.3 if learned.counts else 0.95, bottom - 0.05, 1.25, _BARS - 0.1), learned)
     for number, line in enumerate(block.words):
-        _write(figure, bottom - _AXIS - _LINE * (number + 0.5), line, fontsize=9, color=PANEL_INK, va="center")
+        _write(figure, bottom - _AXIS - _LINE * (number + 0.5), line, fontsize=9, color=panels.PANEL_INK, va="center")
 
 
 def _write(figure: Figure, height: float, text: str, **look: Any) -> None:
@@ -156,7 +140,7 @@ def _panel(figure: Figure, left: float, bottom: float, width: float, height: flo
     axes: Axes = _axes(figure, left, bottom, width, height, **options)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
-    axes.tick_params(labelsize=9, color=MUTED, labelcolor=PANEL_INK)
+    axes.tick_params(labelsize=9, color=MUTED, labelcolor=panels.PANEL_INK)
     return axes
 
 

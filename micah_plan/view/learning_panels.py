@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
+from micah_plan.view import learning_words as words
 from micah_plan.view.camera import viewing_direction
 from micah_plan.view.learned import FLOOR, LearnedRun, Stretch, is_misfit
-from micah_plan.view.learning_words import kind_probabilities, kind_words, line_labels, segment_labels, shown_counts
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.placement import joint_axis, joint_curve
 
@@ -130,7 +130,7 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
     first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)
     axes.set_xlim(first, last)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=9, integer=True, steps=[1, 2, 5, 10]))
-    for label in segment_labels(learned, _LETTER * max(last - first, 1.0) / width):
+    for label in words.segment_labels(learned, _LETTER * max(last - first, 1.0) / width):
         box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
         axes.annotate(
             label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
@@ -166,13 +166,12 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
         if color == MISFIT:
             axes.plot(rows, line.values, color=INK, lw=3.2, zorder=3)
         axes.plot(rows, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
-    top = max([12.0, *(float(line.values.max()) for line in learned.evidence)])
-    axes.set_ylim(FLOOR - 0.08 * (top - FLOOR), top + 0.08 * (top - FLOOR))
+    low, high = learned.evidence_range
+    axes.set_ylim(low, high)
     axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
     axes.axhline(FLOOR, color=MUTED, lw=0.7, ls=":", zorder=1)
-    low, high = axes.get_ylim()
-    for place, name, used in line_labels(learned.evidence, _LINE_HEIGHT / height * (high - low)):
+    for place, name, used in words.line_labels(learned.evidence, _LINE_HEIGHT / height * (high - low)):
         look: dict[str, Any] = {"weight": "bold", "color": INK} if used else {"weight": "normal", "color": PANEL_INK}
         axes.annotate(
             name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
@@ -183,24 +182,21 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
 def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
     """The posterior probability of every row to be the first of a segment."""
     bars = learned.changepoints
-    heights = [bar.probability for bar in bars]
-    axes.bar([bar.row for bar in bars], heights, width=[bar.width for bar in bars], color=INK, lw=0, zorder=3)
-    axes.set_ylim(0.0, 1.08 * max([0.05, *heights]))
+    rows, heights, widths = ([getattr(bar, name) for bar in bars] for name in ("row", "probability", "width"))
+    axes.bar(rows, heights, width=widths, color=INK, lw=0, zorder=3)
+    axes.set_ylim(learned.changepoint_range)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
     axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
-    for stretch in learned.stretches[1:]:
-        if stretch.interval is not None:
-            low, high = stretch.interval
-            words = f"{low} to {high}" if high > low else f"{low}"
-            axes.annotate(
-                f"95 %: {words}", (low - 0.5, 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
-                textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
-            )  # fmt: skip
+    for first, name in words.interval_labels(learned):
+        axes.annotate(
+            name, (first - 0.5, 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
+        )  # fmt: skip
 
 
 def plot_counts(axes: Axes, learned: LearnedRun) -> None:
     """The posterior over the number of changepoints; the number that the segments have is dark."""
-    counts = shown_counts(learned)
+    counts = words.shown_counts(learned)
     chosen = len(learned.stretches) - 1
     colors = [INK if number == chosen else GRID for number in range(len(counts))]
     axes.bar(range(len(counts)), counts, width=0.78, color=colors)
@@ -228,11 +224,11 @@ def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
 
 
 def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
-    ranked = [probability for _, probability in kind_probabilities(stretch.segment)]
+    ranked = [probability for _, probability in words.kind_probabilities(stretch.segment)]
     left = np.cumsum([0.0, *ranked[:-1]])
     colors = [stretch.colored.color] + [GRID] * (len(ranked) - 1)
     axes.barh([place] * len(ranked), ranked, left=left, height=0.66, color=colors, edgecolor="white", lw=0.8)
     box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
-    first, following = kind_words(stretch.segment)
+    first, following = words.kind_words(stretch.segment)
     axes.text(0.03, place, first, va="center", fontsize=8, weight="bold", color=INK, bbox=box)
     axes.text(1.04, place, following, va="center", fontsize=8.5, color=PANEL_INK)

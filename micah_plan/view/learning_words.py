@@ -15,6 +15,7 @@ from micah_plan.automaton.joint import Joint, radius
 from micah_plan.quantities import in_degrees, percent, quantity, with_spread
 from micah_plan.view.learned import FLOOR, EvidenceLine, LearnedRun, is_misfit
 
+NO_BREAK = "\N{NO-BREAK SPACE}"
 NO_FIT = "no single-joint model fits"
 LEVELS = 2
 """Rows of names above a chart: what would overlap goes to the second."""
@@ -34,6 +35,20 @@ def block_words(learned: LearnedRun) -> list[str]:
     joints = {s.colored.color: s.segment for s in learned.stretches if not is_misfit(s.segment)}
     moving = [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.kind != "rigid"]
     return [changepoint_words(learned), *moving]
+
+
+def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
+    """What no joint explains, and how actions move the part, one sentence each; `recorded`: whether there are any."""
+    notes = [
+        *(misfit_words(stretch.segment) for stretch in learned.stretches),
+        channel_words(learned, recorded=recorded),
+    ]
+    return [capital(note) for note in notes if note]
+
+
+def capital(words: str) -> str:
+    """The words as the begin of a sentence."""
+    return words[:1].upper() + words[1:]
 
 
 def has_misfit(learned: LearnedRun) -> bool:
@@ -164,12 +179,19 @@ def segment_labels(learned: LearnedRun, rows_per_letter: float) -> tuple[Segment
     return tuple(found)
 
 
+def interval_labels(learned: LearnedRun) -> list[tuple[int, str]]:
+    """First row and name of every interval in which a segment starts with 95 % probability."""
+    found = [stretch.interval for stretch in learned.stretches[1:] if stretch.interval is not None]
+    return [(low, f"95 %: {low} to {high}" if high > low else f"95 %: {low}") for low, high in found]
+
+
 def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float, str, bool]]:
     """(height [nats], text, whether a segment has this model), moved `step` apart; what is ruled out shares a label."""
     ending = [(float(line.values[-1]), model_name(line.model), line.color is not None) for line in lines]
     wanted = [label for label in ending if label[0] > FLOOR + _AT_FLOOR]
     names = [name for value, name, _ in ending if value <= FLOOR + _AT_FLOOR]
-    out = ["ruled out:", *_lines(names)] if names else []
+    listed = ", ".join(name.replace(" ", NO_BREAK) for name in names)
+    out = ["ruled out:", *wrapped(listed, _LINE_OF_NAMES)] if names else []
     placed = [(FLOOR - step * i, text, False) for i, text in enumerate(out)]
     below = FLOOR if placed else -float("inf")
     for value, text, used in sorted(wanted):
@@ -178,10 +200,9 @@ def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float,
     return placed
 
 
-def _lines(names: Sequence[str]) -> list[str]:
-    """Names with commas, in short lines; a name that has a space stays in one."""
-    listed = ", ".join(name.replace(" ", "\N{NO-BREAK SPACE}") for name in names)
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(listed, _LINE_OF_NAMES)]
+def wrapped(text: str, most: int) -> list[str]:
+    """Lines of at most so many letters, broken where spaces are not no-break ones, which become plain."""
+    return [line.replace(NO_BREAK, " ") for line in textwrap.wrap(text, most)]
 
 
 def model_name(model: str) -> str:
@@ -200,8 +221,8 @@ def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:
 
 def kind_words(segment: Segment) -> tuple[str, str]:
     """The most probable kind with its probability, and the next one, empty if it is out of the question."""
-    first, second, *_ = (f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in kind_probabilities(segment))
-    return first, second
+    ranked = [f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in kind_probabilities(segment)]
+    return ranked[0], "".join(ranked[1:2])
 
 
 def shown_counts(learned: LearnedRun, least: int = 3) -> tuple[float, ...]:
