@@ -82,14 +82,24 @@ def revolute(axis: ArrayLike, point: ArrayLike, position: ArrayLike, quaternion:
 
     Any point of the line will do: the joint's centre is the one closest to `position`.
     """
-    return _turning("revolute", axis, point, 0.0, position, quaternion)
+    return turning("revolute", axis, point, 0.0, position, quaternion)
 
 
 def screw(
     axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike = IDENTITY
 ) -> Joint:
     """A part that turns as a revolute one and moves `pitch` [m/rad] along the axis while it turns."""
-    return _turning("screw", axis, point, float(pitch), position, quaternion)
+    return turning("screw", axis, point, float(pitch), position, quaternion)
+
+
+def turning(
+    kind: JointKind, axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike
+) -> Joint:
+    """A revolute joint or a screw, by its kind; see these."""
+    direction, origin = _direction(axis), _vector(position, "position")
+    through = np.array(_vector(point, "point"))
+    center = through + np.dot(np.subtract(origin, through), direction) * np.array(direction)
+    return Joint(kind, origin, _unit_quaternion(quaternion), direction, _vector(center, "center"), pitch)
 
 
 def radius(joint: Joint) -> float:
@@ -113,15 +123,6 @@ def axis_basis(axis: ArrayLike) -> Floats:
     b1[j], b1[k] = -a[k] / length, a[j] / length
     b2 = (a[1] * b1[2] - a[2] * b1[1], a[2] * b1[0] - a[0] * b1[2], a[0] * b1[1] - a[1] * b1[0])
     return np.array([b1, b2])
-
-
-def _turning(
-    kind: JointKind, axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike
-) -> Joint:
-    direction, origin = _direction(axis), _vector(position, "position")
-    through = np.array(_vector(point, "point"))
-    center = through + np.dot(np.subtract(origin, through), direction) * np.array(direction)
-    return Joint(kind, origin, _unit_quaternion(quaternion), direction, _vector(center, "center"), pitch)
 
 
 def _vector(value: ArrayLike, name: str) -> Vector3:

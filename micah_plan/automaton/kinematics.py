@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, revolute, screw
+from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, turning
 from micah_plan.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -31,18 +31,11 @@ _MOST_ITERATIONS = 50
 @lru_cache(maxsize=1024)
 def twist(joint: Joint) -> Floats:
     """ξ (6,) = [rotation, translation], base frame: the motion per unit of configuration. Zero for rigid."""
-    xi = _twist(joint)
+    axis, center = np.array(joint.axis), np.array(joint.center)
+    turning = np.concatenate([axis, _cross(center, axis) + joint.pitch * axis])
+    xi = np.concatenate([np.zeros(3), axis]) if joint.kind == "prismatic" else turning
     xi.setflags(write=False)
     return xi
-
-
-def _twist(joint: Joint) -> Floats:
-    axis, center = np.array(joint.axis), np.array(joint.center)
-    if joint.kind == "rigid":
-        return np.zeros(6)
-    if joint.kind == "prismatic":
-        return np.concatenate([np.zeros(3), axis])
-    return np.concatenate([axis, _cross(center, axis) + joint.pitch * axis])
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
@@ -70,31 +63,22 @@ def placements(joint: Joint, c: ArrayLike) -> Floats:
     a hundred times as long for one of them as the arithmetic does.
     """
     configurations = np.atleast_1d(np.asarray(c, dtype=float))
-    axis, cross, squared, start = _rodrigues(joint)
-    moved = np.broadcast_to(start, (configurations.size, 4, 4)).copy()
-    if joint.kind == "rigid":
-        return moved
-    if joint.kind == "prismatic":
-        moved[:, :3, 3] += configurations[:, None] * axis
-        return moved
+    slide, cross, squared, center, start = _rodrigues(joint)
     sine, versine = np.sin(configurations)[:, None, None], (1.0 - np.cos(configurations))[:, None, None]
     turn = np.eye(3) + sine * cross + versine * squared
-    center = np.array(joint.center)
+    moved = np.broadcast_to(start, (configurations.size, 4, 4)).copy()
     moved[:, :3, :3] = turn @ start[:3, :3]
-    moved[:, :3, 3] = center + turn @ (start[:3, 3] - center) + (joint.pitch * configurations)[:, None] * axis
+    moved[:, :3, 3] = center + turn @ (start[:3, 3] - center) + configurations[:, None] * slide
     return moved
 
 
 @lru_cache(maxsize=1024)
-def _rodrigues(joint: Joint) -> tuple[Floats, Floats, Floats, Floats]:
-    """The axis (3,), its matrix of the cross product and the square of that (3, 3), the pose at 0 (4, 4)."""
-    axis = np.array(joint.axis)
-    x, y, z = axis.tolist()
+def _rodrigues(joint: Joint) -> tuple[Floats, ...]:
+    """The slide per unit (3,), the matrix of the rotation (3, 3), its square, the centre (3,), the pose at 0 (4, 4)."""
+    slide = (1.0 if joint.kind == "prismatic" else joint.pitch) * np.array(joint.axis)
+    x, y, z = twist(joint)[:3].tolist()
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    parts = axis, cross, cross @ cross, origin(joint).as_matrix()
-    for part in parts:
-        part.setflags(write=False)
-    return parts
+    return slide, cross, cross @ cross, np.array(joint.center), origin(joint).as_matrix()
 
 
 def inverse(
@@ -224,10 +208,8 @@ def shifted(joint: Joint, offset: float) -> Joint:
     position, quaternion = pose.translation, pose.rotation.as_quat()
     if joint.kind == "prismatic":
         moved = prismatic(joint.axis, position, quaternion)
-    elif joint.kind == "revolute":
-        moved = revolute(joint.axis, joint.center, position, quaternion)
     else:
-        moved = screw(joint.axis, joint.center, joint.pitch, position, quaternion)
+        moved = turning(joint.kind, joint.axis, joint.center, joint.pitch, position, quaternion)
     kept = ("axis_1", "axis_2", "pitch") + (("center_1", "center_2") if joint.kind == "revolute" else ())
     return replace(moved, covariance=_marginal(joint.covariance, kept))
 
@@ -241,7 +223,8 @@ def reversed_direction(joint: Joint) -> Joint:
     if covariance is not None:
         sign = np.array([-1.0 if name in ("axis_1", "center_1") else 1.0 for name in covariance.names])
         covariance = _covariance(covariance.names, np.outer(sign, sign) * np.array(covariance.matrix))
-    return replace(joint, axis=_tuple3(-np.array(joint.axis)), covariance=covariance)
+    x, y, z = joint.axis
+    return replace(joint, axis=(-x, -y, -z), covariance=covariance)
 
 
 def part_poses(automaton: HybridAutomaton, mode: Mode, x: Floats) -> dict[str, RigidTransform]:
@@ -268,8 +251,4 @@ def _marginal(covariance: ParameterCovariance | None, kept: tuple[str, ...]) -> 
 
 
 def _covariance(names: tuple[str, ...], matrix: Floats) -> ParameterCovariance:
-    return ParameterCovariance(names, tuple(tuple(float(v) for v in row) for row in matrix))
-
-
-def _tuple3(vector: Floats) -> tuple[float, float, float]:
-    return (float(vector[0]), float(vector[1]), float(vector[2]))
+    return ParameterCovariance(names, tuple(map(tuple, matrix.tolist())))

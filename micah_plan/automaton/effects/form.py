@@ -3,17 +3,9 @@
 A formula is written with the functions of an `Operations` namespace. `numpy` is one; `symbolic.effects` has the one for
 CasADi expressions. So the identification, the transition of the automaton and the compiled functions cannot disagree.
 
-A step of a coordinate c with command v = (B u) of its mode runs through these hooks, in this order; each form changes
-one of them and leaves the others as they are:
-
-    frame_command(action, direction, p)        the command that a recorded action stands for, if it was given elsewhere
-    remember(v, memory, p)                     what comes out of a channel that has a memory
-    command(v, p)                              what comes out of one that has none
-    force(c, v, p)                             what the joint adds
-    stops(lower, upper, p), release(p)         where the motion ends, and what command leaves the end
-    measured(c, time, p)                       what the sensor says of it
-
-What moves guards or joints is taken into the automaton itself, once, when the effect is added (`rebuilt`).
+A step of a coordinate c with command v = (B u) of its mode runs through the hooks of `EffectForm` in their order; each
+form changes one of them and leaves the others as they are. What moves guards or joints is taken into the automaton
+itself, once, when the effect is added (`rebuilt`).
 """
 
 from __future__ import annotations

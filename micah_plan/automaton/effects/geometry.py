@@ -10,10 +10,8 @@ import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.joint import Joint, axis_basis, revolute, rigid, screw
+from micah_plan.automaton.joint import Joint, axis_basis, rigid, turning
 from micah_plan.automaton.lifted import mapped
-
-_TURN = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
 
 
 @final
@@ -23,7 +21,7 @@ class FrameRotation(EffectForm):
     name, layer = "frame_rotation", "frame"
     sentence = "Actions are given in a frame that is turned against the base frame."
     source = "Murray, Li and Sastry, ch. 2: exponential coordinates of rotations"
-    parameters = _TURN
+    parameters = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
 
     def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
         squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + 1e-18
@@ -45,7 +43,7 @@ class ScrewPitch(EffectForm):
     parameters = (Parameter("pitch", "m/rad", 0.0),)
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return _with_joints(automaton, coordinate, lambda joint: pitched(joint, p[0]))
+        return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, pitch=p[0]))
 
 
 @final
@@ -58,26 +56,16 @@ class AxisOffset(EffectForm):
     parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        return _with_joints(automaton, coordinate, lambda joint: offset(joint, p))
+        return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, p))
 
 
-def pitched(joint: Joint, pitch: float) -> Joint:
-    """A turning joint with `pitch` m/rad more; others as they are."""
-    if joint.kind not in ("revolute", "screw"):
-        return joint
-    made = screw(joint.axis, joint.center, joint.pitch + pitch, joint.position, joint.quaternion)
-    return replace(made, covariance=joint.covariance)
-
-
-def offset(joint: Joint, by: Sequence[float]) -> Joint:
-    """A turning joint with its axis moved by two amounts [m] along `axis_basis`; others as they are."""
+def _turned_about(joint: Joint, by: Sequence[float] = (0.0, 0.0), pitch: float = 0.0) -> Joint:
+    """A turning joint with its axis moved [m] along `axis_basis`, and more pitch [m/rad]; others as they are."""
     if joint.kind not in ("revolute", "screw"):
         return joint
     center = np.array(joint.center) + np.array(by) @ axis_basis(joint.axis)
-    if joint.kind == "screw":
-        made = screw(joint.axis, center, joint.pitch, joint.position, joint.quaternion)
-    else:
-        made = revolute(joint.axis, center, joint.position, joint.quaternion)
+    kind = "screw" if pitch else joint.kind
+    made = turning(kind, joint.axis, center, joint.pitch + pitch, joint.position, joint.quaternion)
     return replace(made, covariance=joint.covariance)
 
 

@@ -2,46 +2,17 @@
 
 from __future__ import annotations
 
-from micah_plan.automaton.effects.ends import GuardHysteresis, GuardShift, Limit
+from micah_plan.automaton.effects import ends, formulas, geometry
 from micah_plan.automaton.effects.form import LAYERS, EffectForm
-from micah_plan.automaton.effects.formulas import (
-    Backlash,
-    Bias,
-    DeadZone,
-    Delay,
-    Drift,
-    Gain,
-    Gravity,
-    Lag,
-    Latch,
-    Saturation,
-    SensorScale,
-    Spring,
-    Unexplained,
-)
-from micah_plan.automaton.effects.geometry import AxisOffset, FrameRotation, ScrewPitch
 from micah_plan.errors import InputError, shown
 
+# In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
-    Gain(),
-    Bias(),
-    FrameRotation(),
-    Delay(),
-    Lag(),
-    Saturation(),
-    DeadZone(),
-    Backlash(),
-    Spring(),
-    Gravity(),
-    Latch(),
-    Limit(),
-    ScrewPitch(),
-    AxisOffset(),
-    GuardShift(),
-    GuardHysteresis(),
-    SensorScale(),
-    Drift(),
-    Unexplained(),
+    *(formulas.Gain(), formulas.Bias(), geometry.FrameRotation(), formulas.Delay(), formulas.Lag()),
+    *(formulas.Saturation(), formulas.DeadZone(), formulas.Backlash()),
+    *(formulas.Spring(), formulas.Gravity(), formulas.Latch(), ends.Limit()),
+    *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
+    *(formulas.SensorScale(), formulas.Drift(), formulas.Unexplained()),
 )
 _FORMS: dict[str, EffectForm] = {form.name: form for form in _LIBRARY}
 
