@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
@@ -20,8 +21,6 @@ from micah_plan.automaton.region import Interval, Region
 from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 Matrix = tuple[tuple[float, ...], ...]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -19,17 +19,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.form import Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, memoised
 from micah_plan.automaton.lifted import lifted, restricted
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @memoised

@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
 
 JointKind = Literal["rigid", "prismatic", "revolute", "screw"]
 JOINT_KINDS: tuple[JointKind, ...] = ("rigid", "prismatic", "revolute", "screw")
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-Floats = NDArray[np.float64]
-
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, turning
 from micah_plan.errors import InputError
-
-Floats = NDArray[np.float64]
 
 ROTATION_LENGTH = 0.2
 _NO_INFORMATION = 1e-12

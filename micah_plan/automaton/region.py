@@ -10,11 +10,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.errors import InputError
 
-Floats = NDArray[np.float64]
 Interval = tuple[float, float]
 """Lower and upper end."""
 
@@ -108,7 +107,7 @@ class Region:
     half_spaces: tuple[HalfSpace, ...] = ()
 
     @cached_property
-    def _arrays(self) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    def _arrays(self) -> tuple[Floats, Floats, Floats, Booleans]:
         rows = self.half_spaces
         return (
             np.array([h.a for h in rows]),
@@ -152,7 +151,7 @@ class Region:
         a, b, c, _ = self._arrays
         return np.asarray(x @ a.T + u @ b.T - c)
 
-    def contains(self, x: Floats, u: Floats, tolerance: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, x: Floats, u: Floats, tolerance: float = 0.0) -> Booleans:
         """Whether each (x, u) lies inside; a tolerance > 0 admits points that far outside."""
         if self.is_everything:
             return np.ones(np.shape(x)[:-1], dtype=bool)

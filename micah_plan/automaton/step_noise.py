@@ -14,15 +14,12 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
 from micah_plan.automaton.lifted import mapped
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 # A handle nearer to its axis [m] moves nothing that a hand could measure by.
 _SHORTEST_LEVER = 1e-6

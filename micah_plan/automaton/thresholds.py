@@ -17,13 +17,11 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, memoised
 from micah_plan.automaton.lifted import lifted, mapped
 from micah_plan.automaton.region import HalfSpace
-
-Floats = NDArray[np.float64]
 
 _DIGITS = 9
 _SMALLEST_STD = 1e-6

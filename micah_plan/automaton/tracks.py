@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian, jacobian
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import DEFAULT_PART, Recording
-
-Floats = NDArray[np.float64]
 
 # Lever arm about which nothing can turn [m].
 _NO_LEVER = 1e-6

@@ -48,14 +48,13 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.guard_table import TOLERANCE, Exit, ModeTable, Row, entry, margin_and_rate, mode_table
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_on
 from micah_plan.errors import InputError, shown
-
-Floats = NDArray[np.float64]
 
 MOST_EVENTS = 256
 

@@ -13,17 +13,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_table
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
 from micah_plan.automaton.thresholds import with_boundary_states
 from micah_plan.automaton.transition import Travel
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # A roll-out with more events in one step than this is left to the scalar transition, which knows when to end.
 _MOST_EVENTS = 16

@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import origin, twist
-
-Floats = NDArray[np.float64]
 
 
 class ChainJoint(NamedTuple):

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Link, Part, Pin
-from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Link, Pin
+from micah_plan.automaton.joint import IDENTITY, Joint, JointKind, prismatic, revolute, rigid
 from micah_plan.errors import InputError
 
 HAND = "hand"
@@ -81,16 +81,13 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
     if kind not in ("revolute", "prismatic"):
         raise InputError(f"contacts need a revolute or prismatic joint. Got {kind}")
     latches = tuple(latch for edge in automaton.edges_from(mode.name) if (latch := _latch(automaton, edge)) is not None)
-    high = mode.interval(0)[1]
-    datum = grip.datum
-    if datum is None:
-        known = [latch.threshold for latch in latches if latch.direction > 0] + [high]
-        datum = known[0]
-        if not math.isfinite(datum):
-            remedy = "give the configuration at which the parts' shapes are described as `datum`"
-            raise InputError("the model neither latches nor ends anywhere, so its shapes have no datum", remedy=remedy)
     above = [latch.threshold for latch in latches if latch.direction > 0]
     below = [latch.threshold for latch in latches if latch.direction < 0]
+    high = mode.interval(0)[1]
+    datum = [*above, high][0] if grip.datum is None else grip.datum
+    if grip.datum is None and not math.isfinite(datum):
+        remedy = "give the configuration at which the parts' shapes are described as `datum`"
+        raise InputError("the model neither latches nor ends anywhere, so its shapes have no datum", remedy=remedy)
     return LearnedJoint(
         kind,
         mode.name,
@@ -119,13 +116,8 @@ def links_of(grip: Grip) -> tuple[Link, ...]:
     return (*slides, Link(HAND, grip.held.name, 3), Link(grip.held.name, grip.moving.name, 3))
 
 
-def parts_of(grip: Grip) -> tuple[Part, ...]:
-    """The object's parts with their shapes; both part frames are the hinge frame (with the joint at the datum)."""
-    return (Part(grip.held.name, grip.held.shapes), Part(grip.moving.name, grip.moving.shapes))
-
-
 def mode_joints(
-    grip: Grip, datum: float, turns: bool, *, rigid_at: float | None = None, turned_from: float | None = None
+    grip: Grip, joint: LearnedJoint, *, rigid_at: float | None = None, turned_from: float | None = None
 ) -> tuple[Joint, ...]:
     """The joints of a mode, one per link.
 
@@ -142,12 +134,11 @@ def mode_joints(
         axis = rotation.apply(_HINGE)
         start = Rotation.from_rotvec(-turned_from * axis)
         in_hand = revolute(axis, (0.0, 0.0, 0.0), start.apply(position), (start * rotation).as_quat())
-    offset = -datum if rigid_at is None else rigid_at - datum
-    if turns:
-        at = Rotation.from_rotvec((0.0, -offset, 0.0)).as_quat()
-        place = np.zeros(3)
+    offset = (0.0 if rigid_at is None else rigid_at) - joint.datum
+    if joint.turns:
+        place, at = np.zeros(3), Rotation.from_rotvec((0.0, -offset, 0.0)).as_quat()
         own = revolute((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), place, at)
     else:
-        at, place = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, offset])
+        place, at = np.array([0.0, 0.0, offset]), np.array(IDENTITY)
         own = prismatic((0.0, 0.0, 1.0), place)
     return (*slides, in_hand, own if rigid_at is None else rigid(place, at, rigid_at))

@@ -19,18 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.contacts.collision import collision_regions
-from micah_plan.automaton.contacts.joints import (
-    Latch,
-    LearnedJoint,
-    learned_joint,
-    links_of,
-    mode_joints,
-    parts_of,
-)
-from micah_plan.automaton.contacts.touch import TouchPiece, resting_height, touch_pieces
+from micah_plan.automaton.contacts.joints import Latch, LearnedJoint, learned_joint, links_of, mode_joints
+from micah_plan.automaton.contacts.touch import TouchPiece, collision_regions, resting_height, touch_pieces
 from micah_plan.automaton.contacts.values import AXES, COLLIDED, Face, Grip, HandNoise, Surroundings
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset, Tie
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Part, Pin, Reset, Tie
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box
 
 FREE = "free"
@@ -84,8 +76,8 @@ class Contact:
     def above(self) -> HalfSpace:
         """Where it does not touch, but for the boundary."""
         touching = self.touching
-        name = f"above {self.face.solid}: {self.name}"
-        return HalfSpace(tuple(-w for w in touching.a), touching.b, -touching.c, name=name)
+        a = tuple(-w for w in touching.a)
+        return HalfSpace(a, touching.b, -touching.c, name=f"above {self.face.solid}: {self.name}")
 
     @property
     def end_of_hand(self) -> dict[int, float]:
@@ -113,7 +105,8 @@ def with_contacts(
         coordinates=(*hand, Coordinate(grip.coordinate, "rad" if joint.turns else "m")),
         inputs=hand,
         links=links_of(grip),
-        parts=parts_of(grip),
+        # Both part frames are the hinge frame, with the joint at the datum.
+        parts=tuple(Part(part.name, part.shapes) for part in (grip.held, grip.moving)),
         modes=tuple(modes),
         edges=(*edges, *hits),
         noise=Noise((*noise.process, joint.process_std), (*noise.observation, joint.observation_std)),
@@ -171,7 +164,7 @@ class _Product:
     def _free(self) -> Mode:
         region = self._hand_box(self.joint.low, self.joint.high)
         rows = tuple(c.above for c in self.contacts if c.is_line and self._lines_on(c.face) == 1)
-        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns)
+        joints = mode_joints(self.grip, self.joint)
         return Mode(FREE, joints, _HAND_FREE, region.intersection(Region(rows)))
 
     def _contact(self, contact: Contact) -> Mode:
@@ -179,7 +172,7 @@ class _Product:
         flow = (*_HAND_FREE[:3], tie.weights[:3])
         region = self._hand_box(*sorted((piece.begin, piece.end)))
         turned = None if contact.is_line else piece.begin
-        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns, turned_from=turned)
+        joints = mode_joints(self.grip, self.joint, turned_from=turned)
         return Mode(contact.name, joints, flow, region, ties=(tie,))
 
     def _latched(self, latch: Latch) -> Mode:
@@ -188,7 +181,7 @@ class _Product:
         for face in self.surroundings.faces:
             bound = above if face.sign > 0 else below
             rows.append(bound(face.axis, self._lowest(latch, face), _N, _M, name=AXES[face.axis]))
-        joints = mode_joints(self.grip, self.joint.datum, self.joint.turns, rigid_at=latch.pin.value)
+        joints = mode_joints(self.grip, self.joint, rigid_at=latch.pin.value)
         pin = Pin(_JOINT, latch.pin.value, latch.pin.std)
         return Mode(latch.mode, joints, _HAND_FREE, region.intersection(Region(tuple(rows))), pins=(pin,))
 

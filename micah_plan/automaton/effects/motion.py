@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
-
-Floats = NDArray[np.float64]
 
 # Half the interval of a central difference [rad or m].
 _SMALL = 1e-6
