@@ -28,7 +28,7 @@ mode of the product can be reached from every other. `Init` is left to the task,
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -106,7 +106,7 @@ def build_automaton(
         edges=tuple(edge for choice in product for edge in _edges(chains, choice, names, release)),
         noise=noise or _noise_of(moving),
         provenance=dict(provenance or {}),
-        learned=_learned_edges(graph),
+        learned=tuple(_learned_edges(graph)),
     )
     check_automaton(automaton)
     return automaton
@@ -182,19 +182,16 @@ def _edges(
 
 def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, release: float) -> HalfSpace:
     """The paper's guards {c >= upper} and {c < lower}; out of a rigid model the input decides."""
-    if model.is_rigid and forward:
-        return input_above(i, release, n, n, strict=True, name=f"input {name}")
     if model.is_rigid:
-        return input_below(i, 0.0 - release, n, n, strict=True, name=f"input {name}")
-    if forward:
-        return above(i, model.upper, n, n, name=name)
-    return below(i, model.lower, n, n, strict=True, name=name)
+        side, at = (input_above, release) if forward else (input_below, 0.0 - release)
+        return side(i, at, n, n, strict=True, name=f"input {name}")
+    side, at = (above, model.upper) if forward else (below, model.lower)
+    return side(i, at, n, n, strict=not forward, name=name)
 
 
-def _clamp(source: str, model: LocalModel, upper: bool, i: int, n: int, name: str) -> Edge:
-    end = model.upper if upper else model.lower
-    guard = (above if upper else below)(i, end, n, n, strict=True, name=name)
-    return Edge(source, source, Region((guard,)), Reset.to({i: end}, n))
+def _clamp(source: str, model: LocalModel, forward: bool, i: int, n: int, name: str) -> Edge:
+    side, end = (above, model.upper) if forward else (below, model.lower)
+    return Edge(source, source, Region((side(i, end, n, n, strict=True, name=name),)), Reset.to({i: end}, n))
 
 
 def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]) -> str:
@@ -212,18 +209,15 @@ def _unit(chain: Sequence[LocalModel]) -> str:
     return "rad" if kind in ("revolute", "screw") else "m"
 
 
-def _noise(edge: KinematicEdge) -> tuple[float, float]:
-    """(process std, observation std) of an edge, from its moving segments if there are any."""
-    moving = [segment for segment in edge.segments if segment.joint.kind != "rigid"] or list(edge.segments)
-    rows = [segment.end - segment.start + 1 for segment in moving]
-    process = np.average([segment.process_std**2 for segment in moving], weights=rows)
-    observation = np.average([segment.observation_std**2 for segment in moving], weights=rows)
-    return max(float(np.sqrt(process)), SMALLEST_STD), max(float(np.sqrt(observation)), SMALLEST_STD)
-
-
 def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
-    """The same of all edges, by coordinate."""
-    process, observation = zip(*map(_noise, moving), strict=True)
+    """By coordinate, from the moving segments of its edge if there are any: root mean square by rows."""
+    stds = []
+    for edge in moving:
+        segments = [segment for segment in edge.segments if segment.joint.kind != "rigid"] or edge.segments
+        rows = [segment.end - segment.start + 1 for segment in segments]
+        squares = np.square([[s.process_std for s in segments], [s.observation_std for s in segments]])
+        stds.append(np.maximum(np.sqrt(np.average(squares, axis=1, weights=rows)), SMALLEST_STD).tolist())
+    process, observation = zip(*stds, strict=True)
     return Noise(process, observation)
 
 
@@ -264,22 +258,17 @@ def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:
     )
 
 
-def _learned_edges(graph: KinematicGraph) -> tuple[LearnedEdge, ...]:
+def _learned_edges(graph: KinematicGraph) -> Iterator[LearnedEdge]:
     """The edges of a graph that say how sure they are, with probabilities rounded to 6 decimals."""
-    return tuple(_learned_edge(edge) for edge in graph.edges if _has_certainty(edge))
-
-
-def _has_certainty(edge: KinematicEdge) -> bool:
-    return edge.certainty is not None or any(segment.certainty is not None for segment in edge.segments)
-
-
-def _learned_edge(edge: KinematicEdge) -> LearnedEdge:
-    segments = tuple(LearnedSegment(s.joint.kind, s.run, s.start, s.end, _rounded(s.certainty)) for s in edge.segments)
-    certainty = edge.certainty
-    if certainty is not None:
-        counts = tuple(tuple(map(_probability, run)) for run in certainty.changepoint_counts)
-        certainty = replace(certainty, changepoint_counts=counts, trace=None)
-    return LearnedEdge(edge.parent, edge.child, segments, certainty)
+    for edge in graph.edges:
+        certainty = edge.certainty
+        if certainty is None and all(segment.certainty is None for segment in edge.segments):
+            continue
+        if certainty is not None:
+            counts = tuple(tuple(map(_probability, run)) for run in certainty.changepoint_counts)
+            certainty = replace(certainty, changepoint_counts=counts, trace=None)
+        segments = (LearnedSegment(s.joint.kind, s.run, s.start, s.end, _rounded(s.certainty)) for s in edge.segments)
+        yield LearnedEdge(edge.parent, edge.child, tuple(segments), certainty)
 
 
 def _rounded(certainty: SegmentCertainty | None) -> SegmentCertainty | None:

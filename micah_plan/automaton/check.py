@@ -8,7 +8,7 @@ larger), and a std that the model states itself is granted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -75,18 +75,16 @@ def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
 
 
 def _check_names(automaton: HybridAutomaton) -> None:
-    groups: tuple[tuple[str, Iterable[str]], ...] = (
+    groups = (
         ("mode", automaton.mode_names),
         ("coordinate", automaton.coordinate_names),
         ("input", automaton.input_names),
-        ("part", (part.name for part in automaton.parts)),
+        ("part", [part.name for part in automaton.parts]),
     )
     for what, names in groups:
-        seen: set[str] = set()
-        for name in names:
-            if name in seen:
+        for i, name in enumerate(names):
+            if name in names[:i]:
                 raise InputError(f"{what} names must be unique. Got {shown(name)} twice")
-            seen.add(name)
     if not automaton.modes or not automaton.coordinates:
         raise InputError("an automaton must have at least one coordinate and one mode")
     for coordinate in (*automaton.coordinates, *automaton.inputs):
@@ -324,20 +322,14 @@ def is_empty(region: Region) -> bool:
 
 def _is_empty_box(region: Region) -> bool:
     """The same for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
-    uppers: dict[int, list[tuple[float, bool]]] = {}
-    lower: dict[int, tuple[float, bool]] = {}
+    tightest: dict[tuple[int, bool], tuple[float, bool]] = {}
     for h in region.half_spaces:
-        weights = (*h.a, *h.b)
-        index = next((i for i, w in enumerate(weights) if w), None)
-        if index is None:
-            if h.c > 0 or (h.strict and h.c == 0):
-                return True
-        elif weights[index] > 0:
-            lower[index] = max(lower.get(index, (-math.inf, False)), (h.c / weights[index], h.strict))
-        else:
-            uppers.setdefault(index, []).append((h.c / weights[index], h.strict))
-    for index, several in uppers.items():
-        least, least_strict = lower.get(index, (-math.inf, False))
-        if any(least > upper or (least == upper and (strict or least_strict)) for upper, strict in several):
+        index, weight = next(((i, w) for i, w in enumerate((*h.a, *h.b)) if w), (0, 0.0))
+        if not weight and (h.c > 0 or (h.strict and h.c == 0)):
             return True
-    return False
+        if weight:
+            key = index, weight > 0
+            tightest[key] = max(tightest.get(key, (-math.inf, False)), (h.c / abs(weight), h.strict))
+    # A lower bound and, with its sign changed, an upper one leave nothing where their sum is above 0.
+    both = [(low, tightest[i, False]) for (i, is_lower), low in tightest.items() if is_lower and (i, False) in tightest]
+    return any(low + high > 0 or (low + high == 0 and (a or b)) for (low, a), (high, b) in both)

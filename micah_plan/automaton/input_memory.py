@@ -95,10 +95,7 @@ def passed_arrays(memories: Sequence[InputMemory], mode: str, x: Floats, u: Floa
 
 
 class InputChannel:
-    """The memory of one run, or of t runs side by side; without effects that remember it passes everything on.
-
-    An effect that acts in some modes only keeps its memory up to date in the others, without changing the input there.
-    """
+    """The memory of one run, or of t runs side by side; without effects that remember it passes everything on."""
 
     def __init__(self, automaton: HybridAutomaton, memory: Mapping[Effect, Sequence[float]] | None = None) -> None:
         """Args: the model, and what its effects remember; left out: they are at rest."""

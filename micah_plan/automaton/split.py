@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
-from micah_plan.automaton.region import Region, above, below
+from micah_plan.automaton.region import HalfSpace, Interval, Region, above, below
 from micah_plan.errors import InputError
 
 
@@ -24,36 +24,33 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
         InputError: if no mode moves the coordinate through that place.
     """
     label, n, m = automaton.coordinates[coordinate].name, automaton.n, automaton.m
-    below_it, from_it = below(coordinate, at, n, m, name=label), above(coordinate, at, n, m, name=label)
-    leaves = below(coordinate, at, n, m, strict=True, name=label)
+    inside = below(coordinate, at, n, m, name=label), above(coordinate, at, n, m, name=label)
+    entered = below(coordinate, at, n, m, strict=True, name=label), inside[1]
     halves = {
-        mode.name: (mode.name, f"{mode.name} from {at:.3g}") for mode in automaton.modes if _cut(mode, coordinate, at)
+        mode.name: (mode.name, f"{mode.name} from {at:.3g}")
+        for mode in automaton.modes
+        if mode.driven[coordinate] and _is_around(mode.invariant.interval(coordinate), at)
     }
     if not halves:
         raise InputError(f"no mode moves {label} through {at:g}")
     modes: list[Mode] = []
     for mode in automaton.modes:
-        names = halves.get(mode.name)
-        if names is None:
+        for name, side in zip(halves.get(mode.name, ()), inside, strict=False):
+            modes.append(replace(mode, name=name, invariant=_with(mode.invariant, side)))
+        if mode.name not in halves:
             modes.append(mode)
-            continue
-        for name, side in zip(names, (below_it, from_it), strict=True):
-            modes.append(replace(mode, name=name, invariant=Region((*mode.invariant.half_spaces, side))))
-    kept = [own for edge in automaton.edges for own in _halved(automaton, edge, halves, coordinate, at)]
+    kept = [own for edge in automaton.edges for own in _halved(automaton, edge, halves, coordinate, entered)]
     crossings = [
         edge
         for first, second in halves.values()
-        for edge in (Edge(first, second, Region((from_it,))), Edge(second, first, Region((leaves,))))
+        for edge in (Edge(first, second, Region(entered[1:])), Edge(second, first, Region(entered[:1])))
     ]
+    # Changes of mode come before the clamps, as everywhere.
+    edges = sorted([*kept, *crossings], key=lambda edge: edge.is_self_transition)
     split = replace(
         automaton,
         modes=tuple(modes),
-        # Changes of mode come before the clamps, as everywhere.
-        edges=(
-            *(edge for edge in kept if not edge.is_self_transition),
-            *crossings,
-            *(edge for edge in kept if edge.is_self_transition),
-        ),
+        edges=tuple(edges),
         init=tuple((half, region) for name, region in automaton.init for half in halves.get(name, (name,))),
         effects=tuple(
             replace(effect, modes=tuple(half for name in effect.modes for half in halves.get(name, (name,))))
@@ -64,45 +61,31 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
     return split
 
 
-def _cut(mode: Mode, i: int, at: float) -> bool:
-    """Whether a mode moves a coordinate on both sides of a place."""
-    low, high = mode.invariant.interval(i)
-    return bool(mode.driven[i]) and low < at < high
-
-
 def _halved(
-    automaton: HybridAutomaton, edge: Edge, halves: Mapping[str, tuple[str, str]], i: int, at: float
-) -> list[Edge]:
+    automaton: HybridAutomaton,
+    edge: Edge,
+    halves: Mapping[str, tuple[str, str]],
+    coordinate: int,
+    entered: tuple[HalfSpace, HalfSpace],
+) -> Iterator[Edge]:
     """A transition between halves: from each that can reach its guard, to the one in which it arrives."""
-    sources = halves.get(edge.source, (edge.source,))
-    targets = halves.get(edge.target, (edge.target,))
-    found = []
-    for source in sources:
-        side = sources.index(source) if len(sources) == 2 else _side(automaton.mode(edge.source), i, at)
-        if len(sources) == 2 and not _reaches(edge.guard, i, at, side == 1):
-            continue
-        if len(targets) == 1:
-            found.append(replace(edge, source=source, target=targets[0]))
-        elif side is not None:
-            found.append(replace(edge, source=source, target=targets[side]))
-        else:
-            found += [_into(automaton, edge, targets[k], k, i, at) for k in (0, 1)]
-    return found
+    source, place = automaton.mode(edge.source), entered[1].c
+    low, high = edge.guard.interval(coordinate)
+    for half, name in enumerate(halves.get(edge.source, (edge.source,))):
+        sides: tuple[int, ...] = (0, 1) if source.free[coordinate] else (int(source.interval(coordinate)[0] >= place),)
+        if edge.source in halves:
+            sides = (half,) if (high > place if half else low < place) else ()
+        if edge.target not in halves:
+            sides = sides[:1]
+        for side in sides:
+            target = halves.get(edge.target, (edge.target,) * 2)[side]
+            guard = edge.guard if len(sides) == 1 else _with(edge.guard, entered[side])
+            yield replace(edge, source=name, target=target, guard=guard)
 
 
-def _into(automaton: HybridAutomaton, edge: Edge, target: str, side: int, i: int, at: float) -> Edge:
-    """The transition where the state is on one side of the place."""
-    label, n, m = automaton.coordinates[i].name, automaton.n, automaton.m
-    where = above(i, at, n, m, name=label) if side else below(i, at, n, m, strict=True, name=label)
-    return replace(edge, target=target, guard=Region((*edge.guard.half_spaces, where)))
+def _is_around(interval: Interval, at: float) -> bool:
+    return interval[0] < at < interval[1]
 
 
-def _side(mode: Mode, i: int, at: float) -> int | None:
-    """The half in which a mode pins the coordinate; None if it does not pin it."""
-    return None if mode.free[i] else int(mode.interval(i)[0] >= at)
-
-
-def _reaches(guard: Region, i: int, at: float, is_beyond: bool) -> bool:
-    """Whether a guard holds anywhere on one side of the place."""
-    low, high = guard.interval(i)
-    return high > at if is_beyond else low < at
+def _with(region: Region, further: HalfSpace) -> Region:
+    return Region((*region.half_spaces, further))

@@ -24,6 +24,7 @@ LAYERS: tuple[Layer, ...] = ("frame", "memory", "command", "force", "guard", "se
 Value = Any
 """A float, a NumPy array or a CasADi expression."""
 Values = Sequence[Value]
+Memory = tuple[Value, ...]
 
 # What `check_form` tries a form at: commands, and places of the coordinate.
 _COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
@@ -86,11 +87,11 @@ class EffectForm:
         """Command of an action (3 components) along a direction (3 components, divided by its squared length)."""
         return action[0] * direction[0] + action[1] * direction[1] + action[2] * direction[2]
 
-    def at_rest(self, p: Values) -> tuple[Value, ...]:
+    def at_rest(self, p: Values) -> Memory:
         """The memory at the start of a run."""
         return ()
 
-    def remember(self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values) -> tuple[Value, Any]:
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         """(command that comes out, memory after) of a command v."""
         return v, memory
 

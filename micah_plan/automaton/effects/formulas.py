@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 
 LONGEST_DELAY = 12
 """In steps."""
@@ -79,13 +79,11 @@ class Delay(EffectForm):
     source = "Laakso et al., Splitting the unit delay, IEEE Signal Processing Magazine 1996 (linear interpolation)"
     parameters = (Parameter("steps", "step", 0.0, 0.0, float(LONGEST_DELAY)),)
 
-    def at_rest(self, p: Values) -> tuple[Value, ...]:
+    def at_rest(self, p: Values) -> Memory:
         # Many delays at once share a line for the longest.
         return (0.0,) * (LONGEST_DELAY if np.ndim(p[0]) else math.ceil(p[0]))
 
-    def remember(
-        self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values
-    ) -> tuple[Value, tuple[Value, ...]]:
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent = (v, *memory)
         # Of one delay only the whole steps before and after it count; many at once share the line.
         ages = range(len(sent)) if np.ndim(p[0]) else range(int(p[0]), min(int(p[0]) + 2, len(sent)))
@@ -104,12 +102,10 @@ class Lag(EffectForm):
     source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3: sampled first-order system"
     parameters = (Parameter("steps", "step", 0.0, 0.0, 30.0),)
 
-    def at_rest(self, p: Values) -> tuple[Value, ...]:
+    def at_rest(self, p: Values) -> Memory:
         return (0.0,)
 
-    def remember(
-        self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values
-    ) -> tuple[Value, tuple[Value, ...]]:
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         out = memory[0] + (1.0 - ops.exp(-1.0 / ops.maximum(p[0], 1e-3))) * (v - memory[0])
         return out, (out,)
 
@@ -127,12 +123,10 @@ class Backlash(EffectForm):
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002 (play model)"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("side", "1", None, -1.0, 1.0))
 
-    def at_rest(self, p: Values) -> tuple[Value, ...]:
+    def at_rest(self, p: Values) -> Memory:
         return (0.5 * p[0] * p[1],)
 
-    def remember(
-        self, ops: Operations, v: Value, memory: tuple[Value, ...], p: Values
-    ) -> tuple[Value, tuple[Value, ...]]:
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         ahead = memory[0] + v
         kept = ops.maximum(ops.minimum(ahead, 0.5 * p[0]), -0.5 * p[0])
         return ahead - kept, (kept,)
