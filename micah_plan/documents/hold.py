@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.automaton.contacts.values import AXES, Grip, HeldPart
+from micah_plan.automaton.contacts.values import AXES, Grip
+from micah_plan.automaton.hybrid import Part
 from micah_plan.documents.fields import ZERO, Name, Positive, Vector3, named
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
@@ -16,7 +17,7 @@ from micah_plan.task.problem import Hold
 
 
 class HeldPartDocument(Document):
-    makes = HeldPart
+    makes = Part
 
     name: Name = doc("Of the part.")
     shapes: Annotated[list[ShapeDocument], Field(min_length=1)] = doc(

@@ -1,7 +1,7 @@
 """A stapler written by hand, held above a table in front of a shelf: what the tests of contacts share."""
 
-from micah_plan.automaton.contacts.values import Face, Grip, HandNoise, HeldPart, Solid, Surroundings
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Primitive
+from micah_plan.automaton.contacts.values import Face, Grip, HandNoise, Solid, Surroundings
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Primitive
 from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.region import Region, above, box, input_below
 
@@ -9,8 +9,8 @@ LATCH = 0.5
 PITCH = 0.12
 TABLE = Face("table", 2, 1, 0.0)
 GRIP = Grip(
-    held=HeldPart("upper_arm", (Primitive("box", (0.15, 0.04, 0.02), (0.075, 0.0, 0.02)),)),
-    moving=HeldPart("lower_arm", (Primitive("box", (0.16, 0.04, 0.02), (0.075, 0.0, -0.01)),)),
+    held=Part("upper_arm", (Primitive("box", (0.15, 0.04, 0.02), (0.075, 0.0, 0.02)),)),
+    moving=Part("lower_arm", (Primitive("box", (0.16, 0.04, 0.02), (0.075, 0.0, -0.01)),)),
     point=(0.1, 0.0, 0.04),
     rotation=(0.0, -PITCH, 0.0),
     travel=0.5,

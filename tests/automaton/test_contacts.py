@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
 from micah_plan.automaton.contacts.touch import collision_regions, corners, moved, touch_pieces
-from micah_plan.automaton.contacts.values import Face, HeldPart
-from micah_plan.automaton.hybrid import Primitive
+from micah_plan.automaton.contacts.values import Face
+from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.thresholds import threshold_stds
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
@@ -191,7 +191,7 @@ def test_the_same_object_closes_against_a_wall():
 @pytest.mark.parametrize(("pitch", "sign"), [(0.05, -1), (0.75, 1)])
 def test_pressing_opens_or_closes_as_the_geometry_says(pitch, sign):
     # A flap that hangs 0.35 rad to one side of the vertical: pressing folds it further to that side.
-    flap = HeldPart("flap", (Primitive("box", (0.004, 0.04, 0.1), (0.0, 0.0, -0.05)),))
+    flap = Part("flap", (Primitive("box", (0.004, 0.04, 0.1), (0.0, 0.0, -0.05)),))
     grip = replace(GRIP, moving=flap, rotation=(0.0, -pitch, 0.0), datum=LATCH, travel=0.8, pivots=False)
     task = with_contacts(stapler(latches=False), grip, replace(AROUND, solids=()))
     start = LATCH - 0.4

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.automaton.contacts.product import with_contacts
-from micah_plan.automaton.contacts.values import Grip, HeldPart
+from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Primitive
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid
 from micah_plan.automaton.region import HalfSpace, Region, above, box, input_box
@@ -18,8 +18,8 @@ from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.start import Start
 
 TRAVEL = 0.03
-CASE = HeldPart("case", (Primitive("box", (0.04, 0.04, 0.08), (0.0, 0.0, 0.06)),))
-PIN = HeldPart("pin", (Primitive("box", (0.02, 0.02, 0.08), (0.0, 0.0, 0.02)),))
+CASE = Part("case", (Primitive("box", (0.04, 0.04, 0.08), (0.0, 0.0, 0.06)),))
+PIN = Part("pin", (Primitive("box", (0.02, 0.02, 0.08), (0.0, 0.0, 0.02)),))
 TABLE = Body("table", (Primitive("box", (1.0, 1.0, 0.04)),), (0.0, 0.0, -0.02))
 WALL = Body("wall", (Primitive("box", (0.04, 1.0, 0.4)),), (0.22, 0.0, 0.2))
 EXACT = {"position_noise": 0.0, "rotation_noise": 0.0, "spread": 0.0}

@@ -22,7 +22,7 @@ from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.contacts.joints import Latch, LearnedJoint, learned_joint, links_of, mode_joints
 from micah_plan.automaton.contacts.touch import TouchPiece, collision_regions, resting_height, touch_pieces
 from micah_plan.automaton.contacts.values import AXES, COLLIDED, Face, Grip, HandNoise, Surroundings
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Part, Pin, Reset, Tie
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset, Tie
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box
 
 FREE = "free"
@@ -105,8 +105,7 @@ def with_contacts(
         coordinates=(*hand, Coordinate(grip.coordinate, "rad" if joint.turns else "m")),
         inputs=hand,
         links=links_of(grip),
-        # Both part frames are the hinge frame, with the joint at the datum.
-        parts=tuple(Part(part.name, part.shapes) for part in (grip.held, grip.moving)),
+        parts=(grip.held, grip.moving),
         modes=tuple(modes),
         edges=(*edges, *hits),
         noise=Noise((*noise.process, joint.process_std), (*noise.observation, joint.observation_std)),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from micah_plan.automaton.hybrid import Primitive
+from micah_plan.automaton.hybrid import Part
 from micah_plan.automaton.joint import Vector3
 
 AXES = ("x", "y", "z")
@@ -22,24 +22,11 @@ COLLIDED = "collided"
 
 
 @dataclass(frozen=True)
-class HeldPart:
-    """One of the two parts of the object.
-
-    Attributes:
-        name: as the automaton will call it.
-        shapes: its solids in the hinge frame, with the joint at the datum [m].
-    """
-
-    name: str
-    shapes: tuple[Primitive, ...]
-
-
-@dataclass(frozen=True)
 class Grip:
     """How a hand holds an object: by one of its two parts, the held one, while the other swings freely.
 
     Attributes:
-        held, moving: the two parts.
+        held, moving: the two parts, with their shapes in the hinge frame and the joint at the datum.
         point: of the hand, in the hinge frame [m]. Its position in the base frame is the state (x, y, z).
         rotation: rotation vector from the hinge frame to the base frame while nothing presses [rad]; the hand keeps it.
         pivots: whether the held part may turn in the hand about the hinge's direction when it is pressed on.
@@ -48,8 +35,8 @@ class Grip:
         coordinate: name of the joint's coordinate.
     """
 
-    held: HeldPart
-    moving: HeldPart
+    held: Part
+    moving: Part
     point: Vector3
     rotation: Vector3
     travel: float
