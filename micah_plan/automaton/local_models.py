@@ -17,7 +17,6 @@ way, return, or pass through a region several times, and all these segments tell
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -87,7 +86,9 @@ def local_models(edge: KinematicEdge) -> tuple[LocalModel, ...]:
     """
     if not edge.segments:
         raise InputError(f"edge {edge.parent} -> {edge.child} must have at least one segment. Got none")
-    groups = _merged([_group(index, segment) for index, segment in enumerate(edge.segments)])
+    groups = _merged(
+        [_Group((i,), s, s.end - s.start + 1, *s.configuration_range) for i, s in enumerate(edge.segments)]
+    )
     moving = [group for group in groups if not group.is_rigid]
     groups = [group for group in groups if not any(_rests_within(group, mover) for mover in moving)]
     groups = _without_rigid_neighbours(sorted(groups, key=lambda group: group.center))
@@ -100,11 +101,6 @@ def local_models(edge: KinematicEdge) -> tuple[LocalModel, ...]:
             names, groups, pairwise(bounds), pairwise(stds), strict=True
         )
     )
-
-
-def _group(index: int, segment: Segment) -> _Group:
-    lower, upper = segment.configuration_range
-    return _Group((index,), segment, segment.end - segment.start + 1, lower, upper)
 
 
 def _merged(groups: list[_Group]) -> list[_Group]:
@@ -226,9 +222,4 @@ def _mean_speed(segment: Segment) -> float:
 
 
 def _names(kinds: list[str]) -> list[str]:
-    total, seen = Counter(kinds), Counter[str]()
-    names = []
-    for kind in kinds:
-        seen[kind] += 1
-        names.append(kind if total[kind] == 1 else f"{kind}_{seen[kind]}")
-    return names
+    return [kind if kinds.count(kind) == 1 else f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]

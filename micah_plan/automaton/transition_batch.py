@@ -151,20 +151,6 @@ class TransitionBatch:
         self.gains = np.zeros((len(shifts), len(uncertain_gains(automaton)))) if gains is None else gains
         self._modes: dict[int, _Mode] = {}
 
-    def invariant_thresholds(self, mode: int) -> Floats:
-        """(t, r) the thresholds of the half-spaces of a mode's invariant, of each object."""
-        rows, n = self._automaton.modes[mode].invariant.half_spaces, self._automaton.n - self.shifts.shape[1]
-        growth = np.array([h.a[n:] for h in rows]).reshape(len(rows), -1)
-        return np.asarray(np.array([h.c for h in rows]) - self.shifts @ growth.T)
-
-    def pins(self, mode: int) -> Floats:
-        """(t, p) where the objects hold the coordinates that a mode pins, in the order of its pins."""
-        pins = self._automaton.modes[mode].pins
-        x = np.zeros((len(self.shifts), self._automaton.n))
-        x[:, x.shape[1] - self.shifts.shape[1] :] = self.shifts
-        self._mode(mode).pin(x)
-        return x[:, [pin.coordinate for pin in pins]]
-
     def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:
         """Modes (t,), by index, and states (t, n) after one step with inputs (t, m) and disturbances (t, n)."""
         n = x.shape[1]

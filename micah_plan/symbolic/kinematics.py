@@ -1,4 +1,4 @@
-"""Forward kinematics of a joint, and of a chain of joints, as CasADi functions."""
+"""Forward kinematics of a chain of joints as a CasADi function."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import origin, twist
 
 
 class ChainJoint(NamedTuple):
@@ -24,16 +22,6 @@ class ChainJoint(NamedTuple):
 
     placement: Floats
     twist: Floats
-
-
-def forward(joint: Joint) -> ca.Function:
-    """c (1, 1) -> T (4, 4), the pose of the part's frame in the base frame [m] at configuration c [rad or m].
-
-    NumPy twin: `micah_plan.automaton.kinematics.forward`.
-    """
-    rotation, translation = np.split(twist(joint), 2)
-    own = ChainJoint(np.eye(4), np.concatenate([translation, rotation]))
-    return chain_forward([own], origin(joint).as_matrix())
 
 
 def chain_forward(joints: Sequence[ChainJoint], tool: Floats) -> ca.Function:

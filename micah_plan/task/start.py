@@ -9,6 +9,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
 from micah_plan.errors import InputError
 
 # A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
@@ -72,27 +73,31 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
     if name is None:
         raise InputError(reason)
     mode = automaton.mode(name)
-    thresholds = np.array([[h.c for h in mode.invariant.half_spaces]])
-    return name, draw_states(automaton, mode, start, rng, thresholds, np.array([[pin.value for pin in mode.pins]]))[0]
+    return name, draw_states(automaton, mode, start, rng, np.zeros((1, threshold_stds(automaton).size)))[0]
 
 
 def draw_states(
-    automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator, thresholds: Floats, pins: Floats
+    automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator, shifts: Floats
 ) -> Floats:
     """(t, n) true states of t objects in a mode, without asking whether the start is in that mode.
 
     Args:
         automaton: the objects' model.
-        thresholds: (t, r) of the half-spaces of the mode's invariant, where each object has them.
-        pins: (t, p) where each object holds the coordinates that the mode pins.
+        shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
     """
+    n, whole = automaton.n, with_boundary_states(automaton)
+    rows, held = whole.mode(mode.name).invariant.half_spaces, whole.mode(mode.name).pins
+    normals, growth = np.split(np.array([h.a for h in rows]).reshape(-1, whole.n), [n], axis=1)
+    thresholds = np.array([h.c for h in rows]) - shifts @ growth.T
+    pins = np.zeros((len(shifts), len(held)))
+    for k, pin in enumerate(held):
+        pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
     mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
     pinned = [pin.coordinate for pin in mode.pins]
-    normals = np.array([h.a for h in mode.invariant.half_spaces]).reshape(-1, automaton.n)
-    strict = np.array([h.strict for h in mode.invariant.half_spaces], dtype=bool)
+    strict = np.array([h.strict for h in rows], dtype=bool)
     further = [region for name, region in automaton.init if name == mode.name]
     at_rest = np.zeros(automaton.m)
-    states = np.repeat(mean[None], len(thresholds), axis=0)
+    states = np.repeat(mean[None], len(shifts), axis=0)
     states[:, pinned] = pins
     for number, state in enumerate(states):
         for _ in range(_MOST_DRAWS):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from micah_plan.automaton import kinematics as numeric
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
-from micah_plan.symbolic.kinematics import forward
+from micah_plan.symbolic.kinematics import ChainJoint, chain_forward
 
 
 def joints(seed: int) -> dict[str, Joint]:
@@ -21,6 +22,13 @@ def joints(seed: int) -> dict[str, Joint]:
         "revolute": revolute(axis, center, position, quaternion),
         "screw": screw(axis, center, 0.17, position, quaternion),
     }
+
+
+def forward(joint: Joint) -> ca.Function:
+    """c (1, 1) -> T (4, 4): a joint as a chain of one."""
+    rotation, translation = np.split(numeric.twist(joint), 2)
+    own = ChainJoint(np.eye(4), np.concatenate([translation, rotation]))
+    return chain_forward([own], numeric.origin(joint).as_matrix())
 
 
 @pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
