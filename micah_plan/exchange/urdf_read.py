@@ -86,7 +86,8 @@ class _Tree:
         base.name, base.frame = BASE, _HERE
         bodies, moving = [base], list[_Moving]()
         for body in bodies:  # grows: children come after their parents
-            for joint in self._moving(body):
+            carried = [joint for link in body.poses for joint in self._joints.get(link, [])]
+            for joint in (joint for joint in carried if joint.attributes["type"] != "fixed"):
                 child = self._body(_end(joint, "child"))
                 if child.name == BASE:
                     raise InputError("a moving link is called 'base'", remedy="give it another name")
@@ -112,10 +113,6 @@ class _Tree:
             body.name = _end(fixed[0], "child")
             body.frame = body.poses[body.name]
         return body
-
-    def _moving(self, body: _Body) -> list[Element]:
-        found = [joint for link in body.poses for joint in self._joints.get(link, [])]
-        return [joint for joint in found if joint.attributes["type"] != "fixed"]
 
     def _part(self, body: _Body) -> Part:
         shapes: list[Primitive] = []

@@ -146,10 +146,9 @@ def _residuals(one: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
 
 
 def _scatter(x: Floats, y: Floats, y_label: str, x_label: str, reach: float, color: str) -> Svg:
-    low, high = float(x.min()), float(x.max())
-    margin = 0.03 * (high - low) or 1e-3
     is_side = x_label.startswith("direction")
-    ends = (-_SIDE, _SIDE) if is_side else (low - margin, high + margin)
+    margin = 0.03 * float(np.ptp(x)) or 1e-3
+    ends = (-_SIDE, _SIDE) if is_side else (float(x.min()) - margin, float(x.max()) + margin)
     panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, -reach, reach)
     inside = np.clip(y, -reach, reach)
     sides = ((-1.0, "backward"), (0.0, "none"), (1.0, "forward"))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.quantities import interval, plain, quantity
 from micah_plan.view.camera import camera
@@ -150,7 +150,7 @@ def readouts(automaton: HybridAutomaton, keys: Keyframes) -> tuple[tuple[float, 
     """Mode and coordinates at each keyframe, as text."""
     found = []
     for time, name, x in zip(keys.times, keys.modes, keys.states, strict=True):
-        values = [f"{c.name} = {quantity(float(v), c.unit)}" for c, v in zip(automaton.coordinates, x, strict=True)]
+        values = map(_valued, automaton.coordinates, x.tolist())
         found.append((float(time), (f"mode {name}", *values)))
     return tuple(found)
 
@@ -178,8 +178,7 @@ def _facts(automaton: HybridAutomaton) -> list[tuple[str, str]]:
     facts = [("Coordinates", ", ".join(f"{c.name} [{c.unit}]" for c in automaton.coordinates))]
     facts += [("Modes", str(len(automaton.modes))), ("Transitions", str(len(automaton.edges)))]
     for mark in thresholds(automaton):
-        named = automaton.coordinates[mark.coordinate]
-        facts.append((f"{mark.source} | {mark.target} at", f"{named.name} = {quantity(mark.value, named.unit)}"))
+        facts.append((f"{mark.source} | {mark.target} at", _valued(automaton.coordinates[mark.coordinate], mark.value)))
     for named, process, observation in zip(
         automaton.coordinates, automaton.noise.process_std, automaton.noise.observation_std, strict=True
     ):
@@ -191,12 +190,15 @@ def _facts(automaton: HybridAutomaton) -> list[tuple[str, str]]:
             facts.append((f"{named.name}: σ of a measurement in {mode.name}", _measured_to(std, named.unit)))
     light = automaton.noise.light
     if light is not None:
-        at = [(automaton.coordinates[i], value) for i, value in light.at]
-        places = [f"{named.name} = {quantity(value, named.unit)}" for named, value in at]
+        places = [_valued(automaton.coordinates[i], value) for i, value in light.at]
         grows = [f"{c.name} {plain(g)}" for c, g in zip(automaton.coordinates, light.growth, strict=True) if g]
         label = f"σ of a measurement grows with the distance from {', '.join(places)}"
         facts.append((label, f"by {', '.join(grows)} per unit of distance"))
     return facts
+
+
+def _valued(coordinate: Coordinate, value: float) -> str:
+    return f"{coordinate.name} = {quantity(value, coordinate.unit)}"
 
 
 def _measured_to(std: float, unit: str) -> str:
@@ -211,10 +213,8 @@ def _described(automaton: HybridAutomaton, mode: Mode) -> str:
             lower, upper, stated = coordinate_range(automaton, mode, i)
             ends = f"{coordinate.name} from {interval(lower, upper, coordinate.unit)}"
             ranges.append(ends if stated else f"{ends} (the model states no range; this one is for the picture)")
-    fixed = []
-    for pin in mode.pins:
-        named = automaton.coordinates[pin.coordinate]
-        fixed.append(f"{named.name} fixed at {quantity(pin.value, named.unit)}")
+    pinned = [(automaton.coordinates[pin.coordinate], pin.value) for pin in mode.pins]
+    fixed = [f"{named.name} fixed at {quantity(value, named.unit)}" for named, value in pinned]
     return "; ".join([f"{mode.name}: {joints}", *ranges, *fixed])
 
 

@@ -158,16 +158,10 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
     confidence, sigmas = percent(problem.settings.confidence), plain(problem.settings.sigmas)
     entries = []
     if plan.trajectory:
+        floor = quantity(_FLOOR * size, "m")
+        seen = f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least {floor})"
         entries += [
-            LegendEntry(
-                BELIEF,
-                f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least "
-                f"{quantity(_FLOOR * size, 'm')})",
-                "belief",
-                "dot",
-                "b",
-                "belief",
-            ),
+            LegendEntry(BELIEF, seen, "belief", "dot", "b", "belief"),
             LegendEntry(BELIEF, f"object at the mean ± {sigmas} σ", "spread", "area", "s", "spread"),
             LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]
