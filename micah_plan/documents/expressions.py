@@ -35,6 +35,7 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _IDENTIFIER = re.compile(r"[^\W\d]\w*")
+_END = ("end", "")
 
 
 @dataclass(frozen=True)
@@ -121,23 +122,24 @@ def short_number(value: float) -> str:
 def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, variables: Variables) -> str:
     """The text that `parse_affine` reads back as the same expression; ``0.0`` if nothing is left."""
     text = _sum(a, b, variables, _exact)
-    if not text:
-        return _exact(0.0 if constant is None else constant)
-    return text if not constant else f"{text} {'-' if constant < 0 else '+'} {_exact(abs(constant))}"
+    if not text or not constant:
+        return text or _exact(constant or 0.0)
+    return f"{text} {'-' if constant < 0 else '+'} {_exact(abs(constant))}"
 
 
 class _Parser:
-    """Recursive descent over the tokens of one expression."""
+    """Recursive descent over the tokens of one expression: (kind, text), at the end ("end", "")."""
 
     def __init__(self, text: str, variables: Variables) -> None:
         if len(text) > _LONGEST:
             raise InputError(f"expected at most {_LONGEST} characters, found {len(text)}")
         self._text = text
-        self._variables = variables
-        self._tokens = list(self._split())
-        self._next = 0
+        self._variables = variables.listed()
+        self._coordinates = len(variables.coordinates)
+        self._rest = self._tokens()
+        self._next = next(self._rest, _END)
 
-    def _split(self) -> Iterator[tuple[str, str]]:
+    def _tokens(self) -> Iterator[tuple[str, str]]:
         position = 0
         while position < len(self._text):
             match = _TOKEN.match(self._text, position)
@@ -152,18 +154,13 @@ class _Parser:
     def error(self, problem: str, remedy: str | None = None) -> InputError:
         return InputError(f"{problem} in {shown(self._text)}", remedy=remedy)
 
-    def _peek(self) -> tuple[str, str]:
-        return self._tokens[self._next] if self._next < len(self._tokens) else ("end", "")
-
     def _take(self) -> tuple[str, str]:
-        token = self._peek()
-        self._next += 1
+        token, self._next = self._next, next(self._rest, _END)
         return token
 
     def end(self, expected: str) -> None:
-        kind, text = self._peek()
-        if kind != "end":
-            raise self.error(f"expected {expected}, found {shown(text)}")
+        if self._next != _END:
+            raise self.error(f"expected {expected}, found {shown(self._next[1])}")
 
     def comparison(self) -> str:
         kind, text = self._take()
@@ -173,34 +170,36 @@ class _Parser:
         return text
 
     def sum(self) -> Affine:
-        a, b = [0.0] * len(self._variables.coordinates), [0.0] * len(self._variables.inputs)
-        constant, has_constant, first = 0.0, False, True
-        while first or self._peek()[1] in ("+", "-"):
-            sign = -1.0 if self._peek()[1] == "-" else 1.0
-            if self._peek()[1] in ("+", "-"):
-                self._take()
-            first = False
-            weight, place = self._term()
-            if place is None:
-                constant, has_constant = constant + sign * weight, True
+        weights, constants = [0.0] * len(self._variables), list[float]()
+        sign: float | None = self._sign() or 1.0
+        while sign is not None:
+            weight, index = self._term()
+            if index is None:
+                constants.append(sign * weight)
             else:
-                row, index = (b, place[1]) if place[0] else (a, place[1])
-                row[index] += sign * weight
-        return Affine(tuple(a), tuple(b), constant, has_constant)
+                weights[index] += sign * weight
+            sign = self._sign()
+        n = self._coordinates
+        return Affine(tuple(weights[:n]), tuple(weights[n:]), sum(constants, 0.0), bool(constants))
 
-    def _term(self) -> tuple[float, tuple[bool, int] | None]:
-        """Weight and (whether an input, index); no place for a constant."""
-        if self._peek()[0] != "number":
+    def _sign(self) -> float | None:
+        if self._next[1] not in ("+", "-"):
+            return None
+        return 1.0 if self._take()[1] == "+" else -1.0
+
+    def _term(self) -> tuple[float, int | None]:
+        """Weight and number of its variable, None for a constant."""
+        if self._next[0] != "number":
             return 1.0, self._variable()
         value = float(self._take()[1])
         if not math.isfinite(value):
             raise self.error("a number is too large", "use SI units")
-        if self._peek() != ("operator", "*"):
+        if self._next[1] != "*":
             return value, None
         self._take()
         return value, self._variable()
 
-    def _variable(self) -> tuple[bool, int]:
+    def _variable(self) -> int:
         kind, text = self._take()
         is_input = (kind, text) == ("name", INPUT)
         if is_input:
@@ -208,19 +207,14 @@ class _Parser:
         if kind not in ("name", "quoted"):
             found = shown(text) if text else "the end"
             raise self.error(f"expected a variable or a number, found {found}")
-        name = self._unquoted(text) if kind == "quoted" else text
-        names = self._variables.inputs if is_input else self._variables.coordinates
-        if name not in names:
-            shown_name = f"{INPUT} {_written(name)}" if is_input else _written(name)
-            problem = f"unknown variable {shown(shown_name)}"
-            raise self.error(problem, choices(shown_name, self._variables.listed()))
-        return is_input, names.index(name)
-
-    def _unquoted(self, text: str) -> str:
         try:
-            return str(json.loads(text))
+            name = _written(str(json.loads(text)) if kind == "quoted" else text)
         except ValueError:
             raise self.error(f"cannot read the quoted name {shown(text)}") from None
+        variable = f"{INPUT} {name}" if is_input else name
+        if variable not in self._variables:
+            raise self.error(f"unknown variable {shown(variable)}", choices(variable, self._variables))
+        return self._variables.index(variable)
 
 
 def _exact(value: float) -> str:

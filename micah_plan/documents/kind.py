@@ -21,14 +21,14 @@ def kind_of(path: str | Path) -> FileKind:
     """The kind of a file; whether it is a good one of that kind is not looked at.
 
     Raises:
-        InputError: if it is YAML that cannot be read or whose `format` is of no kind.
+        InputError: if it is YAML that cannot be read up to its `format`, or this is of no kind.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".json":
         return "plan"
     if suffix not in {".yaml", ".yml"}:
         return "recording"
-    located = read_yaml_file(path)
+    located = read_yaml_file(path, until="format")
     formats = [f"micah-plan/{kind}/1" for kind in _YAML_KINDS]
     if "format" not in located.data:
         raise located.error("missing key 'format'", f"say what the file is: one of {', '.join(formats)}")

@@ -149,7 +149,9 @@ def _read(annotation: Any, value: Any, at: Located, scope: Scope) -> Any:
             _read(keys, key, at.at(key), scope): _read(entries, item, at.at(key), scope) for key, item in value.items()
         }
     elif isinstance(value, list | tuple):
-        value = tuple(_read(_of_entries(kind), item, at.at(i), scope) for i, item in enumerate(value))
+        entries = _of_entries(kind)
+        numbers = entries in (float, int)
+        value = tuple(value if numbers else (_read(entries, item, at.at(i), scope) for i, item in enumerate(value)))
     for mark in marks:
         value = mark.read(value, at, scope)
     return value

@@ -9,8 +9,6 @@ from typing import Any
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import model_data
 
-_MISSING = object()
-
 
 @dataclass(frozen=True)
 class Difference:
@@ -42,11 +40,11 @@ def _between(place: str, before: Any, after: Any) -> Iterator[Difference]:
     if isinstance(before, Mapping) and isinstance(after, Mapping):
         for key in dict.fromkeys([*before, *after]):
             inner = f"{place}.{key}" if place else str(key)
-            yield from _between(inner, before.get(key, _MISSING), after.get(key, _MISSING))
+            yield from _between(inner, before.get(key), after.get(key))
     elif _is_list_of_parts(before) and _is_list_of_parts(after):
         yield from _between(place, _by_name(before), _by_name(after))
     elif before != after:
-        yield Difference(place, *(None if value is _MISSING else value for value in (before, after)))
+        yield Difference(place, before, after)
 
 
 def _is_list_of_parts(value: Any) -> bool:

@@ -19,8 +19,8 @@ from pydantic import AliasChoices
 from micah_plan import __version__
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import with_memory_states
-from micah_plan.documents.fields import Count, Line, Lines, Listed, Name, Names, NonNegative, Probability
-from micah_plan.documents.layout import Document, doc, plain
+from micah_plan.documents.fields import Count, Line, Lines, Listed, ModeName, Name, Names, NonNegative, Probability
+from micah_plan.documents.layout import Document, Mark, Scope, doc, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.model import automaton_of, model_data
 from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
@@ -34,13 +34,14 @@ PLAN_FORMAT = "micah-plan/plan/1"
 LARGEST_PLAN_BYTES = 64 * 1024 * 1024
 _DEEPEST = 40
 _AGAIN = "solve the problem again"
+_ARRAY = Mark(lambda rows, *_: np.array(rows, dtype=float))
 
-
-SomeNames = Annotated[tuple[Name, ...], Listed(1)]
 Interval = Annotated[tuple[Probability, ...], Listed(2, 2)]
 
 
 class CandidateDocument(Document):
+    makes = Candidate
+
     modes: Names = doc("Mode sequence.")
     search_cost: float = doc("Cost of its cheapest roadmap path.")
     cost: float | None = doc("Optimised cost; null if the optimisation failed.")
@@ -48,6 +49,8 @@ class CandidateDocument(Document):
 
 
 class FindingDocument(Document):
+    makes = Finding
+
     level: Level = doc("Where it was found.")
     sentence: str = doc("What is wrong.")
     remedy: str = doc("The nearest change that could help.")
@@ -62,18 +65,27 @@ class FindingDocument(Document):
 
 
 class TrajectoryDocument(Document):
-    modes: SomeNames = doc("(K) mode at each knot.")
+    modes: Annotated[tuple[ModeName, ...], Listed(1)] = doc("(K) mode at each knot.")
     means: list[list[float]] = doc("(K, n) of the belief [rad or m].")
     factors: list[list[list[float]]] = doc("(K, n, n) lower Cholesky factors of its covariance.")
     inputs: list[list[float]] = doc("(K-1, m) from knot to knot [rad or m].")
     gains: list[list[list[float]]] = doc("(K-1, m, n) feedback gains.")
     is_transition: list[bool] = doc("(K-1) whether the step is a transition.")
 
+    def read(self, at: Located, scope: Scope) -> Trajectory:
+        own, knots, n, m = self.own(at, scope), len(self.modes), len(scope["coordinate"]), len(scope["input"])
+        shapes = {"means": (knots, n), "factors": (knots, n, n), "inputs": (knots - 1, m), "gains": (knots - 1, m, n)}
+        arrays = {key: _array(own[key], shape, at.at(key)) for key, shape in shapes.items()}
+        is_transition = _array(self.is_transition, (knots - 1,), at.at("is_transition")).astype(bool)
+        return Trajectory(self.modes, **arrays, is_transition=is_transition)
+
 
 class ArmDocument(Document):
-    joints: SomeNames = doc("(J) names, from the root to the tool.")
-    positions: list[list[float]] = doc("(K, J) at the knots, straight lines in between [rad or m].")
-    manipulability: list[NonNegative] = doc("(K) Yoshikawa's measure; 0 at singularities.")
+    makes = ArmTrajectory
+
+    joints: Annotated[tuple[Name, ...], Listed(1)] = doc("(J) names, from the root to the tool.")
+    positions: Annotated[list[list[float]], _ARRAY] = doc("(K, J) at the knots, straight lines in between [rad or m].")
+    manipulability: Annotated[list[NonNegative], _ARRAY] = doc("(K) Yoshikawa's measure; 0 at singularities.")
     clearance: Annotated[tuple[float | None, ...], Listed()] = doc(
         "(K) smallest distance at each knot [m]; null: nothing to meet."
     )
@@ -81,6 +93,11 @@ class ArmDocument(Document):
     closest_pair: Lines = doc("The two that come so close.")
     closest_knot: Count = doc("The knot at or after which they do.")
     deviation: NonNegative = doc("How far the tool strays between knots from a straight line [m].")
+
+    def check(self, at: Located) -> None:
+        for i, row in enumerate(self.positions):
+            if len(row) != len(self.joints):
+                raise at.at("positions", i).error(f"expected {len(self.joints)} joints, found {len(row)}", _AGAIN)
 
 
 class PlanDocument(Document):
@@ -115,6 +132,19 @@ class PlanDocument(Document):
     problem: dict[str, Any] = doc("The problem, laid out as a problem file.")
     model: dict[str, Any] = doc("Its model with the noise planned with, laid out as a model file.")
 
+    def check(self, at: Located) -> None:
+        if (self.trajectory is None) == (self.outcome != "no_plan"):
+            found = "no trajectory" if self.trajectory is None else "a trajectory"
+            raise at.at("trajectory").error(f"outcome {self.outcome} with {found}", _AGAIN)
+        if self.trajectory is None or self.arm is None:
+            return
+        at, arm, knots = at.at("arm"), self.arm, len(self.trajectory.modes)
+        for key in ("positions", "manipulability", "clearance"):
+            if len(getattr(arm, key)) != knots:
+                raise at.at(key).error(f"expected {knots} knots, found {len(getattr(arm, key))}", _AGAIN)
+        if arm.closest_knot >= knots or len(arm.closest_pair) not in (0, 2):
+            raise at.error("its closest pair and knot are none of the plan", _AGAIN)
+
 
 @dataclass(frozen=True, eq=False)
 class StoredPlan:
@@ -143,7 +173,17 @@ def plan_text(plan: Plan, problem: Problem) -> str:
     Raises:
         InputError: if a number of the plan is not finite, its sizes disagree, or the model cannot be written.
     """
-    data = _plan_data(plan, problem)
+    own = {
+        "format": PLAN_FORMAT,
+        "version": __version__,
+        "digest": "",
+        "mode_sequence": plan.mode_sequence,
+        "problem_file": Path(problem.source).name,
+        "digests": problem.digests,
+        "problem": problem_data(problem, "model"),
+        "model": model_data(problem.automaton),
+    }
+    data = plain(PlanDocument, vars(plan) | own)
     _check_numbers(data, "plan")
     data["digest"] = _digest(data)
     stored = _stored(Located(data, "plan"))
@@ -204,100 +244,32 @@ def require_executable(stored: StoredPlan) -> Trajectory:
     return plan.trajectory
 
 
-def _plan_data(plan: Plan, problem: Problem) -> dict[str, Any]:
-    """The data of a plan file without its digest, which `_stored` reads back."""
-    own = {
-        "format": PLAN_FORMAT,
-        "version": __version__,
-        "digest": "",
-        "mode_sequence": plan.mode_sequence,
-        "problem_file": Path(problem.source).name,
-        "digests": problem.digests,
-        "problem": problem_data(problem, "model"),
-        "model": model_data(problem.automaton),
-    }
-    return plain(PlanDocument, vars(plan) | own)
-
-
 def _stored(located: Located) -> StoredPlan:
     document = validated(located, PlanDocument)
     automaton = automaton_of(located.at("model"))
     stated = located.at("problem")
     problem = problem_of(validated(stated, ProblemDocument), automaton, stated)
     problem = replace(problem, source=document.problem_file, digests=document.digests)
-    trajectory = arm = None
-    if document.trajectory is not None:
-        trajectory = _trajectory_of(document.trajectory, automaton, located.at("trajectory"))
-    if (trajectory is None) == (document.outcome != "no_plan"):
-        found = "no trajectory" if trajectory is None else "a trajectory"
-        raise located.at("trajectory").error(f"outcome {document.outcome} with {found}", _AGAIN)
-    if trajectory is not None and document.arm is not None:
-        arm = _arm_of(document.arm, len(trajectory.modes), located.at("arm"))
-    parts = {
-        "candidates": tuple(Candidate(**dict(item)) for item in document.candidates),
-        "findings": tuple(Finding(**dict(item)) for item in document.findings),
-        "trajectory": trajectory,
-        "arm": arm,
-    }
-    own = {field.name for field in fields(Plan)}
-    plan = Plan(**{key: value for key, value in document if key in own} | parts)
+    means = () if document.trajectory is None else document.trajectory.means
+    planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
+    own = document.own(
+        located,
+        {"coordinate": planned.coordinate_names, "input": planned.input_names, "mode": automaton.mode_names},
+    )
+    plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)
     return StoredPlan(plan, problem, document.version, located.source)
 
 
-def _trajectory_of(document: TrajectoryDocument, automaton: HybridAutomaton, located: Located) -> Trajectory:
-    """The belief trajectory that an entry describes; `layout.plain` writes it."""
-    knots, n, m = len(document.modes), automaton.n, automaton.m
-    if document.means and len(document.means[0]) != n:
-        n = with_memory_states(automaton).n
-    for i, name in enumerate(document.modes):
-        located.at("modes", i).number(name, automaton.mode_names, "mode")
-
-    def array(key: str, *shape: int) -> NDArray[np.float64]:
-        value = getattr(document, key)
-        try:
-            result = np.array(value, dtype=np.float64).reshape(shape if not value else np.shape(value))
-        except ValueError:
-            raise located.at(key).error(f"expected shape {shape}, found ragged rows", _AGAIN) from None
-        if result.shape != shape:
-            raise located.at(key).error(f"expected shape {shape}, found {result.shape}", _AGAIN)
-        return result
-
-    return Trajectory(
-        modes=document.modes,
-        means=array("means", knots, n),
-        factors=array("factors", knots, n, n),
-        inputs=array("inputs", knots - 1, m),
-        gains=array("gains", knots - 1, m, n),
-        is_transition=array("is_transition", knots - 1).astype(bool),
-    )
-
-
-def _arm_of(document: ArmDocument, knots: int, located: Located) -> ArmTrajectory:
-    """The arm's trajectory that an entry describes; `layout.plain` writes it.
-
-    Args:
-        knots: of the belief trajectory.
-
-    Raises:
-        InputError: if a length disagrees with the joints or the knots.
-    """
-    width = len(document.joints)
-    for key in ("positions", "manipulability", "clearance"):
-        if len(getattr(document, key)) != knots:
-            problem = f"expected {knots} knots, found {len(getattr(document, key))}"
-            raise located.at(key).error(problem, _AGAIN)
-    for i, row in enumerate(document.positions):
-        if len(row) != width:
-            raise located.at("positions", i).error(f"expected {width} joints, found {len(row)}", _AGAIN)
-    if document.closest_knot >= knots or len(document.closest_pair) not in (0, 2):
-        raise located.error("its closest pair and knot are none of the plan", _AGAIN)
-    arrays = {
-        "positions": np.array(document.positions, dtype=float).reshape(knots, width),
-        "manipulability": np.array(document.manipulability, dtype=float),
-    }
-    return ArmTrajectory(**dict(document) | arrays)
+def _array(value: Any, shape: tuple[int, ...], at: Located) -> NDArray[np.float64]:
+    try:
+        result = np.array(value, dtype=np.float64).reshape(shape if not value else np.shape(value))
+    except ValueError:
+        raise at.error(f"expected shape {shape}, found ragged rows", _AGAIN) from None
+    if result.shape != shape:
+        raise at.error(f"expected shape {shape}, found {result.shape}", _AGAIN)
+    return result
 
 
 def _check_numbers(data: Any, path: str) -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.region import Interval
+from micah_plan.documents.expressions import Variables, short_number, short_text
 from micah_plan.documents.fields import (
     BY_NAME,
     ITEMS,
@@ -33,7 +36,6 @@ from micah_plan.documents.located import Located, overridden
 from micah_plan.documents.model import usable_model
 from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
-from micah_plan.documents.problem_checks import check_problem
 from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
@@ -45,9 +47,10 @@ from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint, check_constraint
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.settings import PlannerSettings
-from micah_plan.task.start import Start
+from micah_plan.task.start import LIMIT_ROOM, Start, start_mode, start_regions
 
 PROBLEM_FORMAT = "micah-plan/problem/1"
+_MOST_LISTED = 6
 
 
 class StartDocument(Document):
@@ -181,7 +184,8 @@ class ProblemReader:
     def load(self, overrides: Mapping[str, Any] | None = None) -> Problem:
         """As `load_problem`."""
         problem, located = self._described(overrides or {})
-        check_problem(problem, located)
+        _check_start(problem.start, problem.automaton, located)
+        _check_goal(problem.goal, problem.automaton, located)
         return problem
 
     def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:
@@ -281,3 +285,51 @@ def _with_contacts(
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
+    """By the planner's own rule, so that a file is refused exactly where the planner would find no mode to start in."""
+    if start_mode(automaton, start)[0] is not None:
+        return
+    names = automaton.mode_names
+    allowed = [name for name in names if start_mode(automaton, replace(start, mode=name))[0] is not None]
+    values = zip(automaton.coordinates, start.mean, strict=True)
+    state = ", ".join(f"{item.name} = {short_number(value)} {item.unit}" for item, value in values)
+    if start.mode is not None:
+        remedy = f"start there in {' or '.join(allowed)}" if allowed else _invariants(automaton, [start.mode])
+        raise located.at("start", "mode").error(f"mode '{start.mode}' does not allow the start {state}", remedy)
+    problem = f"the start {state} lies in no mode's invariant"
+    raise located.at("start", "mean").error(problem, _invariants(automaton, names))
+
+
+def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
+    """The remedy that says what the modes allow: ``allowed: swings (door >= 0, door <= 1.2)``."""
+    variables = Variables(automaton.coordinate_names, automaton.input_names)
+    texts = []
+    for name in modes[:_MOST_LISTED]:
+        regions = start_regions(automaton, automaton.mode(name))
+        rows = [", ".join(short_text(h, variables) for h in region.half_spaces) or "everywhere" for region in regions]
+        texts.append(f"{name} ({' or '.join(rows) or 'nowhere'})")
+    return f"allowed: {'; '.join(texts)}{'; ...' if len(modes) > _MOST_LISTED else ''}"
+
+
+def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> None:
+    if not goal.target and not goal.modes:
+        raise located.at("goal").error("the goal is empty", "give a target, modes to end in, or both")
+    modes = [mode for mode in automaton.modes if goal.admits(mode.name)]
+    for index, value, tolerance in goal.target:
+        name, unit = automaton.coordinates[index].name, automaton.coordinates[index].unit
+        ranges = automaton.ranges(index, modes)
+        clipped = [min(max(value, low), high) for low, high in ranges]
+        nearest = min(clipped, key=lambda candidate: abs(candidate - value), default=np.inf)
+        room = LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
+        if abs(nearest - value) > tolerance + room:
+            of = f"mode {' or '.join(goal.modes)}" if goal.modes else "the object"
+            problem = f"expected a value that {of} can reach, {_written(ranges)} {unit}, found {short_number(value)}"
+            remedy = f"the nearest possible value is {short_number(nearest)} {unit}"
+            raise located.at("goal", "target", name, "value").error(problem, remedy)
+
+
+def _written(ranges: Sequence[Interval]) -> str:
+    texts = [(short_number(low), short_number(high)) for low, high in ranges]
+    return " or ".join(low if low == high else f"{low} to {high}" for low, high in texts) or "none"

@@ -69,26 +69,23 @@ def sweep_of(data: Mapping[str, Any], folder: str | Path = ".") -> Sweep:
 
 def _sweep(located: Located, folder: Path) -> Sweep:
     document = validated(located, SweepDocument)
-    size = len(document.problems) * prod(len(values) for values in document.grid.values()) * document.seeds
+    lengths = [len(values) for values in document.grid.values()]
+    size = len(document.problems) * prod(lengths) * document.seeds
     if size > MOST_CASES:
-        lists = [f"{len(values)}" for values in document.grid.values()]
-        shown = " x ".join([f"{len(document.problems)} problem(s)", *lists[:8], *["..."][: len(lists[8:])]])
-        problem = f"expected at most {MOST_CASES:,} cases, found {_count(size)} ({shown} x {document.seeds} seeds)"
+        count = f"{size:,}" if size < 10**15 else f"about 10^{log10(size):.0f}"
+        lists = [*map(str, lengths[:8]), *["..."][: len(lengths[8:])]]
+        shown = " x ".join([f"{len(document.problems)} problem(s)", *lists])
+        problem = f"expected at most {MOST_CASES:,} cases, found {count} ({shown} x {document.seeds} seeds)"
         raise located.error(problem, "take fewer values or seeds, or make several sweeps of it")
     _check_grid(document, located)
-    problems = tuple(_problem(document, number, located, folder) for number in range(len(document.problems)))
     return Sweep(
-        problems=problems,
+        problems=tuple(_problem(document, number, located, folder) for number in range(len(document.problems))),
         grid=tuple((key, tuple(values)) for key, values in document.grid.items()),
         seeds=range(document.first_seed, document.first_seed + document.seeds),
         plant=DEFAULT_PLANT if document.execute is None else document.execute.plant,
         trials=0 if document.execute is None else document.execute.trials,
         source=located.source,
     )
-
-
-def _count(size: int) -> str:
-    return f"{size:,}" if size < 10**15 else f"about 10^{log10(size):.0f}"
 
 
 def _check_grid(document: SweepDocument, located: Located) -> None:

@@ -46,39 +46,36 @@ def validated(located: Located, document: type[D]) -> D:
     try:
         return document.model_validate(located.data)
     except ValidationError as error:
-        details = error.errors(include_url=False)
-    raise together(_violations(located, document, details))
+        raise together(_violations(located, document, error.errors(include_url=False))) from None
 
 
 def check_format(located: Located, document: type[Document]) -> None:
     """Raise an InputError unless the file says that it is of the document's format and version."""
     (expected,) = get_args(document.model_fields["format"].annotation)
     kind = expected.split("/")[1]
-    data = located.data
+    data, says = located.data, f"says 'format: {expected}'"
     if not isinstance(data, dict):
-        remedy = f"a {kind} file is a mapping of keys to values and says 'format: {expected}'"
+        remedy = f"a {kind} file is a mapping of keys to values and {says}"
         raise located.error(f"expected a {kind}, found {_found(data)}", remedy)
     if "format" not in data:
-        raise located.error("missing key 'format'", f"a {kind} file says 'format: {expected}'")
-    found = data["format"]
-    if found == expected:
+        raise located.error("missing key 'format'", f"a {kind} file {says}")
+    at = located.at("format")
+    if at.data == expected:
         return
-    words = found.split("/") if isinstance(found, str) else []
-    problem = f"expected {expected}, found {shown(found)}"
-    remedy = f"a {kind} file says 'format: {expected}'"
-    if len(words) == 3 and words[0] == "micah-plan":
-        if words[1] != kind:
-            problem, remedy = f"expected a {kind} file, found a {shown(words[1])[1:-1]} file", f"give a {kind} file"
-        else:
+    match str(at.data).split("/"):
+        case ["micah-plan", other, _] if other != kind:
+            raise at.error(f"expected a {kind} file, found a {shown(other)[1:-1]} file", f"give a {kind} file")
+        case ["micah-plan", _, _]:
             remedy = "use the version of micah-plan that wrote it, or write the file anew"
-    raise located.at("format").error(problem, remedy)
+        case _:
+            remedy = f"a {kind} file {says}"
+    raise at.error(f"expected {expected}, found {shown(at.data)}", remedy)
 
 
 def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
-    def order(detail: ErrorDetails) -> tuple[bool, int, int]:
+    def order(detail: ErrorDetails) -> tuple[bool, tuple[int, int]]:
         # A key that is missing is often one that is there with a typo: the unknown key tells more.
-        line, column = located.at(*_path(detail)).place() or (0, 0)
-        return detail["type"] == "missing", line, column
+        return detail["type"] == "missing", located.at(*_path(detail)).place() or (0, 0)
 
     return [located.at(*_path(detail)).error(*_explained(detail, document)) for detail in sorted(details, key=order)]
 

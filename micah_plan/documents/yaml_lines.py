@@ -47,29 +47,29 @@ _SPECIAL: Mapping[str, bool | float | None] = {
 }
 
 
-def read_yaml_file(path: str | Path) -> Located:
+def read_yaml_file(path: str | Path, until: str | None = None) -> Located:
     """As `read_yaml`, of a file.
 
     Raises:
         InputError: also if the file cannot be read.
     """
-    return read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
+    return read_yaml(read_bytes(path, LARGEST_TEXT_BYTES), str(path), until)
 
 
-def read_yaml(content: bytes, source: str) -> Located:
+def read_yaml(content: bytes, source: str, until: str | None = None) -> Located:
     """The mapping that a YAML file holds.
 
     Args:
         content: of the file, UTF-8.
         source: the file's name, for messages.
+        until: a key after which nothing is read.
 
     Raises:
         InputError: if it is not YAML, not a mapping, or uses what the module's docstring excludes.
     """
     text = _decoded(content, source)
-    reader = _Reader(_events(text, source), source)
     try:
-        return reader.document()
+        return _Reader(_events(text, source), source, until).document()
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         said = " ".join(str(error.problem or error.context or "cannot be parsed").split())
@@ -107,15 +107,19 @@ def _decoded(content: bytes, source: str) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line, column = content.count(b"\n", 0, error.start) + 1, error.start - content.rfind(b"\n", 0, error.start)
+        place = _end_of(content[: error.start].decode("latin-1"))
         problem = f"expected UTF-8 text, found the byte 0x{content[error.start]:02x}"
-        raise _error(source, (line, column), problem, "save it as UTF-8 text") from None
+        raise _error(source, place, problem, "save it as UTF-8 text") from None
     for pattern, problem, remedy in _NOT_TEXT:
         found = pattern.search(text)
         if found is not None:
-            at = found.end() - 1
-            raise _error(source, (text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)), problem, remedy)
+            raise _error(source, _end_of(text[: found.end() - 1]), problem, remedy)
     return text
+
+
+def _end_of(text: str) -> tuple[int, int]:
+    """Line and column of what comes next, both from 1."""
+    return text.count("\n") + 1, len(text) - text.rfind("\n")
 
 
 def _events(text: str, source: str) -> Iterator[events.Event]:
@@ -150,9 +154,10 @@ def _forbidden(event: events.Event) -> str | None:
 class _Reader:
     """Builds data from events; one recursive descent of bounded depth."""
 
-    def __init__(self, parsed: Iterator[events.Event], source: str) -> None:
+    def __init__(self, parsed: Iterator[events.Event], source: str, until: str | None) -> None:
         self._events = parsed
         self._source = source
+        self._until = until
         self._places: dict[KeyPath, tuple[int, int]] = {}
 
     def document(self) -> Located:
@@ -166,9 +171,7 @@ class _Reader:
             raise self._error(first, f"expected a mapping of keys to values, found {found}", remedy)
         self._places[()] = _place(first.start_mark)
         data = self._value(first, ())
-        if not isinstance(self._next(), events.DocumentEndEvent):
-            raise self._error(first, "expected one document")
-        for event in self._events:
+        for event in () if self._until in data else self._events:
             if isinstance(event, events.DocumentStartEvent):
                 raise self._error(event, "expected one document, found a second", "put it into a file of its own")
         return Located(data, self._source, self._places)
@@ -202,6 +205,8 @@ class _Reader:
                 raise self._error(key, f"duplicate key {shown(key.value)}, first on line {first}", "keep one of them")
             self._places[here] = _place(key.start_mark)
             entries[key.value] = self._value(self._next(), here)
+            if here == (self._until,):
+                break
         return entries
 
 
