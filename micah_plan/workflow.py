@@ -19,6 +19,8 @@ import numpy as np
 from micah_plan import __version__
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
     from micah_plan.robot.tool_path import ArmFailure
-    from micah_plan.task.deadline import Deadline
-    from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
     from micah_plan.task.problem import Problem
     from micah_plan.task.settings import Method as PlanningMethod
 
@@ -103,12 +103,7 @@ def learn(
 
     begin = time.perf_counter()
     graph = learn_graph(recording, method=method, seed=seed, progress=progress)
-    provenance = {
-        "recording": recording.digest(),
-        "method": method,
-        "seed": str(seed),
-        "micah_plan": __version__,
-    }
+    provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
     bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
     warnings = suspicions(recording) + small_motions(recording, LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
@@ -137,15 +132,13 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     """
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.planning.tightening import verified_plan
-    from micah_plan.task.deadline import Deadline
 
     deadline = Deadline(problem.settings.solve_time_limit_s)
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
     found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds, deadline)
-    return replace(
-        _with_arm(problem, found, seed, deadline), warnings=left_out(problem.automaton, method != "pomdp-hd")
-    )
+    warnings = left_out(problem.automaton, method != "pomdp-hd")
+    return replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
@@ -153,8 +146,6 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Pl
     if problem.robot is None or plan.trajectory is None:
         return plan
     from micah_plan.robot.along_plan import arm_along
-    from micah_plan.task.deadline import TimeLimitError
-    from micah_plan.task.plan import ArmTrajectory, Finding
 
     begin, says = time.perf_counter(), "the arm cannot follow the plan: "
     arm: ArmTrajectory | Finding
@@ -173,8 +164,6 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Pl
 
 
 def _arm_finding(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Finding:
-    from micah_plan.task.plan import Finding
-
     return Finding(
         level="arm",
         sentence=arm.sentence,

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from micah_plan.automaton.hybrid import HybridAutomaton
     from micah_plan.documents.model_difference import Difference
     from micah_plan.residual.calibrate import Calibration, FoundEffect
-    from micah_plan.residual.judgement import Floor
     from micah_plan.residual.missing_mode import MissingMode
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.residual.trace import LaneTrace
@@ -81,7 +80,10 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dic
         "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
         "one_step": _rmse([run.one_step for run in runs]),
         "rollout": _rmse([run.rollout for run in runs]),
-        "noise_floor": {"one_step": _floor(judged.one_step), "rollout": _floor(judged.rollout)},
+        "noise_floor": {
+            name: None if floor is None else _errors(floor.position, floor.rotation, floor.configuration)
+            for name, floor in (("one_step", judged.one_step), ("rollout", judged.rollout))
+        },
         "whiteness": {
             "is_noise": judged.is_noise,
             "verdict": judged.sentence,
@@ -98,14 +100,8 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dic
     }
 
 
-def _floor(floor: Floor | None) -> dict[str, float | None] | None:
-    if floor is None:
-        return None
-    return {
-        "position_rmse_m": floor.position,
-        "rotation_rmse_rad": floor.rotation,
-        "configuration_rmse": floor.configuration,
-    }
+def _errors(position: float, rotation: float | None, configuration: float) -> dict[str, float | None]:
+    return {"position_rmse_m": position, "rotation_rmse_rad": rotation, "configuration_rmse": configuration}
 
 
 def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
@@ -123,11 +119,11 @@ def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
     from micah_plan.residual.prediction import rmse
 
     rotations = [error.rotation for error in errors if error.rotation is not None]
-    return {
-        "position_rmse_m": rmse([error.position for error in errors]),
-        "rotation_rmse_rad": rmse(rotations) if rotations else None,
-        "configuration_rmse": rmse([error.configuration for error in errors]),
-    }
+    return _errors(
+        rmse([error.position for error in errors]),
+        rmse(rotations) if rotations else None,
+        rmse([error.configuration for error in errors]),
+    )
 
 
 def _print_predicted(summary: dict[str, Any]) -> None:
@@ -151,8 +147,7 @@ def _print_predicted(summary: dict[str, Any]) -> None:
 
 
 def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
-    units = {"position_rmse_m": "m", "rotation_rmse_rad": "rad", "configuration_rmse": unit}
-    found = ((values[name], own) for name, own in units.items())
+    found = zip(values.values(), ("m", "rad", unit), strict=True)
     return tuple("not measured" if value is None else quantity(value, own, degrees=False) for value, own in found)
 
 

@@ -147,12 +147,6 @@ class ProblemDocument(Document):
         return {"format": PROBLEM_FORMAT, **vars(value), **settings, "path": value.constraints}
 
 
-# As plan files have them.
-_ORDER = (
-    *("format", "model", "start", "goal", "path", "confidence", "planner", "plant", "scene", "robot", "grasp", "hold"),
-)
-
-
 def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Problem:
     """The problem that a file holds, with its model.
 
@@ -261,7 +255,8 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
     for key, late in (("hold", "datum"), ("robot", "text")):
         if late in data.get(key, {}):
             data[key][late] = data[key].pop(late)
-    return {key: data[key] for key in _ORDER if key in data}
+    order = "format model start goal path confidence planner plant scene robot grasp hold"  # as plan files have it
+    return {key: data[key] for key in order.split() if key in data}
 
 
 def _scope(automaton: HybridAutomaton) -> Scope:
