@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic.fields import FieldInfo
 
 from micah_plan.documents.located import Located
 from micah_plan.errors import InputError
@@ -55,13 +55,11 @@ class Document(BaseModel):
         """Raise an InputError if the entry contradicts itself, whatever names there are."""
 
     def own(self, at: Located, scope: Scope) -> dict[str, Any]:
-        """What the entry says, by key, of all but the format: what marks mean, inner values, tuples for lists."""
+        """What the entry says, by key, of all but the format: with what marks mean and inner entries as values."""
         self.check(at)
-        return {
-            key: _read(_marked(field), getattr(self, key), at.at(key), scope)
-            for key, field in type(self).model_fields.items()
-            if key != "format"
-        }
+        meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
+        own = {key: value for key, value in self if key != "format"}
+        return own | {key: _read(kind, own[key], at.at(key), scope) for key, kind in meant.items()}
 
     @classmethod
     def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
@@ -94,6 +92,60 @@ class Mark:
     written: Callable[[Any, Scope], Any] = lambda value, _: value
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of entry: what its annotation says.
+
+    Attributes:
+        type: without Annotated and `| None`.
+        marks: those in Annotated.
+        keys, entries: of a mapping, `entries` also of a list; None for others.
+    """
+
+    type: Any
+    marks: tuple[Mark, ...] = ()
+    keys: _Kind | None = None
+    entries: _Kind | None = None
+
+    @cached_property
+    def says_more(self) -> bool:
+        """Whether the value of such an entry has something else than the file."""
+        inner = any(kind is not None and kind.says_more for kind in (self.keys, self.entries))
+        return inner or bool(self.marks) or is_document(self.type)
+
+
+def _kind(annotation: Any, marks: tuple[Mark, ...] = ()) -> _Kind:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        found = tuple(mark for mark in annotation.__metadata__ if isinstance(mark, Mark))
+        return _kind(annotation.__origin__, (*found, *marks))
+    if origin in (Union, types.UnionType):
+        return _kind(next(kind for kind in arguments if kind is not type(None)), marks)
+    keys = _kind(arguments[0]) if origin is dict else None
+    entries = _kind(arguments[keys is not None]) if origin in (dict, list, tuple) else None
+    return _Kind(annotation, marks, keys, entries)
+
+
+@cache
+def _kinds(layout: type[Document]) -> dict[str, _Kind]:
+    """The kinds of all keys; pydantic keeps what is in `Annotated` apart."""
+    return {
+        key: _kind(field.annotation, tuple(mark for mark in field.metadata if isinstance(mark, Mark)))
+        for key, field in layout.model_fields.items()
+    }
+
+
+@cache
+def _left_out(layout: type[Document]) -> dict[str, Any]:
+    """The plain data of each key's default, with which the key is not written."""
+    fields = {key: field for key, field in layout.model_fields.items() if key not in layout.keeps}
+    return {
+        key: _plain(replace(_kinds(layout)[key], marks=()), field.get_default(call_default_factory=True), {})
+        for key, field in fields.items()
+        if not field.is_required()
+    }
+
+
 def plain(layout: type[Document], value: object, scope: Scope | None = None) -> dict[str, Any]:
     """Plain data of a value as its layout says, in the layout's order and without what is the layout's default.
 
@@ -102,57 +154,45 @@ def plain(layout: type[Document], value: object, scope: Scope | None = None) -> 
             inner value is plain data and taken as it is.
         scope: the names that are written instead of numbers.
     """
-    scope = scope or {}
+    scope, left_out = scope or {}, _left_out(layout)
     given = value if isinstance(value, Mapping) else layout.written(value, scope)
-    data = {}
-    for key, field in layout.model_fields.items():
-        if key in given:
-            data[key] = _plain(_marked(field), given[key], scope)
-            if key not in layout.keeps and not field.is_required():
-                default = _plain(field.annotation, field.get_default(call_default_factory=True), scope)
-                if data[key] == default:
-                    del data[key]
-    return data
+    data = {key: _plain(kind, given[key], scope) for key, kind in _kinds(layout).items() if key in given}
+    return {key: item for key, item in data.items() if key not in left_out or item != left_out[key]}
 
 
-def _plain(annotation: Any, value: Any, scope: Scope) -> Any:
-    """Plain data of a value of one kind of field; numbers become plain Python numbers."""
-    kind, marks = _stripped(annotation)
-    if value is None or kind is Any:
-        return value
-    for mark in reversed(marks):
+def _plain(kind: _Kind, value: Any, scope: Scope) -> Any:
+    """Plain data of a value of one kind; numbers become plain Python numbers."""
+    if value is None:
+        return None
+    for mark in reversed(kind.marks):
         value = mark.written(value, scope)
-    if kind in (float, int, bool):
-        return kind(value)
+    if kind.type in (float, int, bool):
+        return kind.type(value)
     if isinstance(value, np.ndarray):
         return value.tolist()
-    if is_document(kind):
-        return value if isinstance(value, Mapping) else plain(kind, value, scope)
-    if isinstance(value, Mapping):
-        keys, entries = get_args(kind)
-        return {_plain(keys, key, scope): _plain(entries, item, scope) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(_of_entries(kind), item, scope) for item in value]
+    if is_document(kind.type):
+        return value if isinstance(value, Mapping) else plain(kind.type, value, scope)
+    if isinstance(value, Mapping) and kind.keys and kind.entries:
+        return {_plain(kind.keys, key, scope): _plain(kind.entries, item, scope) for key, item in value.items()}
+    if isinstance(value, list | tuple) and kind.entries:
+        return [_plain(kind.entries, item, scope) for item in value]
     return value
 
 
-def _read(annotation: Any, value: Any, at: Located, scope: Scope) -> Any:
-    """What an entry of one kind of field means."""
-    kind, marks = _stripped(annotation)
-    if value is None or kind is Any:
+def _read(kind: _Kind, value: Any, at: Located, scope: Scope) -> Any:
+    """What an entry of one kind means; what it says where that is all."""
+    if value is None or not kind.says_more:
         return value
     if isinstance(value, Document):
         value = value.read(at, scope)
-    elif isinstance(value, Mapping):
-        keys, entries = get_args(kind)
+    elif isinstance(value, Mapping) and kind.keys and kind.entries:
+        places = [(key, item, at.at(key)) for key, item in value.items()]
         value = {
-            _read(keys, key, at.at(key), scope): _read(entries, item, at.at(key), scope) for key, item in value.items()
+            _read(kind.keys, key, place, scope): _read(kind.entries, item, place, scope) for key, item, place in places
         }
-    elif isinstance(value, list | tuple):
-        entries = _of_entries(kind)
-        numbers = entries in (float, int)
-        value = tuple(value if numbers else (_read(entries, item, at.at(i), scope) for i, item in enumerate(value)))
-    for mark in marks:
+    elif isinstance(value, list | tuple) and kind.entries:
+        value = tuple(_read(kind.entries, item, at.at(i), scope) for i, item in enumerate(value))
+    for mark in kind.marks:
         value = mark.read(value, at, scope)
     return value
 
@@ -172,43 +212,19 @@ def unique(items: Iterable[tuple[T, Any]]) -> dict[T, Any]:
     return result
 
 
-def kind_at(kind: Any, path: Sequence[str | int]) -> Any:
+def kind_at(layout: type[Document], path: Sequence[str | int]) -> Any:
     """The kind of value that a layout has at a key path, whatever names its mappings have; None if it can have none."""
-    kind, _ = _stripped(kind)
+    kind: _Kind | None = _Kind(layout)
     for key in path:
-        if is_document(kind):
-            kind = kind.model_fields[key].annotation if key in kind.model_fields else None
-        elif get_origin(kind) is dict or (get_origin(kind) in (list, tuple) and str(key).isdigit()):
-            kind = _of_entries(kind)
-        elif kind is not Any:
-            return None
-        kind, _ = _stripped(kind)
-    return kind
+        if kind is None or kind.type is Any:
+            break
+        if is_document(kind.type):
+            kind = _kinds(kind.type).get(str(key))
+        else:
+            kind = kind.entries if kind.keys or str(key).isdigit() else None
+    return None if kind is None else kind.type
 
 
 def is_document(kind: Any) -> bool:
     """Whether a kind of value is an entry with a layout of its own."""
     return isinstance(kind, type) and issubclass(kind, Document)
-
-
-def _of_entries(kind: Any) -> Any:
-    """The kind of the entries of a mapping, list or tuple; Any for other kinds."""
-    arguments = get_args(kind)
-    if get_origin(kind) is dict:
-        return arguments[1]
-    return arguments[0] if get_origin(kind) in (list, tuple) else Any
-
-
-def _stripped(annotation: Any) -> tuple[Any, tuple[Mark, ...]]:
-    """An annotation without Annotated and `| None`, and the marks that were in it."""
-    if get_origin(annotation) is Annotated:
-        kind, marks = _stripped(annotation.__origin__)
-        return kind, (*marks, *(mark for mark in annotation.__metadata__ if isinstance(mark, Mark)))
-    if get_origin(annotation) in (Union, types.UnionType):
-        return _stripped(next(kind for kind in get_args(annotation) if kind is not type(None)))
-    return annotation, ()
-
-
-def _marked(field: FieldInfo) -> Any:
-    """The annotation of a key as its layout has it; pydantic keeps what is in `Annotated` apart."""
-    return Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation

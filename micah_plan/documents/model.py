@@ -172,7 +172,10 @@ def dump_model(automaton: HybridAutomaton, path: str | Path) -> None:
 
 
 def usable_model(content: bytes, source: str) -> HybridAutomaton:
-    """As `parse_model`, and what the file describes is also an automaton that the algorithms can use.
+    """The automaton that the content of a model file describes, if the algorithms can use it.
+
+    Args:
+        source: names the file in messages.
 
     Raises:
         InputError: also for what `automaton.check` refuses, with the place in the file.
@@ -183,11 +186,6 @@ def usable_model(content: bytes, source: str) -> HybridAutomaton:
         with located.at(*(("transitions", *place[1:]) if place[:1] == ("edges",) else place)).locating_errors():
             check()
     return automaton
-
-
-def parse_model(content: bytes, source: str) -> HybridAutomaton:
-    """The automaton that the content of a model file describes, usable or not; `source` names the file in messages."""
-    return automaton_of(read_yaml(content, source))
 
 
 def model_text(automaton: HybridAutomaton) -> str:
@@ -216,16 +214,18 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         InputError: if the automaton is not one that a file may hold (a name twice, a number that is not finite, sizes
             that disagree).
     """
-    scope = {
-        "coordinate": automaton.coordinate_names,
-        "input": automaton.input_names,
-        "linked part": tuple(link.child for link in automaton.links),
-    }
-    data = plain(ModelDocument, automaton, scope)
+    data = plain(ModelDocument, automaton, scope_of(automaton))
     if automaton_of(Located(data, "automaton")) != automaton:
         problem = "automaton: sizes of its parts do not agree, so it cannot be written"
         raise InputError(problem, remedy="check its values")
     return data
+
+
+def scope_of(automaton: HybridAutomaton) -> Scope:
+    """The names that a model's own file, and the problems about it, may refer to."""
+    children = tuple(link.child for link in automaton.links)
+    names = {"coordinate": automaton.coordinate_names, "input": automaton.input_names, "mode": automaton.mode_names}
+    return {**names, "part": children, "linked part": children}
 
 
 def _remarks(automaton: HybridAutomaton) -> dict[KeyPath, str]:
@@ -247,6 +247,6 @@ def _check_tree(links: Sequence[LinkDocument], at: Located) -> None:
         if link.child == link.parent:
             raise at.at(i, "child").error("a part moves itself", "links form a tree")
         if link.child in children[:i]:
-            raise at.at(i, "child").error(f"part '{link.child}' hangs on two parents", "links form a tree")
+            raise at.at(i, "child").error(f"part '{link.child}' has two parents", "links form a tree")
         if link.parent in children[i:]:
             raise at.at(i, "parent").error(f"parent '{link.parent}' is linked only later", "list parents first")

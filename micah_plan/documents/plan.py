@@ -22,7 +22,7 @@ from micah_plan.automaton.input_memory import with_memory_states
 from micah_plan.documents.fields import Count, Line, Lines, Listed, ModeName, Name, Names, NonNegative, Probability
 from micah_plan.documents.layout import Document, Mark, Scope, doc, plain
 from micah_plan.documents.located import Located
-from micah_plan.documents.model import automaton_of, model_data
+from micah_plan.documents.model import automaton_of, model_data, scope_of
 from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
 from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError
@@ -252,10 +252,7 @@ def _stored(located: Located) -> StoredPlan:
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     means = () if document.trajectory is None else document.trajectory.means
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
-    own = document.own(
-        located,
-        {"coordinate": planned.coordinate_names, "input": planned.input_names, "mode": automaton.mode_names},
-    )
+    own = document.own(located, scope_of(planned))
     plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)

@@ -33,7 +33,7 @@ from micah_plan.documents.fields import (
 from micah_plan.documents.hold import HoldDocument
 from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located, overridden
-from micah_plan.documents.model import usable_model
+from micah_plan.documents.model import scope_of, usable_model
 from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
 from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
@@ -232,7 +232,7 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
         InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
             for files of the robot and the scene that cannot be used.
     """
-    own = document.own(located, {**_scope(automaton), "body": tuple(document.scene)})
+    own = document.own(located, {**scope_of(automaton), "body": tuple(document.scene)})
     for i, constraint in enumerate(own["path"]):
         with located.at("path", i).locating_errors():
             check_constraint(constraint, automaton)
@@ -251,21 +251,12 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         problem: its noise is that of its automaton and not repeated here.
         model: what to write as the name of the model file.
     """
-    data = plain(ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, _scope(problem.automaton))
+    data = plain(ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, scope_of(problem.automaton))
     for key, late in (("hold", "datum"), ("robot", "text")):
         if late in data.get(key, {}):
             data[key][late] = data[key].pop(late)
     order = "format model start goal path confidence planner plant scene robot grasp hold"  # as plan files have it
     return {key: data[key] for key in order.split() if key in data}
-
-
-def _scope(automaton: HybridAutomaton) -> Scope:
-    return {
-        "coordinate": automaton.coordinate_names,
-        "input": automaton.input_names,
-        "mode": automaton.mode_names,
-        "part": tuple(link.child for link in automaton.links),
-    }
 
 
 def _with_contacts(

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.documents.model import automaton_of
+from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 
 
@@ -22,3 +25,8 @@ def told(reader: Callable[..., Any], *arguments: Any) -> str:
     assert isinstance(result, str), f"accepted: {result}"
     assert len(result.splitlines()) == 1
     return result
+
+
+def parse_model(content: bytes, source: str) -> HybridAutomaton:
+    """The automaton that the content of a model file describes, usable or not."""
+    return automaton_of(read_yaml(content, source))

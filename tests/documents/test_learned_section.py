@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from attempts import told
+from attempts import parse_model, told
 
 from micah_plan.automaton.certainty import (
     ActionChannel,
@@ -16,7 +16,7 @@ from micah_plan.automaton.certainty import (
     SegmentCertainty,
 )
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.model import model_text, parse_model
+from micah_plan.documents.model import model_text
 
 VARIANCES = (0.01, 0.01, 0.0025, 0.0004, 0.0009)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_automaton import automata
-from attempts import attempt, told
+from attempts import attempt, parse_model, told
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Noise, Reset
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.documents.model import dump_model, load_model, model_text, parse_model
+from micah_plan.documents.model import dump_model, load_model, model_text
 from micah_plan.errors import InputError
 
 
