@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
@@ -55,8 +55,16 @@ def numbered(what: str) -> Mark:
     return Mark(lambda name, at, scope: at.number(name, scope[what], what), lambda number, scope: scope[what][number])
 
 
-def each(what: str, entry: str = "value") -> Mark:
-    """A mapping with an entry for every name of the scope; in the value a tuple in the order of the names."""
+def each(what: str, entry: str = "value", default: object = None) -> Mark:
+    """A mapping with an entry for every name of the scope; in the value a tuple in the order of the names.
+
+    Args:
+        default: the entry of a name that is left out; None: none may be.
+    """
+
+    def read(entries: Mapping[str, Any], at: Located, scope: Scope) -> tuple[Any, ...]:
+        others = {} if default is None else dict.fromkeys(scope[what], default)
+        return at.in_order({**others, **entries}, scope[what], what, entry)
 
     def written(values: Sequence[Any], scope: Scope) -> dict[str, Any]:
         if len(values) != len(scope[what]):
@@ -64,7 +72,7 @@ def each(what: str, entry: str = "value") -> Mark:
             raise InputError(problem, remedy="check its values")
         return dict(zip(scope[what], values, strict=True))
 
-    return Mark(lambda entries, at, scope: at.in_order(entries, scope[what], what, entry), written)
+    return Mark(read, written)
 
 
 ITEMS = Mark(lambda mapping, *_: tuple(mapping.items()), lambda pairs, _: unique(pairs))

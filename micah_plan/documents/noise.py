@@ -9,9 +9,8 @@ from pydantic import Field
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.sensing import Light
-from micah_plan.documents.fields import ITEMS, CoordinateName, EachCoordinate, NonNegative, Positive
-from micah_plan.documents.layout import Document, Scope, doc
-from micah_plan.documents.located import Located
+from micah_plan.documents.fields import ITEMS, CoordinateName, EachCoordinate, Name, NonNegative, Positive, each
+from micah_plan.documents.layout import Document, doc
 
 
 class LightDocument(Document):
@@ -20,19 +19,10 @@ class LightDocument(Document):
     at: Annotated[dict[CoordinateName, float], Field(min_length=1), ITEMS] = doc(
         "The place, by coordinate [rad or m]; a coordinate that is left out does not count."
     )
-    growth: dict[CoordinateName, NonNegative] = doc(
+    growth: Annotated[dict[Name, NonNegative], each("coordinate", default=0.0)] = doc(
         "Std that a measurement of a coordinate gains per unit of distance from there: its variance is "
         "observation_std² + (growth · distance)²."
     )
-
-    def own(self, at: Located, scope: Scope) -> dict[str, Any]:
-        own = super().own(at, scope)
-        coordinates = range(len(scope["coordinate"]))
-        return own | {"growth": tuple(own["growth"].get(i, 0.0) for i in coordinates)}
-
-    @classmethod
-    def written(cls, value: Light, scope: Scope) -> Mapping[str, Any]:
-        return {"at": value.at, "growth": dict(enumerate(value.growth))}
 
 
 class NoiseDocument(Document):
