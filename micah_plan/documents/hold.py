@@ -38,7 +38,7 @@ class ContactDocument(Document):
     def read(self, at: Located, scope: Scope) -> tuple[str, int, int]:
         """(body, axis, sign) of the face."""
         sign, axis = self.face
-        return self.own(at, scope)["body"], AXES.index(axis), 1 if sign == "+" else -1
+        return self.meanings(at, scope)["body"], AXES.index(axis), 1 if sign == "+" else -1
 
     @classmethod
     def written(cls, value: tuple[str, int, int], scope: Scope) -> Mapping[str, Any]:
@@ -69,7 +69,7 @@ class HoldDocument(Document):
             raise at.at("moving", "name").error("both parts have the same name", "name them apart")
 
     def read(self, at: Located, scope: Scope) -> Hold:
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         contacts, reach = own.pop("contacts"), own.pop("reach")
         return Hold(Grip(**own), contacts, **reach)
 
@@ -78,4 +78,4 @@ class HoldDocument(Document):
         return {**vars(value.grip), "reach": value, "contacts": value.contacts}
 
 
-HoldDocument.keeps = HoldDocument.model_fields.keys() - {"datum"}
+HoldDocument.always_written = HoldDocument.model_fields.keys() - {"datum"}

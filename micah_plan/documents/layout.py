@@ -36,7 +36,7 @@ class Document(BaseModel):
 
     makes: ClassVar[Callable[..., Any]] = dict
     """The class of the value; a dict if it is the layout around it that makes one."""
-    keeps: ClassVar[Collection[str]] = ()
+    always_written: ClassVar[Collection[str]] = ()
     """Keys to write even where their value is the default."""
 
     def read(self, at: Located, scope: Scope) -> Any:
@@ -49,12 +49,12 @@ class Document(BaseModel):
         Raises:
             InputError: for an unknown name, and for what does not agree with itself.
         """
-        return type(self).makes(**self.own(at, scope))
+        return type(self).makes(**self.meanings(at, scope))
 
     def check(self, at: Located) -> None:
         """Raise an InputError if the entry contradicts itself, whatever names there are."""
 
-    def own(self, at: Located, scope: Scope) -> dict[str, Any]:
+    def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         """What the entry says, by key, of all but the format: with what marks mean and inner entries as values."""
         self.check(at)
         meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
@@ -138,7 +138,7 @@ def _kinds(layout: type[Document]) -> dict[str, _Kind]:
 @cache
 def _left_out(layout: type[Document]) -> dict[str, Any]:
     """The plain data of each key's default, with which the key is not written."""
-    fields = {key: field for key, field in layout.model_fields.items() if key not in layout.keeps}
+    fields = {key: field for key, field in layout.model_fields.items() if key not in layout.always_written}
     return {
         key: _plain(replace(_kinds(layout)[key], marks=()), field.get_default(call_default_factory=True), {})
         for key, field in fields.items()

@@ -70,7 +70,7 @@ class LearnedSegmentDocument(Document):
             raise at.at("probabilities").error(problem, "correct them")
 
     def read(self, at: Located, scope: Scope) -> LearnedSegment:
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         kinds = own["probabilities"]
         certainty = None if kinds is None else SegmentCertainty(own["start"], kinds)
         return LearnedSegment(self.kind, self.run, *self.rows, certainty)
@@ -102,7 +102,7 @@ class ActionsDocument(Document):
 
 
 class LearnedEdgeDocument(Document):
-    keeps = ("changepoint_counts",)
+    always_written = ("changepoint_counts",)
 
     parent: Name = doc("Part (or base) that the child's pose is relative to.")
     child: Name = doc("Part that moves.")
@@ -120,7 +120,7 @@ class LearnedEdgeDocument(Document):
             raise at.error("missing key 'log_evidence'", "add it, or leave out changepoint_counts and actions")
 
     def read(self, at: Located, scope: Scope) -> LearnedEdge:
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         certainty = None
         if self.log_evidence is not None:
             certainty = EdgeCertainty(self.log_evidence, self.changepoint_counts, own["actions"])

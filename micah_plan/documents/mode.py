@@ -44,7 +44,7 @@ class ModeDocument(Document):
     )
 
     def read(self, at: Located, scope: Scope) -> Mode:
-        own, coordinates = self.own(at, scope), scope["coordinate"]
+        own, coordinates = self.meanings(at, scope), scope["coordinate"]
         rows = [(0.0,) * len(scope["input"]) for _ in coordinates]
         for i, change in own.pop("step").items():
             if any(change.a) or change.constant:
@@ -79,13 +79,13 @@ class MatricesDocument(Document):
     B: Matrix | None = doc("(n, m); default: zero.", None)
     c: Row | None = doc("(n); default: zero.", None)
 
-    def own(self, at: Located, scope: Scope) -> dict[str, Any]:
+    def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         n, m = len(scope["coordinate"]), len(scope["input"])
         c = None if self.c is None else (self.c,)
         for key, rows, height, width in (("A", self.A, n, n), ("B", self.B, n, m), ("c", c, 1, n)):
             if rows is not None:
                 check_size(rows, height, width, at.at(key))
-        return super().own(at, scope)
+        return super().meanings(at, scope)
 
 
 class TransitionDocument(Document):
@@ -106,7 +106,7 @@ class TransitionDocument(Document):
         if self.reset and self.reset_matrices is not None:
             problem = "both 'reset' and 'reset_matrices' are given"
             raise at.at("reset_matrices").error(problem, "keep one of them")
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         values, matrices = own.pop("reset"), own.pop("reset_matrices")
         return Edge(**own, reset=_reset_of(values, scope) if matrices is None else matrices)
 

@@ -65,7 +65,7 @@ class InitialDocument(Document):
     region: RegionEntries = doc("Half-spaces that the state then lies in.")
 
     def read(self, at: Located, scope: Scope) -> tuple[str, Region]:
-        return self.mode, self.own(at, scope)["region"]
+        return self.mode, self.meanings(at, scope)["region"]
 
     @classmethod
     def written(cls, value: tuple[str, Region], scope: Scope) -> Mapping[str, Any]:
@@ -82,8 +82,8 @@ class EffectDocument(Document):
     modes: ModeNames = doc("Modes in which it acts; absent: in all.", tuple)
     note: Line = doc("What a person should know of it.", "")
 
-    def own(self, at: Located, scope: Scope) -> dict[str, Any]:
-        own = super().own(at, scope)
+    def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
+        own = super().meanings(at, scope)
         with at.at("name").locating_errors():
             names = [parameter.name for parameter in form(self.name).parameters]
         values = at.at("parameters").in_order(self.parameters, names, "parameter")
@@ -138,7 +138,7 @@ class ModelDocument(Document):
             "part": tuple(parts),
             "linked part": tuple(link.child for link in self.links),
         }
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         edges = own.pop("transitions")
         links = [(link.parent, link.child) for link in self.links]
         for i, edge in enumerate(self.learned):

@@ -36,7 +36,7 @@ class PartDocument(Document):
     shapes: list[ShapeDocument] = doc("Solids to draw and to simulate.", list)
 
     def read(self, at: Located, scope: Scope) -> Part:
-        return Part(at.name, **self.own(at, scope))
+        return Part(at.name, **self.meanings(at, scope))
 
 
 class PartsDocument(Document):
@@ -55,7 +55,7 @@ def load_parts(path: str | Path) -> tuple[Part, ...]:
         InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
     """
     located = read_yaml_file(path)
-    parts: tuple[Part, ...] = validated(located, PartsDocument).own(located, {})["parts"]
+    parts: tuple[Part, ...] = validated(located, PartsDocument).meanings(located, {})["parts"]
     return parts
 
 

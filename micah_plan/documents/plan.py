@@ -73,7 +73,7 @@ class TrajectoryDocument(Document):
     is_transition: list[bool] = doc("(K-1) whether the step is a transition.")
 
     def read(self, at: Located, scope: Scope) -> Trajectory:
-        own, knots, n, m = self.own(at, scope), len(self.modes), len(scope["coordinate"]), len(scope["input"])
+        own, knots, n, m = self.meanings(at, scope), len(self.modes), len(scope["coordinate"]), len(scope["input"])
         shapes = {"means": (knots, n), "factors": (knots, n, n), "inputs": (knots - 1, m), "gains": (knots - 1, m, n)}
         arrays = {key: _array(own[key], shape, at.at(key)) for key, shape in shapes.items()}
         is_transition = _array(self.is_transition, (knots - 1,), at.at("is_transition")).astype(bool)
@@ -103,7 +103,7 @@ class ArmDocument(Document):
 class PlanDocument(Document):
     """A plan with the whole problem that it solves, so that it can be executed and shown without other files."""
 
-    keeps = ("success_interval", "findings")
+    always_written = ("success_interval", "findings")
 
     format: Literal["micah-plan/plan/1"] = doc("Format and version of this file.")
     version: Line = doc("Version of micah_plan that wrote it.")
@@ -252,7 +252,7 @@ def _stored(located: Located) -> StoredPlan:
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     means = () if document.trajectory is None else document.trajectory.means
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
-    own = document.own(located, scope_of(planned))
+    own = document.meanings(located, scope_of(planned))
     plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)

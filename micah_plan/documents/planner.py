@@ -57,7 +57,7 @@ class PlannerDocument(Document):
     )
 
 
-PlannerDocument.keeps = PlannerDocument.model_fields.keys() - {"max_step"}
+PlannerDocument.always_written = PlannerDocument.model_fields.keys() - {"max_step"}
 
 
 class PlantDocument(Document):

@@ -67,13 +67,13 @@ class TargetDocument(Document):
 
 
 class GoalDocument(Document):
-    keeps = ("target", "modes")
+    always_written = ("target", "modes")
 
     target: dict[CoordinateName, TargetDocument] = doc("Wanted value of any subset of the coordinates.", dict)
     modes: ModeNames = doc("Modes that count as reached; empty: any.", tuple)
 
     def read(self, at: Located, scope: Scope) -> Goal:
-        target = self.own(at, scope)["target"]
+        target = self.meanings(at, scope)["target"]
         # An object that has hit something has not arrived, wherever it is.
         unharmed = tuple(mode for mode in scope["mode"] if mode != COLLIDED) if COLLIDED in scope["mode"] else ()
         return Goal(tuple((i, *wanted.values()) for i, wanted in target.items()), self.modes or unharmed)
@@ -99,7 +99,7 @@ Argument = Annotated[Any, AfterValidator(_argument), _SCHEMA]
 
 class PathDocument(Document):
     makes = PathConstraint
-    keeps = ("arguments", "modes")
+    always_written = ("arguments", "modes")
 
     name: Name = doc("Of a path function: stay_above, stay_below, keep_away, or one that Python code has registered.")
     arguments: Annotated[dict[Name, Argument], ITEMS] = doc(
@@ -111,7 +111,7 @@ class PathDocument(Document):
 class ProblemDocument(Document):
     """Move an articulated object from an uncertain start into a goal set."""
 
-    keeps = ("confidence", "planner", "plant")
+    always_written = ("confidence", "planner", "plant")
 
     format: Literal["micah-plan/problem/1"] = doc("Format and version of this file.")
     model: Line = doc("Model file, relative to this file.")
@@ -232,7 +232,7 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
         InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
             for files of the robot and the scene that cannot be used.
     """
-    own = document.own(located, {**scope_of(automaton), "body": tuple(document.scene)})
+    own = document.meanings(located, {**scope_of(automaton), "body": tuple(document.scene)})
     for i, constraint in enumerate(own["path"]):
         with located.at("path", i).locating_errors():
             check_constraint(constraint, automaton)

@@ -35,7 +35,7 @@ from micah_plan.scene.robot_description import Grasp, RobotDescription
 
 
 class BodyShapeDocument(Document):
-    keeps = ("color",)
+    always_written = ("color",)
 
     kind: Literal["box", "cylinder", "sphere", "mesh"] = doc("Kind of solid; a mesh is its convex hull.")
     size: Sizes | None = doc("In m. Box: full lengths x, y, z. Cylinder: radius, length along z. Sphere: radius.", None)
@@ -47,7 +47,7 @@ class BodyShapeDocument(Document):
     color: Color = doc("Colour as #rrggbb.", "#9aa5b1")
 
     def read(self, at: Located, scope: Scope) -> Shape:
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         pose = {key: own[key] for key in ("position", "quaternion", "color")}
         if self.kind == "mesh":
             return Hull(self._vertices(at), **pose)
@@ -84,7 +84,7 @@ class BodyDocument(Document):
     )
 
     def read(self, at: Located, scope: Scope) -> Body:
-        return Body(at.name, **self.own(at, scope))
+        return Body(at.name, **self.meanings(at, scope))
 
 
 class RobotDocument(Document):
@@ -105,7 +105,7 @@ class RobotDocument(Document):
 
     def read(self, at: Located, scope: Scope) -> RobotDescription:
         """With the content of its files; whether they are a robot is not checked here."""
-        own = self.own(at, scope)
+        own = self.meanings(at, scope)
         path, srdf, text = at.folder / self.path, own.pop("srdf_text") or "", own.pop("text")
         if self.srdf is not None:
             srdf = _text(at.folder / self.srdf, at.at("srdf"))

@@ -55,7 +55,7 @@ def test_values_are_written_in_the_layouts_order_without_defaults() -> None:
 
 def test_a_default_is_written_where_it_is_asked_for() -> None:
     class SizedDocument(PointDocument):
-        keeps = ("size",)
+        always_written = ("size",)
 
     assert plain(SizedDocument, Point((0.0, 0.0, 1.0))) == {"at": [0.0, 0.0, 1.0], "size": 1.0}
 
