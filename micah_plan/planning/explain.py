@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from micah_plan.planning.findings import endpoint_findings
 from micah_plan.quantities import percent, plain
-from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan
+from micah_plan.task.plan import Finding, Level, Outcome, Plan
 from micah_plan.task.problem import Problem
 
 # In the order in which they are checked.
@@ -44,12 +44,12 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
     if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
         findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))
     level = None if plan.outcome == "solved" or not findings else findings[0].level
-    lines = [_outcome_line(plan, level)]
-    for finding in findings:
-        lines += finding_lines(finding)
+    lines = [_outcome_line(plan, level), *(line for finding in findings for line in finding_lines(finding))]
     if not findings and plan.outcome != "solved":
         lines.append("the file has no details, it was written by an older version: solve the problem again")
-    lines += [_candidate_line(candidate) for candidate in plan.candidates]
+    for one in plan.candidates:
+        cost = "no plan" if one.cost is None else f"cost {plain(one.cost)}"
+        lines.append(f"tried {' -> '.join(one.modes)}: {cost}, {one.message}")
     return Explanation(plan.outcome, plan.reason, level, findings, tuple(lines))
 
 
@@ -65,16 +65,8 @@ def finding_lines(finding: Finding) -> list[str]:
 
 def _outcome_line(plan: Plan, level: Level | None) -> str:
     if plan.outcome == "solved":
-        share = (
-            ""
-            if plan.success_probability is None
-            else f", {percent(plan.success_probability)} of the roll-outs succeed"
-        )
-        return f"solved through {' -> '.join(plan.mode_sequence)}{share}"
+        share = plan.success_probability
+        verified = "" if share is None else f", {percent(share)} of the roll-outs succeed"
+        return f"solved through {' -> '.join(plan.mode_sequence)}{verified}"
     failed = "there is no plan" if plan.outcome == "no_plan" else "a plan was found but does not hold"
     return f"{failed}: {plan.reason if level is None else f'the {level} stands in the way'}"
-
-
-def _candidate_line(candidate: Candidate) -> str:
-    cost = "no plan" if candidate.cost is None else f"cost {plain(candidate.cost)}"
-    return f"tried {' -> '.join(candidate.modes)}: {cost}, {candidate.message}"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.cost import in_steps
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
@@ -67,7 +66,8 @@ def belief_lqr(
         value += rest.T @ goal @ rest
     gains = np.zeros((len(is_transition), m, n))
     for k in reversed(range(len(is_transition))):
-        value = _without_pinned(automaton.mode(modes[k + 1]), value)
+        free = automaton.mode(modes[k + 1]).free
+        value = value * np.outer(free, free)
         if is_transition[k]:
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
@@ -81,7 +81,3 @@ def belief_lqr(
         closed = A + B @ gain
         value = tracking + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains
-
-
-def _without_pinned(mode: Mode, value: Floats) -> Floats:
-    return value * np.outer(mode.free, mode.free)

@@ -80,22 +80,30 @@ def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
     return np.asarray(np.clip(cut, -max_step, max_step))
 
 
-def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
-    """Everything that the invariants, guards, pins, start and goal mention, with room where nothing bounds a side."""
+def named_values(problem: Problem) -> list[list[float]]:
+    """Per coordinate the values that the problem and the model name: start, goal, pins and boundaries."""
     automaton = problem.automaton
-    lower, upper = np.zeros(automaton.n), np.zeros(automaton.n)
-    inside = [h.bound for mode in automaton.modes for h in mode.invariant.half_spaces if h.bound]
-    guards = [h.bound for edge in automaton.edges for h in edge.guard.half_spaces if h.bound]
-    for i in range(automaton.n):
-        values = [problem.start.mean[i], *(value for index, value, _ in problem.goal.target if index == i)]
-        values += [pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == i]
-        values += [b.value for b in (*inside, *guards) if b.coordinate == i]
-        room = 0.5 * (max(values) - min(values)) or 1.0
-        free_below = not any(b.coordinate == i and b.is_lower for b in inside)
-        free_above = not any(b.coordinate == i and not b.is_lower for b in inside)
-        lower[i] = min(values) - (room if free_below else 0.0)
-        upper[i] = max(values) + (room if free_above else 0.0)
-    return lower, upper
+    values = [[float(mean)] for mean in problem.start.mean]
+    for index, value, _ in problem.goal.target:
+        values[index].append(value)
+    for pin in (pin for mode in automaton.modes for pin in mode.pins):
+        values[pin.coordinate].append(pin.value)
+    regions = [mode.invariant for mode in automaton.modes] + [edge.guard for edge in automaton.edges]
+    for bound in (half_space.bound for region in regions for half_space in region.half_spaces):
+        if bound is not None:
+            values[bound.coordinate].append(bound.value)
+    return values
+
+
+def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
+    """(n,) smallest and largest named values, with room where no invariant bounds a side."""
+    values = named_values(problem)
+    lower, upper = np.array([min(own) for own in values]), np.array([max(own) for own in values])
+    inside = [h.bound for mode in problem.automaton.modes for h in mode.invariant.half_spaces if h.bound]
+    bounded = {(bound.coordinate, bound.is_lower) for bound in inside}
+    below, above = ([(i, is_lower) in bounded for i in range(len(values))] for is_lower in (True, False))
+    room = np.where(upper > lower, 0.5 * (upper - lower), 1.0)
+    return np.where(below, lower, lower - room), np.where(above, upper, upper + room)
 
 
 def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> float:

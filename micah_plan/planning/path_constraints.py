@@ -73,15 +73,15 @@ class PathRecord:
             share, amount = float((worst < -ROUNDING).mean()), -float(worst.min())
             if share == 0.0:
                 continue
+            is_number = amount < np.inf
+            by = f", by up to {quantity(amount, unit)}" if is_number else ""
             remedy = "lower the noise or the start's std, or raise `confidence`, which leaves more room"
             missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
             if ROUNDING < missing < np.inf:
                 remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
-            sentence = f"{percent(share, 0)} of the roll-outs break '{name}'"
+            sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
             finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
-            if amount < np.inf:
-                finding = replace(finding, sentence=f"{sentence}, by up to {quantity(amount, unit)}", amount=amount)
-            found.append((share, finding))
+            found.append((share, replace(finding, amount=amount if is_number else None)))
         return found
 
 

@@ -15,9 +15,8 @@ class TimeLimitError(Exception):
     """The time is over; `reason` says in which stage, how far that was, and what to do."""
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
-        self.reason = (
-            f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}: {state}; {remedy}"
-        )
+        reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
+        self.reason = f"{reached}: {state}; {remedy}"
         super().__init__(self.reason)
 
 
@@ -50,9 +49,8 @@ class Deadline:
             TimeLimitError: if there is none.
         """
         if self.is_over():
-            raise TimeLimitError(
-                self.limit_s, stage, state, "raise solve_time_limit_s" + (f" or lower {lower}" if lower else "")
-            )
+            remedy = "raise solve_time_limit_s" + (f" or lower {lower}" if lower else "")
+            raise TimeLimitError(self.limit_s, stage, state, remedy)
 
 
 NEVER = Deadline(inf)

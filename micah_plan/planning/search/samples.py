@@ -14,7 +14,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
-from micah_plan.planning.limits import Limits
+from micah_plan.planning.limits import Limits, named_values
 from micah_plan.planning.search.motion import obstacles_on_state
 from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states
 from micah_plan.task.deadline import NEVER, Deadline
@@ -96,7 +96,8 @@ class _Sampler:
     def __init__(self, problem: Problem, limits: Limits, rng: np.random.Generator, deadline: Deadline) -> None:
         """Args: see `sample_modes`."""
         self._problem, self._automaton, self._limits = problem, problem.automaton, limits
-        self._rng, self._deadline, self._landmarks = rng, deadline, _landmarks(problem)
+        self._rng, self._deadline = rng, deadline
+        self._landmarks = [np.array(list(dict.fromkeys(values))) for values in named_values(problem)]
         self.start = np.array(problem.start.mean)
         self.target = problem.goal.reached_from(self.start)
         self.modes = {mode.name: ModeStates(mode_states(mode, limits)) for mode in self._automaton.modes}
@@ -250,19 +251,3 @@ def _at(states: Polytope, chosen: Booleans, x: Floats) -> Polytope | None:
 def _idle(mode: Mode) -> Booleans:
     """(n,) the coordinates that a mode neither moves nor pins: they stay as they were when it was entered."""
     return ~mode.driven & mode.free
-
-
-def _landmarks(problem: Problem) -> list[Floats]:
-    """Per coordinate the values that the problem and the model name: start, goal, pins and thresholds."""
-    automaton = problem.automaton
-    values = [[mean] for mean in problem.start.mean]
-    for index, value, _ in problem.goal.target:
-        values[index].append(value)
-    for mode in automaton.modes:
-        for pin in mode.pins:
-            values[pin.coordinate].append(pin.value)
-    regions = [mode.invariant for mode in automaton.modes] + [edge.guard for edge in automaton.edges]
-    for half_space in (h for region in regions for h in region.half_spaces):
-        if half_space.bound is not None:
-            values[half_space.bound.coordinate].append(half_space.bound.value)
-    return [np.array(list(dict.fromkeys(v))) for v in values]
