@@ -29,17 +29,16 @@ from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
-# Nothing was learned of a threshold while it is believed to lie less than this many of its stds elsewhere, and its std
-# has become smaller by less than this share.
+# A threshold counts as learned once its estimate has moved by so many of its stds, or its std shrunk by this share.
 _LEARNED = 0.1
 
 
 class RecedingHorizon:
     """Continues one plan: modes and numbers of steps stay, there is no search, and the end comes no later.
 
-    The plan's programme is built once and reused (`WarmStartedProgramme`). A new one is built where it would be
-    another: if the filter has learned where a threshold lies that is still ahead, or if the trajectory is no rest of
-    the plan; and where the reused one gives no answer that meets all its rows. Answers do not depend on earlier ones.
+    The plan's programme is built once and reused (`WarmStartedProgramme`). A new one is built where that would differ:
+    if the filter has learned where a threshold ahead lies, or if the trajectory is not the end of the plan; and where
+    the reused one finds no feasible answer. Answers do not depend on earlier ones.
 
     Attributes:
         reused, built: how many answers came from the plan's programme, and from new ones.
@@ -54,7 +53,7 @@ class RecedingHorizon:
         self.reused = self.built = 0
 
     def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
-        """What is left of a trajectory from a knot on, optimised again from a belief in that knot's mode.
+        """The rest of a trajectory from a knot on, optimised again from a belief in that knot's mode.
 
         None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
         leaves a memory of inputs out.
@@ -91,7 +90,7 @@ class RecedingHorizon:
         return same and steps[first + 1 :] == left[1:] and steps[first] >= left[0]
 
     def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
-        """Whether a threshold that is still ahead was learned to lie elsewhere, or where it lies more precisely."""
+        """Whether the filter has moved the estimate of a threshold that is still ahead, or made it more precise."""
         automaton, number = self._problem.automaton, belief.most_likely
         if belief.shifts is None or belief.shift_stds is None:
             return False
@@ -103,9 +102,8 @@ class RecedingHorizon:
         }
         if not learned:
             return False
-        entered = set(trajectory.modes[knot:]) - {trajectory.modes[knot]}
         ahead = {boundary_of(half_space)[0] for half_space in self._programme.half_spaces(trajectory, knot)}
-        for mode in entered:
+        for mode in set(trajectory.modes[knot:]) - {trajectory.modes[knot]}:
             ahead |= set(boundaries_of_pins(automaton, automaton.mode(mode)).values())
         return bool(learned & ahead)
 
@@ -125,15 +123,15 @@ class WarmStartedProgramme:
     """The programme of a plan, solved once from its start.
 
     Attributes:
-        path: the optimum; what is asked for later is a rest of it.
+        path: the optimum, of which later answers are the end.
     """
 
     def __init__(self, nlp: Transcription, time_limit_s: float) -> None:
         """Args: the programme of the whole plan, and the limit of each solution [s]."""
         self._nlp, self._programme = nlp, nlp.programme
         self._solver = Solver(self._programme, time_limit_s, warm_start=True)
-        # A plan that is left at a knot has no more to do with what ends there or before: its inputs and what they must
-        # be, the dynamics that led there, and what is asked of that knot itself, since the belief is where it is.
+        # Where a plan is left at a knot, the rows that end there or before no longer apply: of inputs, of the dynamics
+        # that led there, and of the state at that knot, which is now given by the belief.
         ended = [row.knot + (row.kind not in ("dynamics", "boundary", "path")) for row in nlp.rows]
         self._row_ends, (self._ends, self._is_state) = np.array(ended), _layout(nlp)
         self._first = self._solver.solve()
@@ -160,20 +158,21 @@ class WarmStartedProgramme:
         return replace(path, **left)
 
     def half_spaces(self, trajectory: Trajectory, knot: int) -> set[HalfSpace]:
-        """The boundaries that a rest of the plan still has to stay within, or to cross."""
+        """The boundaries that the rest of the plan has to stay within, or to cross."""
         done = len(self.path.modes) - (len(trajectory.modes) - knot)
         ahead = zip(self._nlp.rows, self._row_ends > done, strict=True)
         return {row.half_space for row, is_ahead in ahead if is_ahead and row.half_space is not None}
 
     def _path(self, found: Solution) -> BeliefPath:
-        """The path of a solution, which counts only if the solver itself is content: it may have stopped on its way."""
+        """The path of a solution, feasible only if the solver has converged: it may have stopped on its way."""
         return path_of(self._nlp, replace(found, is_feasible=found.has_converged and found.is_feasible))
 
     def _values(self, trajectory: Trajectory, knot: int, done: int) -> Floats:
         """The decision variables of the plan up to a knot of it, and from there of a rest of it; slacks of the plan."""
-        means = np.concatenate([self.path.means[:done], trajectory.means[knot:]])
-        factors = np.concatenate([self.path.factors[:done], trajectory.factors[knot:]])
-        inputs = np.concatenate([self.path.inputs[:done], trajectory.inputs[knot:]])
+        means, factors, inputs = (
+            np.concatenate([getattr(self.path, name)[:done], getattr(trajectory, name)[knot:]])
+            for name in ("means", "factors", "inputs")
+        )
         values = self._first.w.copy()
         for guess, (states, steps, _) in zip(self._nlp.guess, blocks_of(self._nlp, values), strict=True):
             knots = slice(guess.first_knot, guess.first_knot + guess.steps + 1)

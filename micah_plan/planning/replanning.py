@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.thresholds import with_known_boundaries
@@ -105,18 +104,12 @@ def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tu
     Returns:
         the sequence, and the number of steps in each of its modes.
     """
-    modes: list[str] = []
-    edges: list[int] = []
-    waypoints: list[list[Floats]] = []
-    for k in range(knot, len(trajectory.modes)):
-        if not modes or trajectory.is_transition[k - 1]:
-            if modes:
-                edges.append(_edge_taken(automaton, trajectory, k - 1))
-            modes.append(trajectory.modes[k])
-            waypoints.append([])
-        waypoints[-1].append(trajectory.means[k])
+    begins = [knot, *(knot + 1 + np.flatnonzero(trajectory.is_transition[knot:])).tolist()]
+    edges = [_edge_taken(automaton, trajectory, begin - 1) for begin in begins[1:]]
+    waypoints = np.split(trajectory.means[knot:], np.array(begins[1:], dtype=np.int64) - knot)
     steps = [len(means) - 1 for means in waypoints]
-    return ModeSequence(tuple(modes), tuple(edges), tuple(map(np.array, waypoints)), float(sum(steps))), steps
+    modes = tuple(trajectory.modes[begin] for begin in begins)
+    return ModeSequence(modes, tuple(edges), tuple(waypoints), float(sum(steps))), steps
 
 
 def _edge_taken(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> int:

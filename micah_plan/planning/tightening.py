@@ -63,7 +63,7 @@ def verified_plan(
         seed: of the roll-outs.
         rounds: None: from the settings.
         deadline: of planning and verification together; None: as the settings say, from now on.
-        verifier: tells of a plan whether roll-outs confirm it.
+        verifier: judges a plan by roll-outs.
 
     Returns:
         The first plan that is confirmed, else the one that succeeds most often, as ``"not_verified"``.

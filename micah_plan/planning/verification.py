@@ -86,7 +86,7 @@ class _Ends:
 def _ends(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, looks: tuple[float, ...]
 ) -> _Ends:
-    """That many roll-outs at once, or in turns, up to these shares of them, until the answer is plain."""
+    """That many roll-outs at once, or up to these shares of them in turn, until they suffice (`plain_answer`)."""
     turns: list[RollOuts] = []
     in_goal = np.zeros(0, dtype=bool)
     for number, look in enumerate(looks or (1.0,)):

@@ -207,7 +207,7 @@ def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: lis
     at = phase.states[:, [one.step for one in boundaries]]
     margins, stds = _margin_function(nlp.pattern).map(len(boundaries))(at, directions, offsets[None, :])
     uncertain = [i for i, one in enumerate(boundaries) if one.uncertain]
-    total = _total_std(stds[uncertain].T, ca.DM([boundaries[i].spread for i in uncertain]))
+    total = ca.sqrt(stds[uncertain].T ** 2 + ca.DM([boundaries[i].spread for i in uncertain]))
     scales = np.array([boundaries[i].scale for i in uncertain])
     rows, slacks = [one.row for one in boundaries], phase.slacks[: len(uncertain)]
     _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
@@ -259,11 +259,6 @@ def _margin_function(pattern: ca.Sparsity) -> ca.Function:
     return ca.Function("margin", [state, a, c], [ca.dot(a, state[:n]) - c, std])
 
 
-def _total_std(std: ca.MX, spread: ca.DM | float) -> ca.MX:
-    """Std of the true margin: of the belief, and of the estimate and the threshold, whose variance is given."""
-    return ca.sqrt(std**2 + spread)
-
-
 def _join(nlp: Transcription, before: int, after: int) -> None:
     """The guard at the end of one phase and the reset into the next.
 
@@ -291,7 +286,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         place = guess.mode, knot, name, unit_of(automaton, half_space)
         row = Row(*place, low, np.inf, "guard", half_space, 1.0, None if certain else settings.confidence)
         a = np.array(half_space.a)
-        total = _total_std(stds[i], float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2))
+        total = ca.sqrt(stds[i] ** 2 + float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2))
         nlp.require(margins[i] - (0.0 if certain else settings.sigmas) * total, [row], None if certain else total)
     name = f"the reset of '{edge.edge.name}'"
     same = Row(edge.edge.target, nlp.guess[after].first_knot, name, "", 0.0, 0.0)
