@@ -24,9 +24,8 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.search.motion import motions_of, obstacles_on_state
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.planning.search.roadmap import roadmap_of
+from micah_plan.planning.search.roadmap import motions_of, obstacles_on_state, roadmap_of
 from micah_plan.planning.search.samples import inside_any, sample_modes
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem

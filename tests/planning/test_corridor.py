@@ -15,9 +15,8 @@ from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.mode_search import search_modes
-from micah_plan.planning.search.motion import motions_of
 from micah_plan.planning.search.polytope import mode_states
-from micah_plan.planning.search.roadmap import roadmap_of
+from micah_plan.planning.search.roadmap import motions_of, roadmap_of
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 

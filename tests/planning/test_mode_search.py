@@ -15,8 +15,7 @@ from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.mode_search import SearchResult, search_modes
-from micah_plan.planning.search.motion import motions_of
-from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap
+from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, motions_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem

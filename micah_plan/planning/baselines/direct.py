@@ -27,7 +27,7 @@ from micah_plan.planning.baselines.open_loop import nominal_start, plan_along
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
-from micah_plan.planning.search.motion import PACE
+from micah_plan.planning.search.roadmap import PACE
 from micah_plan.symbolic.compiled import CompiledMode, compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.deadline import Deadline

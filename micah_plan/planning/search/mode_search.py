@@ -22,9 +22,8 @@ from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.search.mode_paths import cheapest_sequences
-from micah_plan.planning.search.motion import ModeMotion, motions_of
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.roadmap import JoinedRoadmap, roadmap_of
+from micah_plan.planning.search.roadmap import JoinedRoadmap, ModeMotion, motions_of, roadmap_of
 from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem

@@ -18,8 +18,7 @@ from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.search.motion import PACE
-from micah_plan.planning.search.roadmap import JoinedRoadmap
+from micah_plan.planning.search.roadmap import PACE, JoinedRoadmap
 from micah_plan.task.problem import Problem
 
 # Steps added at the end for measurements only: at most so many, and only while each narrows the belief by at least 2 %.

@@ -15,8 +15,8 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, named_values
-from micah_plan.planning.search.motion import obstacles_on_state
 from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states
+from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 

@@ -14,9 +14,9 @@ from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, input_length, motion_per_input
 from micah_plan.planning.search.mode_search import ModeSequence
-from micah_plan.planning.search.motion import PACE
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import mode_states
+from micah_plan.planning.search.roadmap import PACE
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
 
