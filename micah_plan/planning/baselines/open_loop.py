@@ -13,12 +13,11 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
-from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limited_input
-from micah_plan.planning.search.polytope import mode_states
+from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 
@@ -30,38 +29,23 @@ def plan_along(find: Callable[[Attempt], tuple[Floats, str]], attempt: Attempt) 
     return attempt.solved(trajectory, cost_of(attempt.problem, attempt.limits, trajectory), f": {said}")
 
 
-def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
-    """(n,) the state of the start's mode next to the start's mean, which noise may have put outside of it."""
-    states = mode_states(problem.automaton.mode(mode), limits)
-    return states.nearest(np.array(problem.start.mean, dtype=float))
-
-
 def nominal_trajectory(problem: Problem, limits: Limits, mode: str, inputs: Floats) -> Trajectory:
     """The trajectory of inputs (T, m) from the start's mean in a mode, with a knot more for every change of mode."""
     automaton = problem.automaton
     x = nominal_start(problem, limits, mode)
     belief = initial_belief(automaton, x, problem.start.std, mode)
-    modes, means, factors = [mode], [x], [_factor(problem, belief, mode)]
-    applied: list[Floats] = []
-    is_transition: list[bool] = []
+    knots, steps = [(mode, x, belief)], list[tuple[Floats, bool]]()
     for u in inputs:
         cut = limited_input(automaton.mode(mode), x, u, limits.max_step)
         after = step(automaton, mode, x, cut)
         belief = update(automaton, predict(automaton, belief, cut), after.x)
         entered = [event.target for event in after.events if event.source != event.target]
-        for number, name in enumerate([mode, *entered]):
-            modes.append(name)
-            means.append(after.x)
-            factors.append(_factor(problem, belief, name))
-            applied.append(cut if number == 0 else np.zeros(automaton.m))
-            is_transition.append(number > 0)
+        knots += [(name, after.x, belief) for name in (mode, *entered)]
+        steps += [(cut, False), *[(np.zeros(automaton.m), True)] * len(entered)]
         mode, x = after.mode, after.x
-    flags = np.array(is_transition, dtype=bool)
-    gains = belief_lqr(problem, limits, tuple(modes), flags)
-    shaped = np.array(applied).reshape(-1, automaton.m)
-    return Trajectory(tuple(modes), np.array(means), np.array(factors), shaped, gains, flags)
-
-
-def _factor(problem: Problem, belief: HybridBelief, mode: str) -> Floats:
-    """(n, n) of the belief's Gaussian in a mode."""
-    return np.array(belief.factors[problem.automaton.mode_index(mode)])
+    modes, means = tuple(name for name, _, _ in knots), np.array([x for _, x, _ in knots])
+    factors = np.array([belief.factors[automaton.mode_index(name)] for name, _, belief in knots])
+    applied = np.array([u for u, _ in steps]).reshape(-1, automaton.m)
+    is_transition = np.array([is_it for _, is_it in steps], dtype=bool)
+    gains = belief_lqr(problem, limits, modes, is_transition)
+    return Trajectory(modes, means, factors, applied, gains, is_transition)

@@ -16,6 +16,7 @@ from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits
+from micah_plan.task.problem import Problem
 
 # Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
 TOLERANCE = 1e-9
@@ -130,3 +131,8 @@ def mode_states(mode: Mode, limits: Limits) -> Polytope:
         A, b = np.vstack([states.A, row, -row]), np.append(states.b, [tie.offset, -tie.offset])
         states = replace(states, A=A, b=b)
     return states
+
+
+def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
+    """(n,) the state of the start's mode next to the start's mean, which noise may have put outside of its range."""
+    return mode_states(problem.automaton.mode(mode), limits).nearest(np.array(problem.start.mean, dtype=float))

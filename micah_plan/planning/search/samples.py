@@ -15,7 +15,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, named_values
-from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states
+from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states, nominal_start
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
@@ -73,8 +73,7 @@ def sample_modes(
         TimeLimitError: if the deadline passes.
     """
     sampler = _Sampler(problem, limits, rng, deadline)
-    own = sampler.modes[start_mode]
-    start = own.add(own.states.nearest(sampler.start))
+    start = sampler.modes[start_mode].add(nominal_start(problem, limits, start_mode))
     sampler.add_goals()
     sampler.add_guards()
     sampler.carry_on(start_mode)

@@ -15,7 +15,7 @@ from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, input_length, motion_per_input
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
-from micah_plan.planning.search.polytope import mode_states
+from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import PACE
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
@@ -114,10 +114,7 @@ def _roll(
 ) -> tuple[tuple[PhaseGuess, ...], list[float]]:
     """The phases with the belief rolled out, and the steps that each needs with its overshoot into the guard."""
     automaton = problem.automaton
-    # The object cannot be outside of its range, so a mean that lies outside (by noise) stands for the range's end.
-    first = automaton.mode(sequence.modes[0])
-    mean = mode_states(first, limits).nearest(np.array(problem.start.mean))
-    factor = np.diag(np.array(problem.start.std, dtype=float))
+    mean, factor = nominal_start(problem, limits, sequence.modes[0]), np.diag(np.array(problem.start.std, dtype=float))
     mean, factor = _belief(compiled_mode(automaton, sequence.modes[0]).condition(mean, factor))
     modes = [mode for mode, count in zip(sequence.modes, steps, strict=True) for _ in range(count + 1)]
     is_transition = np.zeros(len(modes) - 1, dtype=bool)
