@@ -29,7 +29,8 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import PACE
-from micah_plan.symbolic.compiled import CompiledMode, compiled_mode, sensing_std
+from micah_plan.planning.transcription.layout import pack, packed
+from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
@@ -108,9 +109,9 @@ class MixtureProgramme:
         """Args: the problem, its limits, the start's mode and mean (n,), and T."""
         automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
         self._step = mixture_step(automaton, limits)
-        size, lower = self._step.size1_in(0), np.tril_indices(n)[::-1]
-        factor = np.diag(problem.start.std)[lower[1], lower[0]]
-        self._start = np.concatenate([start, factor, [float(q.name == mode) for q in automaton.modes]])
+        size, weights = self._step.size1_in(0), [float(name == mode) for name in automaton.mode_names]
+        belief = pack(start[None], np.diag(problem.start.std)[None], ca.Sparsity.lower(n))
+        self._start = np.append(belief, weights)
         states, inputs = ca.MX.sym("z", size, steps + 1), ca.MX.sym("u", m, steps)
         largest = np.repeat(limits.max_step[:, None], steps, axis=1)
         outside = _outside_function(automaton, limits).map(steps + 1)(states)
@@ -163,15 +164,16 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     u = ca.SX.sym("u", m)
     branches: list[tuple[int, ca.SX, ca.SX, ca.SX]] = []
     for number, mode in enumerate(automaton.modes):
-        moved, spread = _flowed(compiled_mode(automaton, mode.name), mean, factor, u)
-        left = weights[number]
+        flow = compiled_mode(automaton, mode.name).predict
+        after = flow.call([*put_at(mean, factor, mode.pins), u])
+        moved, spread, left = ca.densify(after[0]), ca.sparsify(after[1]), weights[number]
         for edge in sorted(automaton.edges_from(mode.name), key=lambda e: e.is_self_transition):
             chance = _guard_chance(edge, moved, spread, u, limits)
             a, b, c = edge.reset.matrices(n, m)
             reset = ca.mtimes(ca.DM(a), moved) + ca.mtimes(ca.DM(b), u) + ca.DM(c)
             carried = lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), spread))
-            after = put_at(reset, carried, automaton.mode(edge.target).pins)
-            branches.append((automaton.mode_index(edge.target), left * chance, *after))
+            entered = put_at(reset, carried, automaton.mode(edge.target).pins)
+            branches.append((automaton.mode_index(edge.target), left * chance, *entered))
             left = left * (1 - chance)
         branches.append((number, left, moved, spread))
     arrived = [ca.SX(0)] * len(automaton.modes)
@@ -186,8 +188,8 @@ def mixture_step(automaton: HybridAutomaton, limits: Limits) -> ca.Function:
     for index, information in enumerate(_information(automaton, middle, arrived)):
         if not information.is_zero():
             middle, mixed = observe(middle, mixed, index, 1 / ca.sqrt(information))
-    packed = ca.vec(ca.project(mixed, ca.Sparsity.lower(n)).nz[:])
-    return ca.Function("mixture", [z, u], [ca.densify(ca.vertcat(middle, packed, *arrived))])
+    arrived_at = ca.vertcat(packed((middle, mixed), ca.Sparsity.lower(n)), *arrived)
+    return ca.Function("mixture", [z, u], [ca.densify(arrived_at)])
 
 
 def _symbols(automaton: HybridAutomaton) -> tuple[ca.SX, tuple[ca.SX, ca.SX, ca.SX]]:
@@ -211,13 +213,6 @@ def _information(automaton: HybridAutomaton, mean: ca.SX, weights: list[ca.SX]) 
             if isinstance(std, ca.SX) or np.isfinite(std):
                 total[index] += (ca.fmax(weight, 0.0) + _SMALLEST_WEIGHT) / (std**2 + SMALLEST_STD**2)
     return total
-
-
-def _flowed(compiled: CompiledMode, mean: ca.SX, factor: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Mean and factor after a mode's flow and process noise, from its pins."""
-    pinned = put_at(mean, factor, compiled.mode.pins)
-    after = compiled.predict.call([*pinned, u])
-    return ca.densify(after[0]), ca.sparsify(after[1])
 
 
 def _guard_chance(edge: Edge, mean: ca.SX, factor: ca.SX, u: ca.SX, limits: Limits) -> ca.SX:
