@@ -7,7 +7,7 @@ method for path and manipulation planning", ICRA 1996, for samples on the faces 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,23 +27,6 @@ _FEWEST_GUARD_STATES = 4
 _FREE_SHARE = 0.5
 # Arrivals in modes with idle coordinates are carried on at most so often.
 _MOST_CARRIED = 200
-
-
-@dataclass(eq=False)
-class ModeStates:
-    """Distinct states of one mode, numbered in the order in which they were added."""
-
-    states: Polytope
-    points: list[Floats] = field(default_factory=list)
-    numbers: dict[bytes, int] = field(default_factory=dict)
-
-    def add(self, point: Floats) -> int:
-        """The number of a state (n,), new or added before."""
-        key = (point + 0.0).tobytes()  # + 0.0 makes a negative zero positive
-        if key not in self.numbers:
-            self.numbers[key] = len(self.points)
-            self.points.append(point)
-        return self.numbers[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +56,12 @@ def sample_modes(
         TimeLimitError: if the deadline passes.
     """
     sampler = _Sampler(problem, limits, rng, deadline)
-    start = sampler.modes[start_mode].add(nominal_start(problem, limits, start_mode))
+    start = sampler.add(start_mode, nominal_start(problem, limits, start_mode))
     sampler.add_goals()
     sampler.add_guards()
     sampler.carry_on(start_mode)
     sampler.add_random()
-    points = {name: np.array(mode.points).reshape(-1, problem.automaton.n) for name, mode in sampler.modes.items()}
+    points = {name: np.array(sampler.points_of(name)).reshape(-1, problem.automaton.n) for name in sampler.states}
     goals = {name: np.flatnonzero(states.contains(points[name])) for name, states in sampler.goals.items()}
     return Samples(points, sampler.exits, (start_mode, start), goals)
 
@@ -88,7 +71,7 @@ class _Sampler:
 
     Attributes:
         start, target: (n,) the start's mean, and the same with the goal's values.
-        modes: states by name; goals: the sets within the goal, of those modes that have one.
+        states: by mode, the set of its states; goals: the set within the goal, of those modes that have one.
         exits: see `Samples`.
     """
 
@@ -99,10 +82,20 @@ class _Sampler:
         self._landmarks = [np.array(list(dict.fromkeys(values))) for values in named_values(problem)]
         self.start = np.array(problem.start.mean)
         self.target = problem.goal.reached_from(self.start)
-        self.modes = {mode.name: ModeStates(mode_states(mode, limits)) for mode in self._automaton.modes}
-        sets = {name: goal_states(problem, limits, name) for name in self.modes}
+        self.states = {mode.name: mode_states(mode, limits) for mode in self._automaton.modes}
+        self._added: dict[str, dict[bytes, tuple[int, Floats]]] = {name: {} for name in self.states}
+        sets = {name: goal_states(problem, limits, name) for name in self.states}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
         self.exits: dict[int, Ints] = {}
+
+    def add(self, mode: str, point: Floats) -> int:
+        """The number of a state (n,) in its mode, counted as they are added; the same for one added before."""
+        own = self._added[mode]
+        return own.setdefault((point + 0.0).tobytes(), (len(own), point))[0]  # + 0.0 makes a negative zero positive
+
+    def points_of(self, mode: str) -> list[Floats]:
+        """The states of a mode, in the order of their numbers."""
+        return [point for _, point in self._added[mode].values()]
 
     def add_goals(self) -> None:
         """States within the goal: the nearest to its values, one with the start's idle coordinates, and random ones."""
@@ -111,7 +104,7 @@ class _Sampler:
             reachable = np.where(_idle(mode), self.start, self.target)
             points = [states.nearest(self.target), states.nearest(reachable)]
             for point in [*points, *self._draw(states, mode, _FEWEST_GUARD_STATES)]:
-                self.modes[name].add(point)
+                self.add(name, point)
 
     def add_guards(self) -> None:
         """States on the guards, with those behind their resets."""
@@ -133,30 +126,30 @@ class _Sampler:
 
         A mode that neither moves nor pins a coordinate connects only states with one value of it.
         """
-        arrivals = [(start_mode, self.modes[start_mode].points[0])]
+        arrivals = [(start_mode, self.points_of(start_mode)[0])]
         for index, pairs in self.exits.items():
             target = self._automaton.edges[index].target
-            arrivals += [(target, self.modes[target].points[k]) for k in pairs[:, 1]]
+            points = self.points_of(target)
+            arrivals += [(target, points[k]) for k in pairs[:, 1]]
         for name, x in arrivals:
             self._deadline.check("search", f"{len(arrivals)} arrivals were carried on", "samples_per_mode")
             idle = _idle(self._automaton.mode(name))
             if not idle.any() or len(arrivals) > _MOST_CARRIED:
                 continue
             if name in self.goals and (there := _at(self.goals[name], idle, x)) is not None:
-                self.modes[name].add(there.nearest(self.target))
+                self.add(name, there.nearest(self.target))
             for index, edge in enumerate(self._automaton.edges):
                 if edge.source != name or edge.is_self_transition:
                     continue
                 if (there := _at(guard_states(self._problem, self._limits, edge), idle, x)) is None:
                     continue
-                behind = self.modes[edge.target]
-                count = len(behind.points)
+                count = len(self._added[edge.target])
                 pair = self._add_exit(edge, _on_boundary(there, edge, there.nearest(x)), True)
                 if pair is not None:
                     before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
                     self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
-                    if len(behind.points) > count:
-                        arrivals.append((edge.target, behind.points[-1]))
+                    if len(self._added[edge.target]) > count:
+                        arrivals.append((edge.target, self.points_of(edge.target)[-1]))
 
     def add_random(self) -> None:
         """Random states outside of the guards on states."""
@@ -164,25 +157,23 @@ class _Sampler:
         for number, mode in enumerate(self._automaton.modes):
             state = f"{number} of {len(self._automaton.modes)} modes had states"
             self._deadline.check("search", state, "samples_per_mode")
-            chosen = self.modes[mode.name]
             # Many guards must not leave the space between them without states.
-            missing = max(wanted - len(chosen.points), int(_FREE_SHARE * wanted))
-            if not chosen.states.is_empty:
-                random = self._draw(chosen.states, mode, missing)
+            missing = max(wanted - len(self._added[mode.name]), int(_FREE_SHARE * wanted))
+            if not self.states[mode.name].is_empty:
+                random = self._draw(self.states[mode.name], mode, missing)
                 for point in random[~inside_any(obstacles_on_state(self._automaton, mode.name), random)]:
-                    chosen.add(point)
+                    self.add(mode.name, point)
 
     def _add_exit(self, edge: Edge, x: Floats, only_if_allowed: bool = False) -> tuple[int, int] | None:
         """Numbers of the states before and behind an edge taken at x; None if it leads out of the invariant."""
         after = edge.reset.apply(x, np.zeros(self._automaton.m))
         for pin in self._automaton.mode(edge.target).pins:
             after[pin.coordinate] = pin.value
-        target = self.modes[edge.target]
-        leads_on = bool(target.states.contains(after))
+        leads_on = bool(self.states[edge.target].contains(after))
         if only_if_allowed and not leads_on:
             return None
-        number = self.modes[edge.source].add(x)
-        return (number, target.add(after)) if leads_on else None
+        number = self.add(edge.source, x)
+        return (number, self.add(edge.target, after)) if leads_on else None
 
     def _draw(self, states: Polytope, mode: Mode, count: int) -> Floats:
         """(at most count, n) random states; idle coordinates take landmark values only, others some."""
