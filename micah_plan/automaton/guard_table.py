@@ -17,6 +17,7 @@ from micah_plan.automaton.region import HalfSpace
 
 TOLERANCE = 1e-12
 Terms = tuple[tuple[int, float], ...]
+Rows = list[list[float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +33,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """An edge as its source mode sees it. `A`, `B`, `c` are None for the identity reset."""
+    """An edge as its source mode sees it. `reset` is (A, B, c), or None for the identity."""
 
     edge: int
     target: str
     is_self: bool
     rows: tuple[Row, ...]
-    A: list[list[float]] | None = None
-    B: list[list[float]] | None = None
-    c: list[float] | None = None
+    reset: tuple[Rows, Rows, list[float]] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +88,9 @@ def mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
 
 def _exit(automaton: HybridAutomaton, number: int) -> Exit:
     edge = automaton.edges[number]
-    reset = () if edge.reset.is_identity else (m.tolist() for m in edge.reset.matrices(automaton.n, automaton.m))
-    return Exit(number, edge.target, edge.is_self_transition, tuple(map(_row, edge.guard.half_spaces)), *reset)
+    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
+    reset = None if edge.reset.is_identity else (a.tolist(), b.tolist(), c.tolist())
+    return Exit(number, edge.target, edge.is_self_transition, tuple(map(_row, edge.guard.half_spaces)), reset)
 
 
 # Objects with drawn thresholds share most of their half-spaces.

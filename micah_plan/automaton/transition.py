@@ -239,7 +239,7 @@ class Travel:
         after = _reset(chosen, before, self.u)
         if chosen.is_self:
             self.x = source.pinned(after)
-            kept = self.d if chosen.A is None else _times(chosen.A, self.d)
+            kept = self.d if chosen.reset is None else _times(chosen.reset[0], self.d)
             self.d = [0.0 if flow is None else di for flow, di in zip(source.flow, kept, strict=True)]
         else:
             self._enter(self.table_of(chosen.target), after)
@@ -290,10 +290,10 @@ def _displacement(table: ModeTable, x: list[float], u: list[float], pushed: list
 
 
 def _reset(chosen: Exit, x: list[float], u: list[float]) -> list[float]:
-    if chosen.A is None or chosen.B is None or chosen.c is None:
+    if chosen.reset is None:
         return list(x)
-    moved = zip(_times(chosen.A, x), _times(chosen.B, u), chosen.c, strict=True)
-    return [a + b + c for a, b, c in moved]
+    A, B, offset = chosen.reset
+    return [a + b + c for a, b, c in zip(_times(A, x), _times(B, u), offset, strict=True)]
 
 
 def _times(matrix: list[list[float]], vector: list[float]) -> list[float]:

@@ -214,14 +214,12 @@ class TransitionBatch:
         mode, rows = self._mode(target), group.rows
         given, pushed = u[rows], disturbance[rows]
         x = group.x + ahead[:, None] * group.d
-        if chosen.A is not None:
-            x = x @ np.array(chosen.A).T + given @ np.array(chosen.B).T + np.array(chosen.c)
+        kept = group.d
+        if chosen.reset is not None:
+            A, B, c = map(np.array, chosen.reset)
+            x, kept = x @ A.T + given @ B.T + c, kept @ A.T
         mode.pin(x)
-        if chosen.is_self:
-            kept = group.d if chosen.A is None else group.d @ np.array(chosen.A).T
-            d = np.where(mode.free, kept, 0.0)
-        else:
-            d = mode.displacement(rows, x, given, pushed)
+        d = np.where(mode.free, kept, 0.0) if chosen.is_self else mode.displacement(rows, x, given, pushed)
         arrived = _Travellers(target, rows, x, d, np.minimum(1.0, group.s + ahead), group.events + 1)
         if arrived.events >= _MOST_EVENTS:
             return arrived, np.ones(rows.size, dtype=bool)
