@@ -1,4 +1,4 @@
-"""Planning anew during an execution: from the belief of now, through what is left of the plan if that still serves."""
+"""Planning anew during an execution: from the current belief, if possible through the modes that remain of the plan."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def replan(
 ) -> Trajectory | None:
     """A new trajectory from the most likely mode of a belief (`believed_problem`).
 
-    The modes that the plan followed until now still leads through are tried first, and searched anew only if no
-    trajectory through them is confirmed by roll-outs: as many of them as it takes to tell (`verify`, sequential).
+    The modes that remain of the followed plan are tried first; mode sequences are searched only if roll-outs confirm no
+    trajectory through these. `verify` decides sequentially, with no more roll-outs than it needs.
 
     Args:
-        problem: what is planned for.
-        belief: where the object is believed to be.
+        problem: with the goal.
+        belief: of the filter, now.
         followed: the trajectory that is followed and the knot that the next input belongs to; None: there is none.
         seed: of search and roll-outs.
 
