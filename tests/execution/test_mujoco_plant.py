@@ -13,7 +13,7 @@ from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.library import check_stable, import_mujoco
+from micah_plan.execution.mujoco.core import check_stable, import_mujoco
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing_object import standing_parts
 from micah_plan.execution.mujoco.world import standing_mjcf

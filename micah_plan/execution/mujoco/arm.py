@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import Core
+from micah_plan.execution.mujoco.core import Carrier, Core
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
 from micah_plan.robot.arm import Arm
-from micah_plan.robot.inverse_kinematics import Reached, next_pose
+from micah_plan.robot.inverse_kinematics import next_pose
 from micah_plan.robot.load_arm import check_robot
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import mesh_hulls
@@ -68,69 +68,52 @@ def fix_to_tool(world: Any, tool: str, body: Any, pose: RigidTransform, prefix: 
     frame.attach_body(body, prefix, "")
 
 
-class ArmCarrier:
+class ArmCarrier(Carrier):
     """Drives the arm's joints to where continuous inverse kinematics puts the hand, whose orientation it keeps."""
 
     def __init__(self, core: Core, arm: Arm, grasp: Grasp, posture: Floats) -> None:
         """Args: posture: (J,) from which the start is sought."""
-        self._core, self._arm = core, arm
+        super().__init__(core, [_ROBOT + name for name in arm.joints])
+        self._arm, self._posture = arm, posture
         self._grasp, self._from_tool = grasp.pose.as_matrix(), grasp.pose.inv().as_matrix()
-        self._posture = posture
-        joints = [core.model.joint(_ROBOT + name) for name in arm.joints]
-        self._address = [int(joint.qposadr[0]) for joint in joints]
-        self._dof = [int(joint.dofadr[0]) for joint in joints]
-        self._motors = [core.model.actuator(_ROBOT + name).id for name in arm.joints]
         self._locked = {int(core.model.joint(_ROBOT + name).qposadr[0]): value for name, value in arm.locked}
-        self.complaint = ""
 
     @property
     def joints(self) -> Floats:
         return np.array(self._core.data.qpos[self._address])
 
     def put(self, place: Floats) -> None:
-        self.complaint = ""
-        data, joints = self._core.data, self._reached(place, self._posture, None)
         for address, value in self._locked.items():
-            data.qpos[address] = value
-        data.qpos[self._address] = joints
-        data.ctrl[self._motors] = joints
+            self._core.data.qpos[address] = value
+        super().put(place)
         self._damp()
 
-    def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
-        begin = self.joints
-        hand = self._arm.matrix(begin) @ self._from_tool
-        end = self._reached(hand[:3, 3] + displacement, begin, posture)
-        orders = np.tile(self._core.data.ctrl, (self._core.steps, 1))
-        orders[:, self._motors] = begin + self._core.shares[:, None] * (end - begin)
-        return orders
+    def _place(self, joints: Floats) -> Floats:
+        return np.asarray((self._arm.matrix(joints) @ self._from_tool)[:3, 3])
 
-    def _reached(self, place: Floats, q: Floats, posture: Floats | None) -> Floats:
-        """(J,) the joints nearest to q that put the hand at a place; what freedom is left goes to the posture."""
+    def _reached(self, place: Floats, near: Floats | None, posture: Floats | None, /) -> Floats:
         target = self._grasp.copy()
         target[:3, 3] += place
         limits = self._arm.lower, self._arm.upper
-        q = np.clip(q, *limits)
+        q = np.clip(self._posture if near is None else near, *limits)
         wish = np.zeros(self._arm.n) if posture is None else posture - q
         reached = next_pose(self._arm, target, q, wish, limits)
         if np.abs(reached.error).max() > _NOT_REACHED and not self.complaint:
-            self.complaint = self._why(reached)
+            stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
+            limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
+            away = 1e3 * float(np.linalg.norm(reached.error[3:]))
+            told = f"the arm's tool could not come nearer than {away:.0f} mm to where it was told to be"
+            self.complaint = told + limit
         return reached.q
-
-    def _why(self, reached: Reached) -> str:
-        stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
-        limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
-        away = 1e3 * float(np.linalg.norm(reached.error[3:]))
-        return f"the arm's tool could not come nearer than {away:.0f} mm to where it was told to be{limit}"
 
     def _damp(self) -> None:
         """Critical damping of every joint for the inertia that it has in this posture."""
         mujoco, model, data = self._core.mujoco, self._core.model, self._core.data
         mujoco.mj_forward(model, data)
-        for motor, dof in zip(self._motors, self._dof, strict=True):
-            inertia = np.zeros(model.nv)
+        for name, motor in zip(self._arm.joints, self._motors, strict=True):
+            dof, inertia = int(model.joint(_ROBOT + name).dofadr[0]), np.zeros(model.nv)
             mujoco.mj_mulM(model, data, inertia, np.eye(model.nv)[dof])
-            stiffness = model.actuator_gainprm[motor, 0]
-            model.actuator_biasprm[motor, 2] = -2 * np.sqrt(stiffness * inertia[dof])
+            model.actuator_biasprm[motor, 2] = -2 * np.sqrt(model.actuator_gainprm[motor, 0] * inertia[dof])
 
 
 def _read(mujoco: Any, description: RobotDescription, arm: Arm) -> Any:

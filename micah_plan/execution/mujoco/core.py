@@ -1,4 +1,7 @@
-"""What both plants do alike: a world in MuJoCo that is stepped, latches that catch and open, and a tracker."""
+"""What both plants do alike: a world in MuJoCo that is stepped, latches that catch and open, and a tracker.
+
+MuJoCo is imported here alone.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.execution.mujoco.library import check_stable
+from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 
@@ -24,6 +27,57 @@ _CALM, _SHORTEST_LEAP = 20, 32
 _SCALAR_LAST = [1, 2, 3, 0]
 
 
+def import_mujoco() -> ModuleType | Any:
+    """The library. It is kept from writing its warnings to a file in the current folder: `check_stable` reads them.
+
+    Raises:
+        MissingDependencyError: if it is not installed.
+    """
+    try:
+        import mujoco
+        import mujoco.rollout
+    except ImportError as error:
+        raise MissingDependencyError(
+            "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
+        ) from error
+    mujoco.set_mju_user_warning(lambda _: None)  # an exception from here would end the process
+    return mujoco
+
+
+def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
+    """Refuse to go on after a step that diverged: MuJoCo begins again from its initial state then.
+
+    Raises:
+        InputError: if positions, velocities or accelerations became huge.
+    """
+    kinds = mujoco.mjtWarning
+    if any(data.warning[int(k)].number for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)):
+        raise InputError(
+            f"the physics became unstable {float(data.time):.3g} s after its start",
+            remedy="make the plant softer, heavier or better damped, or the model's parts larger",
+        )
+
+
+def latch_name(joint: str, number: int) -> str:
+    """Name of a joint's latch in the world's text."""
+    return f"{joint}/latch/{number}"
+
+
+def sensor_name(joint: str) -> str:
+    """Name of the sensor of a joint's position in the world's text."""
+    return f"{joint}/position"
+
+
+@dataclass(frozen=True)
+class ShownJoint:
+    """A joint in MuJoCo that a coordinate of the model shows: position = scale * x[coordinate] + zero."""
+
+    name: str
+    coordinate: int
+    scale: float = 1.0
+    zero: float = 0.0
+
+
 @dataclass
 class Latch:
     """A latch and its state: it catches when armed and near, and opens when pulled hard enough in a free direction.
@@ -31,6 +85,7 @@ class Latch:
     Attributes:
         equality: id of the constraint that locks the joint.
         qpos: address of the joint's position.
+        sensor: column of the joint's position among what the sensors show.
         position: where it latches; low, high: between which positions it catches [rad or m].
         release: pull on the joint that opens it [N m or N]; infinite: none does.
         free_down, free_up: whether the joint can move away downwards and upwards.
@@ -39,6 +94,7 @@ class Latch:
 
     equality: int
     qpos: int
+    sensor: int
     position: float
     low: float
     high: float
@@ -96,15 +152,20 @@ class Core:
         steps: physics steps per control step.
         shares: (steps,) share of its way that the hand's target has gone at the end of each of them, 0 to 1.
         moving_steps: after how many it is there.
-        latches: of this trial.
+        latches: of this world.
     """
 
-    def __init__(self, mujoco: ModuleType | Any, model: Any, parameters: PhysicalParameters, links: int) -> None:
-        """Args: the compiled world; how many links the tracker sees."""
-        self.mujoco, self.model, self.data = mujoco, model, mujoco.MjData(model)
+    def __init__(
+        self, model: Any, parameters: PhysicalParameters, links: int, shown: Sequence[ShownJoint] = ()
+    ) -> None:
+        """Args: the compiled world; how many links the tracker sees; the joints that coordinates show, where several
+        show the same one, the last decides on it."""
+        self.mujoco = import_mujoco()
+        self.model, self.data = model, self.mujoco.MjData(model)
         self.parameters = parameters
         self.latches: list[Latch] = []
         self._links = links
+        self._shown = [(joint, int(model.joint(joint.name).qposadr[0])) for joint in shown]
         self._tracker: PoseTracker | None = None
         self._positions, self._active = self.data.qpos, self.data.eq_active
         self._calm, self._reach = _CALM, _SHORTEST_LEAP
@@ -118,6 +179,22 @@ class Core:
         self.shares = np.minimum(np.arange(1, self.steps + 1) / self.moving_steps, 1.0)
         self.model.opt.timestep = period / self.steps
 
+    def add_latch(self, joint: str, number: int, position: float, low: float, high: float, **opening: Any) -> Latch:
+        """A latch of a joint, of this number in the world's text; the rest as of `Latch`."""
+        names = self.model.equality(latch_name(joint, number)).id, self.model.joint(joint).qposadr[0]
+        column = self.model.sensor(sensor_name(joint)).adr[0]
+        latch = Latch(int(names[0]), int(names[1]), int(column), position, low, high, **opening)
+        self.latches.append(latch)
+        return latch
+
+    def place(self, x: Floats) -> None:
+        """Set the joints to a configuration (n,), at rest, with all latches open and armed."""
+        self.mujoco.mj_resetData(self.model, self.data)
+        for joint, address in self._shown:
+            self.data.qpos[address] = joint.scale * x[joint.coordinate] + joint.zero
+        for latch in self.latches:
+            latch.armed = True
+
     def begin(self, rng: np.random.Generator) -> None:
         """A trial starts from the state that `data` has been given, with a new tracker."""
         self.mujoco.mj_forward(self.model, self.data)
@@ -127,6 +204,14 @@ class Core:
         )
         self._tracker = PoseTracker(noise, self._links, rng)
         self._calm, self._reach = _CALM, _SHORTEST_LEAP
+
+    def show(self, x: Floats) -> Flags:
+        """Set what joints show in a configuration (n,); (n,) whether a latch holds a coordinate."""
+        held, locked = np.zeros(len(x), dtype=bool), {latch.qpos for latch in self.latches if self.is_locked(latch)}
+        for joint, address in self._shown:
+            x[joint.coordinate] = (self.data.qpos[address] - joint.zero) / joint.scale
+            held[joint.coordinate] = address in locked
+        return held
 
     def run(self, controls: Floats, stepper: Stepper) -> None:
         """One control step, under one row of controls (steps, nu) in each step.
@@ -194,6 +279,18 @@ class Core:
         taken = round((data.time - begin) / model.opt.timestep)  # not all if there was another warning
         return np.asarray(seen[0, :taken])
 
+    def latches_decide(self, seen: Floats, pull: Callable[[Latch], Floats]) -> Flags:
+        """(k,) in which steps a latch opened, or had to decide whether to catch.
+
+        Args:
+            seen: (k, sensors) what the sensors showed.
+            pull: gives the hand's static pull on a latch's joint in each step, (k,) [N m or N].
+        """
+        decided = np.zeros(len(seen), dtype=bool)
+        for latch in self.latches:
+            decided |= latch.opens(pull(latch)) if self.is_locked(latch) else latch.is_near(seen[:, latch.sensor])
+        return decided
+
     def switch_latches(self, pull: Callable[[Latch], float]) -> bool:
         """Let every latch catch or open, from the next step on.
 
@@ -234,3 +331,46 @@ class Core:
     def close(self) -> None:
         """Free the world."""
         self.model = self.data = None
+
+
+class Carrier:
+    """Moves the hand by motors that bring joints to positions: three slides here, in `ArmCarrier` those of an arm.
+
+    Attributes:
+        complaint: why it could not go where it was told to since it was put; empty if it could.
+    """
+
+    def __init__(self, core: Core, joints: Sequence[str]) -> None:
+        """Args: names of joints in the world, which are those of their motors too."""
+        self._core, self.complaint = core, ""
+        self._address = [int(core.model.joint(name).qposadr[0]) for name in joints]
+        self._motors = [int(core.model.actuator(name).id) for name in joints]
+
+    @property
+    def joints(self) -> Floats | None:
+        """(J,) what the encoders of an arm say now [rad or m]; None without one."""
+        return None
+
+    def put(self, place: Floats) -> None:
+        """Stand at rest with the hand at a place (3,) [m]."""
+        self.complaint = ""
+        data, joints = self._core.data, self._reached(place, None, None)
+        data.qpos[self._address] = joints
+        data.ctrl[self._motors] = joints
+
+    def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
+        """(steps, nu) controls that move the hand by a displacement (3,) [m] from where it is; an arm near a posture
+        (J,) [rad or m]."""
+        core, begin = self._core, self._core.data.qpos[self._address]
+        end = self._reached(self._place(begin) + displacement, begin, posture)
+        orders = np.tile(core.data.ctrl, (core.steps, 1))
+        orders[:, self._motors] = begin + core.shares[:, None] * (end - begin)
+        return orders
+
+    def _place(self, joints: Floats) -> Floats:
+        """(3,) where the hand is at some joints (J,)."""
+        return joints
+
+    def _reached(self, place: Floats, _near: Floats | None, _posture: Floats | None, /) -> Floats:
+        """(J,) joints with the hand at a place: those near some others, with what freedom is left to a posture."""
+        return place

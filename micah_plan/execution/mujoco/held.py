@@ -6,69 +6,23 @@ kinematics: what touches, slides, folds, catches and falls is physics.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.product import FREE
-from micah_plan.automaton.contacts.values import COLLIDED
+from micah_plan.automaton.contacts.values import AXES, COLLIDED
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import Core, Latch
-from micah_plan.execution.mujoco.held_object import JOINT, held_object
+from micah_plan.execution.mujoco.core import Carrier, Core, import_mujoco
+from micah_plan.execution.mujoco.held_object import JOINT, OBJECT, held_object
 from micah_plan.execution.mujoco.incidents import Watch, add_contact_sensors
-from micah_plan.execution.mujoco.library import import_mujoco
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
-from micah_plan.execution.mujoco.world import AXES, OBJECT, held_mjcf, latch_name, scene_mjcf
+from micah_plan.execution.mujoco.world import held_mjcf, scene_mjcf
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import input_effect
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.start import sample_start
 
 Floats = NDArray[np.float64]
-
-
-class Carrier(Protocol):
-    """Moves the hand from place to place."""
-
-    def put(self, place: Floats) -> None:
-        """Stand at rest with the hand at a place (3,) [m]."""
-        ...
-
-    def orders(self, displacement: Floats, posture: Floats | None, /) -> Floats:
-        """(steps, nu) controls that move the hand by a displacement (3,) [m] from where it is; an arm near a posture
-        (J,) [rad or m]."""
-        ...
-
-    @property
-    def joints(self) -> Floats | None:
-        """(J,) what the encoders of an arm say now [rad or m]; None without one."""
-        ...
-
-    @property
-    def complaint(self) -> str:
-        """Why it could not go where it was told to since it was put; empty if it could."""
-        ...
-
-
-class Slides:
-    """Three slides along the axes of the base frame."""
-
-    joints = None
-    complaint = ""
-
-    def __init__(self, core: Core) -> None:
-        self._core = core
-        self._address = [int(core.model.joint(OBJECT + axis).qposadr[0]) for axis in AXES]
-
-    def put(self, place: Floats) -> None:
-        self._core.data.qpos[self._address] = place
-        self._core.data.ctrl[:] = place
-
-    def orders(self, displacement: Floats, _posture: Floats | None, /) -> Floats:
-        begin = self._core.data.qpos[self._address]
-        end = begin + displacement
-        return np.asarray(begin + self._core.shares[:, None] * (end - begin))
 
 
 class HeldPlant:
@@ -96,13 +50,17 @@ class HeldPlant:
         # Inputs displace the hand in every mode; contacts alone move the object's joint.
         inputs = input_effect(self.automaton, self.automaton.modes[0].name)[self._object.hand]
         self._displacement_per_input = self._object.reach[-1] @ inputs
-        self._touchable = {body for body, _, _ in problem.hold.contacts}
         self._core, self._carrier = self._built(problem.hold, posture)
         model, grip = self._core.model, problem.hold.grip
         self._nominal = model.geom_friction.copy(), model.body_mass.copy(), model.body_inertia.copy()
         self._hand, *self._parts = [model.body(OBJECT + n).id for n in ("hand", grip.held.name, grip.moving.name)]
-        self._shown = [(joint, int(model.joint(OBJECT + joint.name).qposadr[0])) for joint in self._object.shown]
-        self._watch = Watch(self._core, self._touchable)
+        self._watch = Watch(self._core, {body for body, _, _ in problem.hold.contacts})
+        capture, (lowest, highest) = self.parameters.latch_capture, self._object.stops
+        for number, (_, position) in enumerate(self._object.latches):
+            # Those at its end stops catch the joint as it comes to them, and none ever opens.
+            low = -np.inf if position == lowest else position - capture
+            high = np.inf if position == highest else position + capture
+            self._core.add_latch(OBJECT + JOINT, number, position, low, high)
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial: a start drawn from the belief; the object's mass and all friction drawn anew."""
@@ -115,14 +73,11 @@ class HeldPlant:
         model.geom_friction[:] = friction * rng.uniform(1 - spread, 1 + spread)
         model.body_mass[self._parts] = mass[self._parts] * heavier
         model.body_inertia[self._parts] = inertia[self._parts] * heavier
-        core.mujoco.mj_resetData(model, data)
-        for joint, address in self._shown:
-            data.qpos[address] = joint.sign * x[joint.coordinate] + joint.zero
+        core.place(x)
         self._carrier.put(self._object.places(x[self._object.hand])[-1])
         # As arms do, the hand bears the load that it expects; what the trial's mass differs by pulls it down.
         model.body_gravcomp[in_hand] = 1 / heavier
         data.xfrc_applied[self._hand, 2] = mass[other] * -model.opt.gravity[2]
-        core.latches = self._latches()
         core.begin(rng)
         self._watch.begin()
         return self._measure(0.0)
@@ -138,16 +93,15 @@ class HeldPlant:
 
     def truth(self) -> Truth:
         """The true state; its mode says whether the object latched, or something happened that must not."""
-        x, latched = np.zeros(self.automaton.n), np.zeros(self.automaton.n, dtype=bool)
-        x[self._object.hand] = self._object.coordinates(self._core.data.xpos[self._hand])
-        for joint, address in self._shown:
-            x[joint.coordinate] = (self._core.data.qpos[address] - joint.zero) * joint.sign
-        mode, incident = FREE, self._watch.incident
-        for latch, (rigid_mode, _) in zip(self._core.latches, self._object.latches, strict=True):
-            if self._core.is_locked(latch):
-                mode, latched[self.automaton.links[self._object.moving].coordinate] = rigid_mode, True
+        core, incident = self._core, self._watch.incident
+        x = np.zeros(self.automaton.n)
+        x[self._object.hand] = self._object.coordinates(core.data.xpos[self._hand])
+        latched = core.show(x)
+        closed = [
+            mode for (mode, _), latch in zip(self._object.latches, core.latches, strict=True) if core.is_locked(latch)
+        ]
         told = " and ".join(part for part in (incident, self._carrier.complaint) if part)
-        return Truth(COLLIDED if incident else mode, x, *self._poses(), latched, told)
+        return Truth(COLLIDED if incident else [FREE, *closed][-1], x, *self._poses(), latched, told)
 
     def close(self) -> None:
         """Free the simulation."""
@@ -156,15 +110,18 @@ class HeldPlant:
     def _built(self, hold: Hold, posture: Floats | None) -> tuple[Core, Carrier]:
         """The world, and what carries the hand."""
         mujoco, problem, parameters = import_mujoco(), self.problem, self.parameters
-        robot, grasp, links = problem.robot, problem.grasp, len(self.automaton.links)
+        robot, grasp = problem.robot, problem.grasp
         world = mujoco.MjSpec.from_string(scene_mjcf(problem.scene, parameters))
         text = held_mjcf(self._object, hold.grip, parameters, slides=robot is None or grasp is None)
         hand = mujoco.MjSpec.from_string(text).body("hand")
+
+        def compiled() -> Core:
+            add_contact_sensors(mujoco, world, {body for body, _, _ in hold.contacts}, hold.grip)
+            return Core(world.compile(), parameters, len(self.automaton.links), self._object.shown)
+
         if robot is None or grasp is None:
             world.worldbody.add_frame().attach_body(hand, OBJECT, "")
-            add_contact_sensors(mujoco, world, self._touchable, hold.grip)
-            core = Core(mujoco, world.compile(), parameters, links)
-            return core, Slides(core)
+            return (core := compiled()), Carrier(core, [OBJECT + axis for axis in AXES])
         # Pinocchio is loaded only where there is an arm.
         from micah_plan.execution.mujoco.arm import ArmCarrier, attach_arm, fix_to_tool
         from micah_plan.robot.along_plan import start_posture
@@ -173,20 +130,8 @@ class HeldPlant:
         arm = load_arm(robot)
         attach_arm(mujoco, world, robot, arm, parameters)
         fix_to_tool(world, robot.tool, hand, grasp.pose.inv(), OBJECT)
-        add_contact_sensors(mujoco, world, self._touchable, hold.grip)
-        core = Core(mujoco, world.compile(), parameters, links)
+        core = compiled()
         return core, ArmCarrier(core, arm, grasp, start_posture(problem) if posture is None else posture)
-
-    def _latches(self) -> list[Latch]:
-        """Of the object's joint; those at its end stops catch as it comes to them, and none ever opens."""
-        model, capture, (lowest, highest) = self._core.model, self.parameters.latch_capture, self._object.stops
-        latches = []
-        for number, (_, position) in enumerate(self._object.latches):
-            low = -np.inf if position == lowest else position - capture
-            high = np.inf if position == highest else position + capture
-            constraint = model.equality(OBJECT + latch_name("", number)).id
-            latches.append(Latch(constraint, int(model.joint(OBJECT + JOINT).qposadr[0]), position, low, high))
-        return latches
 
     def _poses(self) -> tuple[Floats, Floats]:
         """(l, 3) and (l, 4) poses of the links' children; the hand keeps its orientation."""

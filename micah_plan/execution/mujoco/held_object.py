@@ -14,23 +14,15 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.core import ShownJoint
 
 Floats = NDArray[np.float64]
 
-# Names of the joints in MuJoCo: of the part in the hand, and of the object itself.
-PIVOT, JOINT = "pivot", "joint"
+# Names of the joints in MuJoCo: of the part in the hand, and of the object itself; and what all names of the object
+# begin with once it is in the world.
+PIVOT, JOINT, OBJECT = "pivot", "joint", "object/"
 _HINGE = (0.0, 1.0, 0.0)
 _SAME = 1e-6
-
-
-@dataclass(frozen=True)
-class ShownJoint:
-    """A joint in MuJoCo that a coordinate of the model shows: position = sign * x[coordinate] + zero, sign 1 or -1."""
-
-    name: str
-    coordinate: int
-    sign: int
-    zero: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +77,10 @@ def held_object(automaton: HybridAutomaton, grip: Grip) -> HeldObject:
     hand = [automaton.links[number].coordinate for number in slides]
     of_hand = slides, hand, *_places(automaton, slides)
     joint, coordinate = _joint(automaton, moving), automaton.links[moving].coordinate
-    shown: tuple[ShownJoint, ...] = ()
-    others = hand if joint.kind == "rigid" else [coordinate, *hand]
-    if grip.pivots and automaton.links[in_hand].coordinate not in others:
-        shown = (_turn(automaton, grip, in_hand),)
-    if joint.kind == "rigid":
+    is_fixed = joint.kind == "rigid"
+    turns = grip.pivots and automaton.links[in_hand].coordinate not in (hand if is_fixed else [coordinate, *hand])
+    shown = (_turn(automaton, grip, in_hand),) if turns else ()
+    if is_fixed:
         return HeldObject(*of_hand, in_hand, moving, joint, shown, (0.0, 0.0), ())
     pins = {mode.name: pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == coordinate}
     datum = max(pins.values(), default=None) if grip.datum is None else grip.datum
@@ -98,7 +89,7 @@ def held_object(automaton: HybridAutomaton, grip: Grip) -> HeldObject:
     latches = tuple((mode, value - datum) for mode, value in pins.items())
     positions = [position for _, position in latches]
     stops = min([-grip.travel, *positions]), max([0.0, *positions])
-    shown = (*shown, ShownJoint(JOINT, coordinate, 1, -datum))
+    shown = (*shown, ShownJoint(OBJECT + JOINT, coordinate, zero=-datum))
     return HeldObject(*of_hand, in_hand, moving, joint, shown, stops, latches)
 
 
@@ -137,9 +128,7 @@ def _places(automaton: HybridAutomaton, slides: list[int]) -> tuple[Floats, Floa
 
 
 def _joint(automaton: HybridAutomaton, link: int) -> Joint:
-    """The joint of a link in the first mode that moves it; rigid if none does."""
-    joints = [mode.joints[link] for mode in automaton.modes]
-    joint = next((joint for joint in joints if joint.kind != "rigid"), joints[0])
+    joint = automaton.moving_joint(link)
     if joint.kind == "screw":
         raise InputError("a held object cannot have a screw joint", remedy="use the nominal plant for this model")
     return joint
@@ -153,4 +142,4 @@ def _turn(automaton: HybridAutomaton, grip: Grip, in_hand: int) -> ShownJoint:
     sign, off = float((one - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
     if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
         raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
-    return ShownJoint(PIVOT, automaton.links[in_hand].coordinate, round(sign), float(zero @ _HINGE))
+    return ShownJoint(OBJECT + PIVOT, automaton.links[in_hand].coordinate, round(sign), float(zero @ _HINGE))

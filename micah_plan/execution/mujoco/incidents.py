@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.values import Grip
-from micah_plan.execution.mujoco.core import Core, Flags, Latch
-from micah_plan.execution.mujoco.world import OBJECT, POSITION, SCENE
+from micah_plan.execution.mujoco.core import Core, Flags
+from micah_plan.execution.mujoco.held_object import OBJECT
+from micah_plan.execution.mujoco.world import SCENE
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ class Watch:
         self._loose = {i: name for i, name, kind in things if kind == _SCENE and model.body_dofnum[i] > 0}
         self._touchable = touchable
         sensors = [model.sensor(number) for number in range(model.nsensor)]
-        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_IN_HAND, _BY_MOVING, OBJECT + POSITION)
+        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_IN_HAND, _BY_MOVING)
         self._columns = [[int(s.adr[0]) for s in sensors if s.name.startswith(role)] for role in roles]
         self._pose: dict[int, Floats] = {}
         self.incident = ""
@@ -96,22 +97,17 @@ class Watch:
 
     def needs_care(self, _first: int, seen: Floats) -> Flags:
         """Where there was a contact to look at, or the joint came to a latch; see `core.Stepper`."""
-        care = self._suspects(seen)
-        position = seen[:, self._columns[-1]]
-        for latch in self._core.latches:
-            if not self._core.is_locked(latch):
-                care |= np.any(latch.is_near(position), axis=1)
-        return care
+        return self._suspects(seen) | self._core.latches_decide(seen, lambda _: np.zeros(len(seen)))
 
     def after_leap(self) -> None:
         """The last step may have brought the joint to a latch."""
-        self._core.switch_latches(_no_pull)
+        self._core.switch_latches(lambda _: 0.0)
 
     def careful_step(self, _number: int) -> bool:
         """Switches latches after a step, and looks at its contacts."""
         core = self._core
         core.mujoco.mj_step(core.model, core.data)
-        decided = core.switch_latches(_no_pull)
+        decided = core.switch_latches(lambda _: 0.0)
         suspects = bool(self._suspects(core.data.sensordata[None])[0])
         if suspects:
             self.incident = self._collision()
@@ -126,7 +122,7 @@ class Watch:
 
         After an incident none is.
         """
-        depth, forbidden, by_both, by_in_hand, by_moving, _ = (seen[:, columns] for columns in self._columns)
+        depth, forbidden, by_both, by_in_hand, by_moving = (seen[:, columns] for columns in self._columns)
         deep = (depth < -LARGEST_PENETRATION).any(axis=1)
         by_arm = (by_both > by_in_hand + by_moving).any(axis=1)
         return np.asarray((deep | forbidden.any(axis=1) | by_arm) & (not self.incident))
@@ -158,7 +154,3 @@ class Watch:
                 how = f"it had moved by {1e3 * shift:.0f} mm and tilted by {tilt:.2f} rad"
                 return f"'{name}' was knocked over: at {data.time:.1f} s {how}"
         return ""
-
-
-def _no_pull(_: Latch) -> float:
-    return 0.0

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
-from micah_plan.automaton.joint import Joint, Quaternion, Vector3
+from micah_plan.automaton.joint import Joint, Vector3
 from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.errors import InputError
-
-Floats = NDArray[np.float64]
+from micah_plan.scene.body import vector3
 
 _SHORTEST_ARM = 0.005
 _SAME_JOINT = 1e-6
@@ -65,61 +61,43 @@ def standing_parts(automaton: HybridAutomaton) -> tuple[StandingPart, ...]:
             "physics needs one link per coordinate of the model", remedy="use the nominal plant for this model"
         )
     names = {link.child for link in automaton.links}
-    links = []
+    parts = []
     for number, link in enumerate(automaton.links):
-        joint = _only_moving_joint(automaton, number)
-        lower, upper = _range(automaton, link.coordinate)
+        joint, part = _only_moving_joint(automaton, number), automaton.part(link.child)
+        intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
         pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
-        part = automaton.part(link.child)
         handle = part.handle or (0.0, 0.0, 0.0)
-        links.append(
+        parts.append(
             StandingPart(
                 name=link.child,
                 parent=link.parent if link.parent in names else None,
                 joint=joint,
                 coordinate=link.coordinate,
-                lower=lower,
-                upper=upper,
+                lower=min(low for low, _ in intervals),
+                upper=max(high for _, high in intervals),
                 latches=tuple(sorted(pins)),
                 handle=handle,
                 arm=_arm(link.child, joint, handle),
                 shapes=part.shapes or (_default_box(joint),),
             )
         )
-    return tuple(links)
-
-
-def moved_with(part: StandingPart, parts: Sequence[StandingPart]) -> list[int]:
-    """Numbers of the parts that a part's joint moves: its own, and those that are attached to it."""
-    names = {part.name}
-    names.update(other.name for other in parts if other.parent in names)
-    return [number for number, other in enumerate(parts) if other.name in names]
-
-
-def base_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
-    """The shapes of what does not move: the base."""
-    return automaton.part(BASE).shapes
+    return tuple(parts)
 
 
 def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
-    moving = [mode.joints[link] for mode in automaton.modes if mode.joints[link].kind != "rigid"]
-    if not moving:
-        return automaton.modes[0].joints[link]
-    for other in moving[1:]:
-        first, second = (forward(joint, [0.0, 0.5]).as_matrix() for joint in (moving[0], other))
-        if other.kind != moving[0].kind or not np.allclose(first, second, atol=_SAME_JOINT):
+    """The joint that moves a link in all modes that do not hold it."""
+    joint = automaton.moving_joint(link)
+    places = forward(joint, [0.0, 0.5]).as_matrix()
+    for other in (mode.joints[link] for mode in automaton.modes if mode.joints[link].kind != "rigid"):
+        if other.kind != joint.kind or not np.allclose(
+            places, forward(other, [0.0, 0.5]).as_matrix(), atol=_SAME_JOINT
+        ):
             name = automaton.links[link].child
             raise InputError(
                 f"part '{name}' moves by different joints in different modes, which physics cannot build",
                 remedy="use the nominal plant for this model",
             )
-    return moving[0]
-
-
-def _range(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
-    """From the least to the largest value that the modes' invariants and pins allow for one coordinate."""
-    intervals = [mode.interval(coordinate) for mode in automaton.modes]
-    return min(low for low, _ in intervals), max(high for _, high in intervals)
+    return joint
 
 
 def _arm(name: str, joint: Joint, handle: Vector3) -> float:
@@ -138,7 +116,6 @@ def _arm(name: str, joint: Joint, handle: Vector3) -> float:
 
 def _default_box(joint: Joint) -> Primitive:
     """In the part's frame: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
-    pose = forward(joint, 0.0)[0]
     if joint.kind in ("prismatic", "rigid"):
         return Primitive("box", (0.3, 0.3, 0.15))
     reach = np.array(joint.position) - np.array(joint.center)
@@ -146,13 +123,7 @@ def _default_box(joint: Joint) -> Primitive:
     if length < _SHORTEST_ARM:
         return Primitive("box", (0.1, 0.1, _PANEL))
     along, axis = reach / length, np.array(joint.axis)
-    frame = np.column_stack([along, np.cross(axis, along), axis])
-    turned = pose.rotation.inv().as_matrix() @ frame
-    middle = pose.rotation.inv().apply(-reach / 2).tolist()
-    quaternion = _quaternion(turned)
-    return Primitive("box", (length, _PANEL, length), (middle[0], middle[1], middle[2]), quaternion)
-
-
-def _quaternion(matrix: Floats) -> Quaternion:
-    x, y, z, w = Rotation.from_matrix(matrix).as_quat(canonical=True)
-    return (float(x), float(y), float(z), float(w))
+    to_part = forward(joint, 0.0)[0].rotation.inv()
+    frame = to_part.as_matrix() @ np.column_stack([along, np.cross(axis, along), axis])
+    x, y, z, w = Rotation.from_matrix(frame).as_quat(canonical=True).tolist()
+    return Primitive("box", (length, _PANEL, length), vector3(to_part.apply(-reach / 2)), (x, y, z, w))
