@@ -85,11 +85,11 @@ def test_what_freedom_is_left_goes_to_the_posture_of_the_plan(plant, arm):
 
 def test_no_motor_gives_more_than_the_file_of_the_robot_says(plant, arm):
     plant.reset(np.random.default_rng(4))
-    motors = [int(plant._core.model.joint(f"robot/{name}").dofadr[0]) for name in arm.joints]
+    motors = [int(plant.model.joint(f"robot/{name}").dofadr[0]) for name in arm.joints]
     most = np.zeros(7)
     for _ in range(16):
         move(plant, [0.0, 0.0, -0.03])
-        most = np.maximum(most, np.abs(plant._core.data.qfrc_actuator[motors]))
+        most = np.maximum(most, np.abs(plant.data.qfrc_actuator[motors]))
     assert (most <= EFFORT + 1e-9).all()
     assert most.max() > 0.5 * EFFORT.min()  # it pressed hard on the table
 
@@ -122,7 +122,7 @@ def test_joints_that_do_not_move_the_tool_stay(problem, posture):
     plant = HeldPlant(fingered, posture=posture)
     plant.reset(np.random.default_rng(6))
     move(plant, [0.0, 0.03, 0.03])
-    assert plant._core.data.joint("robot/left_finger_mount").qpos[0] == pytest.approx(0.006, abs=1e-4)
+    assert plant.data.joint("robot/left_finger_mount").qpos[0] == pytest.approx(0.006, abs=1e-4)
     plant.close()
 
 
@@ -135,8 +135,8 @@ def test_meshes_are_the_hulls_that_planning_has_in_formats_that_mujoco_does_not_
     robot = replace(problem.robot, text=f'{before}<mesh filename="palm.off"/>{after}', folder=str(tmp_path))
     assert box
     plant = HeldPlant(replace(problem, robot=robot), posture=posture)
-    assert plant._core.model.nmesh == 1
-    np.testing.assert_allclose(np.sort(np.abs(plant._core.model.mesh_vert), axis=None)[-8:], 0.095, atol=1e-6)
+    assert plant.model.nmesh == 1
+    np.testing.assert_allclose(np.sort(np.abs(plant.model.mesh_vert), axis=None)[-8:], 0.095, atol=1e-6)
     plant.reset(np.random.default_rng(11))
     assert plant.truth().incident == ""
     plant.close()
@@ -163,14 +163,14 @@ def test_books_stand_until_they_are_pushed_and_then_it_is_told(problem):
     for _ in range(5):
         move(plant, [0.0, 0.0, 0.0])
     assert plant.truth().incident == ""
-    top = plant._core.model.body("scene/book_4").id
-    np.testing.assert_allclose(plant._core.data.xpos[top], [0.475, 0.0, 0.175], atol=1e-4)
+    top = plant.model.body("scene/book_4").id
+    np.testing.assert_allclose(plant.data.xpos[top], [0.475, 0.0, 0.175], atol=1e-4)
     move(plant, [0.0, 0.0, -0.06])
     for _ in range(14):
         move(plant, [0.03, 0.0, 0.0])
     assert plant.truth().mode == "collided"
     assert "'book_4' was knocked over: at" in plant.truth().incident
-    assert plant._core.data.xpos[top][0] > 0.475 + 0.01
+    assert plant.data.xpos[top][0] > 0.475 + 0.01
     plant.reset(np.random.default_rng(9))
     assert plant.truth().incident == ""
     plant.close()

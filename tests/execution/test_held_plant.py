@@ -90,7 +90,7 @@ class WithoutLatch(HeldPlant):
 
     def reset(self, rng):
         first = super().reset(rng)
-        for latch in self._core.latches:
+        for latch in self.latches:
             latch.low = latch.high = np.inf
         return first
 

@@ -19,7 +19,7 @@ from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 
-from micah_plan.execution.mujoco.core import Core
+from micah_plan.execution.mujoco.core import MujocoPlant
 from micah_plan.execution.mujoco.held import HeldPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
@@ -35,21 +35,21 @@ def problem():
 def with_leaps_and_without(run, monkeypatch):
     """What `run` returns either way, and how many steps were taken alone."""
     alone = [0]
-    free_steps = Core.free_steps
+    free_steps = MujocoPlant._free_steps
 
-    def counted(core, controls):
+    def counted(plant, controls):
         alone[0] += len(controls)
-        return free_steps(core, controls)
+        return free_steps(plant, controls)
 
-    def careful(core, _controls, begin, _stepper):
-        core._calm = 0
+    def careful(plant, _controls, begin):
+        plant._calm = 0
         return begin
 
     with monkeypatch.context() as patch:
-        patch.setattr(Core, "free_steps", counted)
+        patch.setattr(MujocoPlant, "_free_steps", counted)
         leaping = run()
     with monkeypatch.context() as patch:
-        patch.setattr(Core, "_leap", careful)
+        patch.setattr(MujocoPlant, "_leap", careful)
         return leaping, run(), alone[0]
 
 
@@ -181,11 +181,11 @@ def test_a_warning_of_the_engine_ends_a_leap_but_loses_no_step():
     mujoco = import_mujoco()
     text = """<mujoco><worldbody><body><joint name="j" type="slide"/><geom size="0.1"/></body></worldbody>
     <actuator><motor joint="j"/></actuator><sensor><jointpos joint="j"/></sensor></mujoco>"""
-    core = Core(mujoco.MjModel.from_xml_string(text), PhysicalParameters(), 1)
+    plant = MujocoPlant(door(), PhysicalParameters(), mujoco.MjModel.from_xml_string(text))
     controls = np.ones((200, 1))
     controls[70] = np.nan
     taken = []
     while sum(taken) < len(controls):
-        taken.append(len(core.free_steps(controls[sum(taken) :])))
+        taken.append(len(plant._free_steps(controls[sum(taken) :])))
     assert len(taken) > 1
-    assert core.data.time == pytest.approx(0.2)
+    assert plant.data.time == pytest.approx(0.2)

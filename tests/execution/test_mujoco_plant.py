@@ -15,7 +15,7 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import check_stable, import_mujoco
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.standing_object import standing_parts
+from micah_plan.execution.mujoco.standing_object import standing_bodies
 from micah_plan.execution.mujoco.world import standing_mjcf
 from micah_plan.execution.pose import chain, command, components, moving_joints
 from micah_plan.task.start import Start
@@ -175,7 +175,7 @@ def test_a_reset_leaves_nothing_of_the_last_trial():
 def test_the_mass_is_shared_among_the_shapes_by_volume():
     shapes = (Primitive("box", (0.2, 0.1, 0.1)), Primitive("cylinder", (0.05, 0.2)), Primitive("sphere", (0.03,)))
     automaton = replace(drawer(), parts=(Part("drawer", shapes), Part("base", shapes[:1])))
-    text = standing_mjcf(standing_parts(automaton), shapes[:1], PhysicalParameters(mass=3.0))
+    text = standing_mjcf(standing_bodies(automaton, PhysicalParameters(mass=3.0)), shapes[:1], 0.0)
     root = ElementTree.fromstring(text)  # noqa: S314 - our own text
     masses = [float(geom.get("mass")) for geom in root.findall("worldbody/body/geom")]
     assert sum(masses) == pytest.approx(3.0)
@@ -184,12 +184,10 @@ def test_the_mass_is_shared_among_the_shapes_by_volume():
 
 
 def test_without_shapes_a_panel_reaches_from_the_axis_to_the_origin():
-    link = standing_parts(door(0.4))[0]
-    (panel,) = link.shapes
-    pose = forward(link.joint, 0.0)[0]
-    np.testing.assert_allclose(
-        pose.apply(panel.position), np.add(link.joint.position, link.joint.center) / 2, atol=1e-12
-    )
+    joint = door(0.4).modes[0].joints[0]
+    (panel,) = standing_bodies(door(0.4), IDEAL)[0].shapes
+    pose = forward(joint, 0.0)[0]
+    np.testing.assert_allclose(pose.apply(panel.position), np.add(joint.position, joint.center) / 2, atol=1e-12)
     assert panel.size[0] == pytest.approx(0.35)
 
 
@@ -199,16 +197,15 @@ def test_what_cannot_be_built_is_refused_with_a_reason():
     other = revolute(swing.axis, np.add(swing.center, 0.05), swing.position)
     two_joints = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(other,))))
     with pytest.raises(InputError, match="different joints in different modes"):
-        standing_parts(two_joints)
+        standing_bodies(two_joints, IDEAL)
     on_axis = replace(automaton, parts=(Part("door", handle=tuple(np.subtract(swing.center, swing.position))),))
     with pytest.raises(InputError, match="lies on its axis"):
-        standing_parts(on_axis)
+        standing_bodies(on_axis, IDEAL)
     with pytest.raises(InputError, match="one link per coordinate"):
-        standing_parts(replace(automaton, links=()))
+        standing_bodies(replace(automaton, links=()), IDEAL)
+    cone = replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))
     with pytest.raises(InputError, match="unknown shape"):
-        standing_mjcf(
-            standing_parts(replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))), (), IDEAL
-        )
+        standing_mjcf(standing_bodies(cone, IDEAL), (), 0.0)
 
 
 def test_physical_parameters_are_checked():

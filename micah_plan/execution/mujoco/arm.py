@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import Carrier, Core
+from micah_plan.execution.mujoco.core import Carrier, MujocoPlant
+from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
+from micah_plan.robot.along_plan import start_posture
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.inverse_kinematics import next_pose
-from micah_plan.robot.load_arm import check_robot
+from micah_plan.robot.load_arm import check_robot, load_arm
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import mesh_hulls
 from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.scene.robot_description import Grasp, RobotDescription
+from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
 
@@ -31,15 +35,26 @@ _NOT_REACHED = 0.002
 
 
 def attach_arm(
-    mujoco: Any, world: Any, description: RobotDescription, arm: Arm, parameters: PhysicalParameters
-) -> None:
-    """Put the robot into a world (MjSpec), with a position-controlled motor at each joint of its arm.
+    mujoco: Any, world: Any, hand: Any, problem: Problem, parameters: PhysicalParameters, posture: Floats | None
+) -> Callable[[MujocoPlant], Carrier]:
+    """Put a problem's robot into a world (MjSpec), with a position-controlled motor at each joint of its arm.
 
     The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
 
+    Args:
+        hand: body of another MjSpec that the robot's tool grasps.
+        posture: (J,) joints of the arm near which it starts; None: one is sought.
+
+    Returns:
+        What makes the carrier of a plant in this world.
+
     Raises:
-        InputError: if MuJoCo cannot use the robot's file.
+        InputError: if MuJoCo cannot use the robot's file, or the arm cannot start.
     """
+    description, grasp = problem.robot, problem.grasp
+    if description is None or grasp is None:
+        raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
+    arm = load_arm(description)
     robot = _read(mujoco, description, arm)
     for body in robot.bodies:
         body.gravcomp = 1.0
@@ -58,33 +73,30 @@ def attach_arm(
         locked.data = [value, *[0.0] * (len(locked.data) - 1)]
     stands = world.worldbody.add_frame(pos=description.position, quat=np.roll(description.quaternion, 1))
     world.attach(robot, prefix=_ROBOT, frame=stands)
-
-
-def fix_to_tool(world: Any, tool: str, body: Any, pose: RigidTransform, prefix: str) -> None:
-    """Fix a body of another MjSpec to the tool of the robot in a world, at a pose in the tool's frame."""
-    body.pos, body.quat = pose.translation, np.roll(pose.rotation.as_quat(), 1)
-    link = world.body(_ROBOT + tool)
-    frame = world.site(_ROBOT + tool) if link is None else link.add_frame()
-    frame.attach_body(body, prefix, "")
+    in_tool, link = grasp.pose.inv(), world.body(_ROBOT + description.tool)
+    hand.pos, hand.quat = in_tool.translation, np.roll(in_tool.rotation.as_quat(), 1)
+    frame = world.site(_ROBOT + description.tool) if link is None else link.add_frame()
+    frame.attach_body(hand, OBJECT, "")
+    return partial(ArmCarrier, arm=arm, grasp=grasp, posture=start_posture(problem) if posture is None else posture)
 
 
 class ArmCarrier(Carrier):
     """Drives the arm's joints to where continuous inverse kinematics puts the hand, whose orientation it keeps."""
 
-    def __init__(self, core: Core, arm: Arm, grasp: Grasp, posture: Floats) -> None:
+    def __init__(self, plant: MujocoPlant, arm: Arm, grasp: Grasp, posture: Floats) -> None:
         """Args: posture: (J,) from which the start is sought."""
-        super().__init__(core, [_ROBOT + name for name in arm.joints])
+        super().__init__(plant, [_ROBOT + name for name in arm.joints])
         self._arm, self._posture = arm, posture
         self._grasp, self._from_tool = grasp.pose.as_matrix(), grasp.pose.inv().as_matrix()
-        self._locked = {int(core.model.joint(_ROBOT + name).qposadr[0]): value for name, value in arm.locked}
+        self._locked = {int(plant.model.joint(_ROBOT + name).qposadr[0]): value for name, value in arm.locked}
 
     @property
     def joints(self) -> Floats:
-        return np.array(self._core.data.qpos[self._address])
+        return np.array(self._plant.data.qpos[self._address])
 
     def put(self, place: Floats) -> None:
         for address, value in self._locked.items():
-            self._core.data.qpos[address] = value
+            self._plant.data.qpos[address] = value
         super().put(place)
         self._damp()
 
@@ -108,7 +120,7 @@ class ArmCarrier(Carrier):
 
     def _damp(self) -> None:
         """Critical damping of every joint for the inertia that it has in this posture."""
-        mujoco, model, data = self._core.mujoco, self._core.model, self._core.data
+        mujoco, model, data = self._plant.mujoco, self._plant.model, self._plant.data
         mujoco.mj_forward(model, data)
         for name, motor in zip(self._arm.joints, self._motors, strict=True):
             dof, inertia = int(model.joint(_ROBOT + name).dofadr[0]), np.zeros(model.nv)

@@ -1,4 +1,4 @@
-"""What physics needs to know of the model of a held object: which coordinates are the hand's, and which its joints'."""
+"""The bodies of a held object and the slides of its hand, from its model and the grip."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import ShownJoint
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, Latch, WorldBody, WorldJoint, pose, rubbing
 
 Floats = NDArray[np.float64]
 
-# Names of the joints in MuJoCo: of the part in the hand, and of the object itself; and what all names of the object
-# begin with once it is in the world.
-PIVOT, JOINT, OBJECT = "pivot", "joint", "object/"
+OBJECT = "object/"
+"""What all names of the object and its hand begin with, once they are in the world."""
 _HINGE = (0.0, 1.0, 0.0)
 _SAME = 1e-6
 
@@ -34,23 +34,18 @@ class HeldObject:
         hand: (s,) their coordinates.
         origins: (s, 3) places of these links' children with the hand's coordinates at 0 [m].
         reach: (s, 3, s) how these places change per unit of the hand's coordinates.
-        in_hand, moving: numbers of the links that end at the part in the hand and at the other part.
-        joint: of the other part; rigid if no mode ever moves it.
-        shown: what coordinates show beside the hand: the turn in the hand, if it has a coordinate, and the joint.
-        stops: least and largest position of the joint in MuJoCo [rad or m].
-        latches: (mode, position of the joint in MuJoCo [rad or m]) where the object latches.
+        parts: numbers of the links that end at the part in the hand and at the other part.
+        bodies: the two parts, the first one carried by the body "hand".
+        modes: of the model, in which the object is latched, one per latch.
     """
 
     slides: list[int]
     hand: list[int]
     origins: Floats
     reach: Floats
-    in_hand: int
-    moving: int
-    joint: Joint
-    shown: tuple[ShownJoint, ...]
-    stops: tuple[float, float]
-    latches: tuple[tuple[str, float], ...]
+    parts: list[int]
+    bodies: tuple[WorldBody, WorldBody]
+    modes: tuple[str, ...]
 
     @cached_property
     def _back(self) -> Floats:
@@ -66,7 +61,7 @@ class HeldObject:
         return np.asarray(self._back @ (place - self.origins[-1]))
 
 
-def held_object(automaton: HybridAutomaton, grip: Grip) -> HeldObject:
+def held_object(automaton: HybridAutomaton, grip: Grip, parameters: PhysicalParameters) -> HeldObject:
     """The mechanism of a held object's model.
 
     Raises:
@@ -75,22 +70,29 @@ def held_object(automaton: HybridAutomaton, grip: Grip) -> HeldObject:
     """
     slides, in_hand, moving = _links(automaton, grip)
     hand = [automaton.links[number].coordinate for number in slides]
-    of_hand = slides, hand, *_places(automaton, slides)
+    slide_joints = [_joint(automaton, number) for number in slides]
+    turned = [joint for joint in slide_joints if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
+    if turned or any(joint.kind != "prismatic" for joint in slide_joints):
+        raise InputError("the hand of a held object must move on slides that do not turn it")
+    origins = np.cumsum([joint.position for joint in slide_joints], axis=0)
+    reach = np.zeros((len(slides), 3, len(slides)))
+    for number, slide in enumerate(slide_joints):
+        reach[number:, :, number] = slide.axis
     joint, coordinate = _joint(automaton, moving), automaton.links[moving].coordinate
+    rotation = Rotation.from_rotvec(grip.rotation)
+    place = pose(-rotation.apply(grip.point), rotation.as_quat()) | {"gravcomp": 1}
     is_fixed = joint.kind == "rigid"
-    turns = grip.pivots and automaton.links[in_hand].coordinate not in (hand if is_fixed else [coordinate, *hand])
-    shown = (_turn(automaton, grip, in_hand),) if turns else ()
-    if is_fixed:
-        return HeldObject(*of_hand, in_hand, moving, joint, shown, (0.0, 0.0), ())
-    pins = {mode.name: pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == coordinate}
-    datum = max(pins.values(), default=None) if grip.datum is None else grip.datum
-    if datum is None:
-        raise InputError("nothing says at which configuration the shapes are given", remedy="give 'hold.datum'")
-    latches = tuple((mode, value - datum) for mode, value in pins.items())
-    positions = [position for _, position in latches]
-    stops = min([-grip.travel, *positions]), max([0.0, *positions])
-    shown = (*shown, ShownJoint(OBJECT + JOINT, coordinate, zero=-datum))
-    return HeldObject(*of_hand, in_hand, moving, joint, shown, stops, latches)
+    turns = [_pivot(automaton, grip, in_hand, [*hand, *([] if is_fixed else [coordinate])], parameters)]
+    moved, modes = ([], ()) if is_fixed else _moving_joint(automaton, grip, joint, coordinate, parameters)
+    fixed = pose(joint.position, joint.quaternion) if is_fixed else {}
+    solids = [(part.shapes, parameters.mass) for part in (grip.held, grip.moving)]
+    bodies = (
+        WorldBody(
+            grip.held.name, "hand", place, turns if grip.pivots else (), *solids[0], rubbing(IN_HAND, parameters)
+        ),
+        WorldBody(grip.moving.name, grip.held.name, fixed, moved, *solids[1], rubbing(MOVING, parameters)),
+    )
+    return HeldObject(slides, hand, origins, reach, [in_hand, moving], bodies, modes)
 
 
 def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]:
@@ -114,19 +116,6 @@ def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]
     return slides, in_hand, moving
 
 
-def _places(automaton: HybridAutomaton, slides: list[int]) -> tuple[Floats, Floats]:
-    """Where the slides' children are at 0, and how they move with the hand's coordinates."""
-    joints = [_joint(automaton, number) for number in slides]
-    turned = [joint for joint in joints if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
-    if turned or any(joint.kind != "prismatic" for joint in joints):
-        raise InputError("the hand of a held object must move on slides that do not turn it")
-    origins = np.cumsum([joint.position for joint in joints], axis=0)
-    reach = np.zeros((len(slides), 3, len(slides)))
-    for number, joint in enumerate(joints):
-        reach[number:, :, number] = joint.axis
-    return origins, reach
-
-
 def _joint(automaton: HybridAutomaton, link: int) -> Joint:
     joint = automaton.moving_joint(link)
     if joint.kind == "screw":
@@ -134,12 +123,46 @@ def _joint(automaton: HybridAutomaton, link: int) -> Joint:
     return joint
 
 
-def _turn(automaton: HybridAutomaton, grip: Grip, in_hand: int) -> ShownJoint:
-    """How the turn of the part in the hand shows in a coordinate of its own."""
+def _pivot(
+    automaton: HybridAutomaton, grip: Grip, in_hand: int, others: list[int], parameters: PhysicalParameters
+) -> WorldJoint:
+    """The turn of the part in the hand against a spring; it shows in a coordinate if that is not one of the others."""
+    spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
+    attributes = {"axis": _HINGE, "pos": grip.point, **spring}
+    coordinate = automaton.links[in_hand].coordinate
+    if coordinate in others:
+        return WorldJoint("pivot", attributes)
     nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, in_hand)
-    poses: RigidTransform = forward(joint, [0.0, 1.0])
-    zero, one = (nominal * poses.rotation).as_rotvec()
+    zero, one = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
     sign, off = float((one - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
     if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
         raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
-    return ShownJoint(OBJECT + PIVOT, automaton.links[in_hand].coordinate, round(sign), float(zero @ _HINGE))
+    return WorldJoint("pivot", attributes, coordinate, round(sign), float(zero @ _HINGE))
+
+
+def _moving_joint(
+    automaton: HybridAutomaton, grip: Grip, joint: Joint, coordinate: int, parameters: PhysicalParameters
+) -> tuple[list[WorldJoint], tuple[str, ...]]:
+    """The joint of the other part, and the modes in which it is latched.
+
+    Latches at its end stops catch it as it comes to them, and none ever opens.
+    """
+    pins = {mode.name: pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == coordinate}
+    datum = max(pins.values(), default=None) if grip.datum is None else grip.datum
+    if datum is None:
+        raise InputError("nothing says at which configuration the shapes are given", remedy="give 'hold.datum'")
+    positions, capture = [value - datum for value in pins.values()], parameters.latch_capture
+    lowest, highest = min([-grip.travel, *positions]), max([0.0, *positions])
+    low = [-np.inf if position == lowest else position - capture for position in positions]
+    high = [np.inf if position == highest else position + capture for position in positions]
+    turns = joint.kind == "revolute"
+    attributes = {
+        **({"type": "hinge", "axis": (0.0, -1.0, 0.0)} if turns else {"type": "slide", "axis": (0.0, 0.0, 1.0)}),
+        # Soft constraints creep: dry friction holds the part up only if it is stiff.
+        "range": (lowest, highest),
+        **STOPS,
+        "frictionloss": parameters.joint_friction,
+        "damping": parameters.joint_damping,
+    }
+    latches = [Latch(*place) for place in zip(positions, low, high, strict=True)]
+    return [WorldJoint("joint", attributes, coordinate, zero=-datum, latches=latches)], tuple(pins)

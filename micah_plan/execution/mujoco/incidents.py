@@ -1,7 +1,4 @@
-"""What is looked at while a held object moves: its latches, and what must not happen.
-
-Incidents are collisions, and loose things knocked over.
-"""
+"""What must not happen while a held object moves: collisions, and loose things knocked over."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.values import Grip
-from micah_plan.execution.mujoco.core import Core, Flags
+from micah_plan.execution.mujoco.core import Flags, MujocoPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.world import SCENE
 
@@ -70,11 +67,11 @@ def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], gri
 
 
 class Watch:
-    """Switches a held object's latches, none of which opens, and remembers the first incident of a trial."""
+    """Looks at what happens to a held object, and remembers the first incident of a trial."""
 
-    def __init__(self, core: Core, touchable: Collection[str]) -> None:
+    def __init__(self, plant: MujocoPlant, touchable: Collection[str]) -> None:
         """Args: touchable: as of `add_contact_sensors`."""
-        self._core, model = core, core.model
+        self._plant, model = plant, plant.model
         self._owner = model.geom_bodyid.tolist()
         owners = [model.body(body).name for body in self._owner]
         self._name = [name.partition("/")[2] for name in owners]
@@ -92,32 +89,21 @@ class Watch:
     def begin(self) -> None:
         """A new trial starts from here."""
         self.incident = ""
-        data = self._core.data
+        data = self._plant.data
         self._pose = {i: np.append(data.xpos[i], data.xmat[i][6:]) for i in self._loose}
 
-    def needs_care(self, _first: int, seen: Floats) -> Flags:
-        """Where there was a contact to look at, or the joint came to a latch; see `core.Stepper`."""
-        return self._suspects(seen) | self._core.latches_decide(seen, lambda _: np.zeros(len(seen)))
-
-    def after_leap(self) -> None:
-        """The last step may have brought the joint to a latch."""
-        self._core.switch_latches(lambda _: 0.0)
-
-    def careful_step(self, _number: int) -> bool:
-        """Switches latches after a step, and looks at its contacts."""
-        core = self._core
-        core.mujoco.mj_step(core.model, core.data)
-        decided = core.switch_latches(lambda _: 0.0)
-        suspects = bool(self._suspects(core.data.sensordata[None])[0])
+    def look(self) -> bool:
+        """Look at the contacts of the last step; whether there was reason to."""
+        suspects = bool(self.suspects(self._plant.data.sensordata[None])[0])
         if suspects:
             self.incident = self._collision()
-        return suspects or decided
+        return suspects
 
     def look_at_loose_bodies(self) -> None:
         """All still where they stood."""
         self.incident = self.incident or self._knocked_over()
 
-    def _suspects(self, seen: Floats) -> Flags:
+    def suspects(self, seen: Floats) -> Flags:
         """(k,) whether a contact may be a collision: it is deep, or with what is fixed and may not be touched.
 
         After an incident none is.
@@ -129,7 +115,7 @@ class Watch:
 
     def _collision(self) -> str:
         """The first contact of the last step that is one."""
-        data, push = self._core.data, np.zeros(6)
+        data, push = self._plant.data, np.zeros(6)
         for number in range(data.ncon):
             contact = data.contact[number]
             hit, by = sorted((int(contact.geom1), int(contact.geom2)), key=self._kind.__getitem__)
@@ -137,7 +123,7 @@ class Watch:
                 continue
             name, is_object = self._name[hit], self._kind[by] == _OBJECT
             allowed = self._owner[hit] in self._loose or (is_object and name in self._touchable)
-            self._core.mujoco.mj_contactForce(self._core.model, data, number, push)
+            self._plant.mujoco.mj_contactForce(self._plant.model, data, number, push)
             if contact.dist < -LARGEST_PENETRATION or (not allowed and push[0] > _LARGEST_PUSH_N):
                 what = "it" if is_object else f"the arm's {self._name[by]}"
                 depth = max(0.0, -1e3 * contact.dist)
@@ -145,7 +131,7 @@ class Watch:
         return ""
 
     def _knocked_over(self) -> str:
-        data = self._core.data
+        data = self._plant.data
         for number, name in self._loose.items():
             before = self._pose[number]
             shift = float(np.linalg.norm(data.xpos[number] - before[:3]))

@@ -1,57 +1,26 @@
-"""What physics needs to know of the model of a standing object: of each part its joint, range, latches and handle."""
+"""The bodies of a standing object, from its model: of each part its joint, end stops, latches, shapes and handle."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
+from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint, Vector3
 from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.world import STOPS, Latch, WorldBody, WorldJoint, pose
 from micah_plan.scene.body import vector3
 
 _SHORTEST_ARM = 0.005
 _SAME_JOINT = 1e-6
 _PANEL = 0.02
+_UNLIMITED = 1e3
 
 
-@dataclass(frozen=True)
-class StandingPart:
-    """One part as a body.
-
-    Attributes:
-        name, parent: of the part and of the one that it is attached to (None: the world).
-        joint: its moving joint; rigid if no mode ever moves it.
-        coordinate: which element of x it follows.
-        lower, upper: end stops [rad or m], infinite where there are none.
-        latches: configurations at which a rigid mode pins it [rad or m].
-        handle: where the hand pulls at it, in the part's frame [m].
-        arm: how far the handle moves per unit of configuration [m/rad], or 1 for a slide.
-        shapes: of the part, or a default box.
-    """
-
-    name: str
-    parent: str | None
-    joint: Joint
-    coordinate: int
-    lower: float
-    upper: float
-    latches: tuple[float, ...]
-    handle: Vector3
-    arm: float
-    shapes: tuple[Primitive, ...]
-
-    @property
-    def can_latch(self) -> bool:
-        """Whether it moves, and latches somewhere."""
-        return bool(self.latches) and self.joint.kind != "rigid"
-
-
-def standing_parts(automaton: HybridAutomaton) -> tuple[StandingPart, ...]:
-    """The links of an automaton as bodies, parents first.
+def standing_bodies(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[WorldBody, ...]:
+    """The children of an automaton's links as bodies. Positions of their joints are the configurations.
 
     Raises:
         InputError: if the automaton cannot be a mechanism of one joint per part, or a hand could not turn a part.
@@ -61,27 +30,24 @@ def standing_parts(automaton: HybridAutomaton) -> tuple[StandingPart, ...]:
             "physics needs one link per coordinate of the model", remedy="use the nominal plant for this model"
         )
     names = {link.child for link in automaton.links}
-    parts = []
+    bodies = []
     for number, link in enumerate(automaton.links):
         joint, part = _only_moving_joint(automaton, number), automaton.part(link.child)
-        intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
-        pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
         handle = part.handle or (0.0, 0.0, 0.0)
-        parts.append(
-            StandingPart(
+        arm = _arm(link.child, joint, handle)
+        bodies.append(
+            WorldBody(
                 name=link.child,
                 parent=link.parent if link.parent in names else None,
-                joint=joint,
-                coordinate=link.coordinate,
-                lower=min(low for low, _ in intervals),
-                upper=max(high for _, high in intervals),
-                latches=tuple(sorted(pins)),
-                handle=handle,
-                arm=_arm(link.child, joint, handle),
+                attributes=pose(joint.position, joint.quaternion),
+                joints=() if joint.kind == "rigid" else _joints(automaton, link, joint, arm, parameters),
                 shapes=part.shapes or (_default_box(joint),),
+                mass=parameters.mass,
+                handle=handle,
+                arm=arm,
             )
         )
-    return tuple(parts)
+    return tuple(bodies)
 
 
 def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
@@ -98,6 +64,35 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
                 remedy="use the nominal plant for this model",
             )
     return joint
+
+
+def _joints(
+    automaton: HybridAutomaton, link: Link, joint: Joint, arm: float, parameters: PhysicalParameters
+) -> list[WorldJoint]:
+    """A slide, a hinge, or for a screw a hinge with a slide that follows it; latched where a mode pins it."""
+    to_part = Rotation.from_quat(joint.quaternion).inv()
+    axis = {"axis": to_part.apply(joint.axis)}
+    intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
+    lower, upper = min(low for low, _ in intervals), max(high for _, high in intervals)
+    attributes = {
+        "type": "slide" if joint.kind == "prismatic" else "hinge",
+        "pos": to_part.apply(np.subtract(joint.center, joint.position)),
+        # A hinge's moment is the force at the handle times the arm; its damping relates moment to angular velocity.
+        "damping": parameters.damping * arm**2,
+        "frictionloss": parameters.friction * arm,
+        "range": np.clip([lower, upper], -_UNLIMITED, _UNLIMITED),
+    }
+    pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
+    capture, release = parameters.latch_capture / arm, parameters.latch_force * arm
+    latches = [
+        Latch(pin, pin - capture, pin + capture, release, pin - lower > capture, upper - pin > capture)
+        for pin in sorted(pins)
+    ]
+    joints = [WorldJoint(link.child, attributes | axis | STOPS, link.coordinate, latches=latches)]
+    if joint.kind == "screw":
+        slide = {"type": "slide", **axis}
+        joints.append(WorldJoint(f"{link.child}/slide", slide, link.coordinate, joint.pitch, follows=link.child))
+    return joints
 
 
 def _arm(name: str, joint: Joint, handle: Vector3) -> float:

@@ -1,7 +1,6 @@
-"""Worlds as MJCF text, MuJoCo's model format, in radians and SI units. Text only: this file needs no MuJoCo.
+"""Worlds: bodies on joints with latches, as values and as MJCF text, MuJoCo's model format, in radians and SI units.
 
-Names that the plants look up: of a standing part P the body and joint `P`; of a held object the bodies `hand` and its
-two parts, the joints `pivot` and `joint`, and `x`, `y`, `z` where the hand is on slides; of the scene bodies `scene/B`.
+Text only: this file needs no MuJoCo. Bodies of the scene are called `scene/NAME` in the world.
 Source: MuJoCo documentation, "XML reference".
 """
 
@@ -9,121 +8,158 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.automaton.contacts.values import Grip
+from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
-from micah_plan.execution.mujoco.core import latch_name, sensor_name
-from micah_plan.execution.mujoco.held_object import JOINT, PIVOT, HeldObject
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.standing_object import StandingPart
 from micah_plan.scene.body import Body
 
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Attributes = dict[str, Any]
+"""Of an element of MJCF: texts, numbers and arrays of numbers."""
 Element = ElementTree.Element
 
-# What all names of bodies of the scene begin with.
 SCENE = "scene/"
-AXES = "xyz"
-_DIRECTIONS = tuple(zip(AXES, np.eye(3), strict=True))
-_ORIGIN = "/origin"
 # MuJoCo's constraints are springs: these time constants [s] and impedances make end stops, latches and dry friction act
 # as rigid ones within some micrometres under a hand's force, at time steps of 1 ms and less.
 _STIFF = {"solref": "0.004 1", "solimp": "0.99 0.999 0.0001"}
-_STOPS = {"limited": "true"} | {f"{key}{kind}": _STIFF[key] for key in _STIFF for kind in ("limit", "friction")}
+STOPS = {"limited": "true"} | {f"{key}{kind}": _STIFF[key] for key in _STIFF for kind in ("limit", "friction")}
 # Contacts give by some hundredths of a millimetre under a hand's force.
 _CONTACT = {"solref": "0.004 1", "solimp": "0.95 0.99 0.0005", "condim": "4"}
 # Who meets whom (geoms meet if the type of one is among what the other meets): the scene meets all but what is fixed in
 # it; an arm meets the moving part of the object, but not the part in the hand. Standing objects meet nothing.
-_NOTHING = {"contype": "0", "conaffinity": "0"}
+NOTHING = {"contype": "0", "conaffinity": "0"}
 _FIXED, _LOOSE = {"contype": "1", "conaffinity": "2"}, {"contype": "3", "conaffinity": "3"}
-_IN_HAND, _MOVING = {"contype": "2", "conaffinity": "1"}, {"contype": "6", "conaffinity": "1"}
+IN_HAND, MOVING = {"contype": "2", "conaffinity": "1"}, {"contype": "6", "conaffinity": "1"}
 ARM_TYPE, ARM_MEETS = 2, 5
 _HAND_MASS, _GRAVITY = 1.0, 9.81
-_UNLIMITED = 1e3
+_ORIGIN = "/origin"
 
 
-def standing_mjcf(
-    parts: Sequence[StandingPart], base_shapes: Iterable[Primitive], parameters: PhysicalParameters
-) -> str:
-    """A standing object. Its joints' positions are the configurations; nothing collides.
+@dataclass
+class Latch:
+    """A latch and its state: it catches when armed and near, and opens when pulled hard enough in a free direction.
+
+    Attributes:
+        position: where it latches; low, high: between which positions it catches [rad or m].
+        release: pull on the joint that opens it [N m or N]; infinite: none does.
+        free_down, free_up: whether the joint can move away downwards and upwards.
+        armed: whether it would catch now.
+        equality, joint, sensor: in the compiled world, the constraint that locks the joint, the joint's address, and
+            the column of its position among what the sensors show.
+        coordinate: of the model, which it holds.
+    """
+
+    position: float
+    low: float
+    high: float
+    release: float = math.inf
+    free_down: bool = False
+    free_up: bool = False
+    armed: bool = True
+    equality: int = -1
+    joint: int = -1
+    sensor: int = -1
+    coordinate: int = -1
+
+    def is_near(self, position: Floats | float) -> Flags | bool:
+        """Whether it would catch the joint at a position [rad or m], (k,) or one, if it is armed."""
+        return (self.low <= position) & (position <= self.high)
+
+    def opens(self, pull: Floats | float) -> Flags | bool:
+        """Whether a locked joint comes free under the hand's static pull on it [N m or N], (k,) or one."""
+        return (self.free_up & (pull > self.release)) | (self.free_down & (pull < -self.release))
+
+    def catches(self, position: float, pull: float) -> bool:
+        """Whether a joint near the latch is locked from now on."""
+        # Once opened it catches again only after the part has left, or has been pushed back the way it came.
+        self.armed = self.armed or (position - self.position) * pull < 0
+        return self.armed
+
+
+@dataclass(frozen=True, eq=False)
+class WorldJoint:
+    """A joint of a body.
+
+    Attributes:
+        name: in the world.
+        attributes: of its element.
+        coordinate: of the model, which shows it as position = scale * x[coordinate] + zero; -1: none does.
+        latches: where it may be locked.
+        follows: name of the joint whose position times `scale` it always has; empty if none.
+    """
+
+    name: str
+    attributes: Attributes
+    coordinate: int = -1
+    scale: float = 1.0
+    zero: float = 0.0
+    latches: Sequence[Latch] = ()
+    follows: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class WorldBody:
+    """A body of the object, or the hand.
+
+    Attributes:
+        name, parent: its own and that of the body that carries it (None: the world).
+        attributes: of its element.
+        joints: by which it moves.
+        shapes: in its own frame; they share its mass [kg] by volume.
+        surface: attributes of these shapes.
+        handle: where a hand pulls at it, in its frame [m]; None: none does.
+        arm: how far the handle moves per unit of the joint [m/rad], or 1 for a slide.
+    """
+
+    name: str
+    parent: str | None
+    attributes: Attributes
+    joints: Sequence[WorldJoint]
+    shapes: Sequence[Primitive]
+    mass: float
+    surface: Attributes = field(default_factory=lambda: NOTHING)
+    handle: ArrayLike | None = None
+    arm: float = 1.0
+
+
+def standing_mjcf(bodies: Sequence[WorldBody], base_shapes: Sequence[Primitive], gravity: float) -> str:
+    """A standing object, each of its bodies with a hand: three motors along the axes of the base frame, whose lengths
+    are the place of the body's handle [m]. Nothing collides.
+
+    Sensors: the lengths of all motors, then their forces [N], then of each joint that can latch anchor and axis.
 
     Raises:
         InputError: for a shape of unknown kind or size.
     """
     root = _root("standing object")
-    _add(_add(root, "option", gravity=(0.0, 0.0, -parameters.gravity)), "flag", contact="disable")
-    world, equality = _add(root, "worldbody"), _add(root, "equality")
+    _add(_add(root, "option", gravity=(0.0, 0.0, -gravity)), "flag", contact="disable")
+    world, actuator, sensor = _add(root, "worldbody"), _add(root, "actuator"), _add(root, "sensor")
     _add(world, "site", name=_ORIGIN)
-    _solids(world, list(base_shapes), 0.0, _NOTHING)
-    bodies: dict[str | None, Element] = {None: world}
-    for part in parts:
-        place = _pose(part.joint.position, part.joint.quaternion)
-        body = bodies[part.name] = _add(bodies[part.parent], "body", name=part.name, **place)
-        if part.joint.kind != "rigid":
-            _standing_joint(body, equality, part, parameters)
-        _solids(body, part.shapes, parameters.mass, _NOTHING)
-        _add(body, "site", name=part.name, pos=part.handle)
-    _motors_and_sensors(root, parts)
-    return _text(root)
-
-
-def _standing_joint(body: Element, equality: Element, part: StandingPart, parameters: PhysicalParameters) -> None:
-    """A slide, a hinge, or for a screw a hinge with a slide that follows it; and its latches."""
-    joint, to_part = part.joint, Rotation.from_quat(part.joint.quaternion).inv()
-    axis, center = to_part.apply(joint.axis), to_part.apply(np.subtract(joint.center, joint.position))
-    _add(
-        body,
-        "joint",
-        name=part.name,
-        type="slide" if joint.kind == "prismatic" else "hinge",
-        pos=center,
-        axis=axis,
-        # A hinge's moment is the force at the handle times the arm; its damping relates moment to angular velocity.
-        damping=parameters.damping * part.arm**2,
-        frictionloss=parameters.friction * part.arm,
-        range=np.clip([part.lower, part.upper], -_UNLIMITED, _UNLIMITED),
-        **_STOPS,
-    )
-    _latches(equality, part.name, part.latches)
-    if part.latches:
-        _add(body, "site", name=f"{part.name}/axis", pos=center, zaxis=axis)
-    if joint.kind == "screw":
-        _add(body, "joint", name=slide_name(part.name), type="slide", axis=axis)
-        _add(
-            equality,
-            "joint",
-            joint1=slide_name(part.name),
-            joint2=part.name,
-            polycoef=(0, joint.pitch, 0, 0, 0),
-            **_STIFF,
-        )
-
-
-def _motors_and_sensors(root: Element, parts: Sequence[StandingPart]) -> None:
-    """Three motors per part, along the axes of the base frame, whose lengths are the place of its handle [m].
-
-    Sensors: the lengths of all motors, their forces [N], and of each joint that can latch anchor, axis and position.
-    """
-    actuator, sensor = _add(root, "actuator"), _add(root, "sensor")
-    motors = {f"{part.name}/{axis}": (part.name, direction) for part in parts for axis, direction in _DIRECTIONS}
-    for name, (part, direction) in motors.items():
-        gear = (*direction, 0.0, 0.0, 0.0)
-        _add(actuator, "general", name=name, site=part, refsite=_ORIGIN, gear=gear, biastype="affine")
+    _add_solids(world, base_shapes, 0.0, NOTHING)
+    motors = [(body.name, f"{body.name}/{axis}", axis) for body in bodies for axis in range(3)]
+    for site, name, axis in motors:
+        _add(actuator, "general", name=name, site=site, refsite=_ORIGIN, gear=np.eye(6)[axis], biastype="affine")
     for kind in ("actuatorpos", "actuatorfrc"):
-        for name in motors:
+        for _, name, _ in motors:
             _add(sensor, kind, actuator=name)
-    for part in (part.name for part in parts if part.can_latch):
-        site = f"{part}/axis"
-        _add(sensor, "framepos", name=lever_name(part), objtype="site", objname=site)
-        _add(sensor, "framezaxis", objtype="site", objname=site)
-        _add(sensor, "jointpos", name=sensor_name(part), joint=part)
+    elements = _add_bodies(root, world, bodies)
+    for body in bodies:
+        _add(elements[body.name], "site", name=body.name, pos=body.handle)
+        for joint in (joint for joint in body.joints if joint.latches):
+            place = {"pos": joint.attributes["pos"], "zaxis": joint.attributes["axis"]}
+            _add(elements[body.name], "site", name=lever_name(joint.name), **place)
+            _add(sensor, "framepos", name=lever_name(joint.name), objtype="site", objname=lever_name(joint.name))
+            _add(sensor, "framezaxis", objtype="site", objname=lever_name(joint.name))
+    return _text(root)
 
 
 def scene_mjcf(scene: Iterable[Body], parameters: PhysicalParameters) -> str:
@@ -138,68 +174,89 @@ def scene_mjcf(scene: Iterable[Body], parameters: PhysicalParameters) -> str:
     _add(option, "flag", filterparent="disable")  # fingers and the part that moves between them do meet
     world = _add(root, "worldbody")
     for body in scene:
-        stands = _add(world, "body", name=SCENE + body.name, **_pose(body.position, body.quaternion))
+        stands = _add(world, "body", name=SCENE + body.name, **pose(body.position, body.quaternion))
         if body.mass is not None:
             _add(stands, "freejoint")
         solids = [shape for shape in body.shapes if isinstance(shape, Primitive)]
         if len(solids) < len(body.shapes):
             raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
-        _solids(stands, solids, body.mass or 0.0, {**(_FIXED if body.mass is None else _LOOSE), **_surface(parameters)})
+        surface = rubbing(_FIXED if body.mass is None else _LOOSE, parameters)
+        _add_solids(stands, solids, body.mass or 0.0, surface)
     return _text(root)
 
 
-def held_mjcf(held: HeldObject, grip: Grip, parameters: PhysicalParameters, *, slides: bool) -> str:
-    """The hand at the origin, with the object.
+def held_mjcf(bodies: Sequence[WorldBody], parameters: PhysicalParameters, *, slides: bool) -> str:
+    """A held object and what carries it, the body "hand" at the origin.
 
     Args:
         slides: whether the hand moves on three position-controlled slides; else an arm is to carry it.
     """
-    root, surface = _root("held object"), _surface(parameters)
-    world, equality = _add(root, "worldbody"), _add(root, "equality")
-    hand = _add(world, "body", name="hand", gravcomp=1.0)
+    root = _root("held object")
+    hand = WorldBody("hand", None, {"gravcomp": 1}, (), (), 0.0)
     if slides:
-        _slides(root, hand, parameters)
-    rotation = Rotation.from_rotvec(grip.rotation)
-    place = _pose(-rotation.apply(grip.point), rotation.as_quat())
-    in_hand = _add(hand, "body", name=grip.held.name, gravcomp=1.0, **place)
-    if grip.pivots:
-        spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
-        _add(in_hand, "joint", name=PIVOT, axis=(0.0, 1.0, 0.0), pos=grip.point, **spring)
-    _solids(in_hand, grip.held.shapes, parameters.mass, {**_IN_HAND, **surface})
-    joint = held.joint
-    place = _pose(joint.position, joint.quaternion) if joint.kind == "rigid" else {}
-    moving = _add(in_hand, "body", name=grip.moving.name, **place)
-    if joint.kind != "rigid":
-        turns = joint.kind == "revolute"
-        kind = {"type": "hinge", "axis": (0.0, -1.0, 0.0)} if turns else {"type": "slide", "axis": (0.0, 0.0, 1.0)}
-        # Soft constraints creep: dry friction holds the part up only if it is stiff.
-        resistance = {"frictionloss": parameters.joint_friction, "damping": parameters.joint_damping}
-        _add(moving, "joint", name=JOINT, range=held.stops, **kind, **_STOPS, **resistance)
-    _solids(moving, grip.moving.shapes, parameters.mass, {**_MOVING, **surface})
-    _latches(equality, JOINT, [position for _, position in held.latches])
-    if held.latches:
-        _add(_add(root, "sensor"), "jointpos", name=sensor_name(JOINT), joint=JOINT)
-    return _text(root)
-
-
-def _slides(root: Element, hand: Element, parameters: PhysicalParameters) -> None:
+        along = [WorldJoint(name, {"type": "slide", "axis": axis}) for name, axis in zip(AXES, np.eye(3), strict=True)]
+        hand = replace(hand, joints=along, shapes=(Primitive("sphere", (0.01,)),), mass=_HAND_MASS)
+    _add_bodies(root, _add(root, "worldbody"), [hand, *bodies])
     actuator, limit = _add(root, "actuator"), parameters.max_force
     damping = 2 * np.sqrt(parameters.stiffness * (_HAND_MASS + 2 * parameters.mass))
     motor = {"kp": parameters.stiffness, "kv": damping, "forcelimited": "true", "forcerange": (-limit, limit)}
-    for axis, direction in _DIRECTIONS:
-        _add(hand, "joint", name=axis, type="slide", axis=direction)
-        _add(actuator, "position", name=axis, joint=axis, **motor)
-    _add(hand, "geom", type="sphere", size=0.01, mass=_HAND_MASS, **_NOTHING)
+    for joint in hand.joints:
+        _add(actuator, "position", name=joint.name, joint=joint.name, **motor)
+    return _text(root)
 
 
-def slide_name(part: str) -> str:
-    """Name of the joint along which a part on a screw advances, besides its hinge."""
-    return f"{part}/slide"
+def _add_bodies(root: Element, world: Element, bodies: Sequence[WorldBody]) -> dict[str | None, Element]:
+    """Add bodies, parents first, with constraints for their latches and sensors of where latching joints are."""
+    equality, sensor = _add(root, "equality"), _add(root, "sensor")
+    elements: dict[str | None, Element] = {None: world}
+    for body in bodies:
+        element = elements[body.name] = _add(elements[body.parent], "body", name=body.name, **body.attributes)
+        for joint in body.joints:
+            _add(element, "joint", name=joint.name, **joint.attributes)
+            for number, latch in enumerate(joint.latches):  # inactive until it catches
+                place = {"joint1": joint.name, "polycoef": (latch.position, 0, 0, 0, 0), "active": "false"}
+                _add(equality, "joint", name=latch_name(joint.name, number), **place, **_STIFF)
+            if joint.latches:
+                _add(sensor, "jointpos", name=sensor_name(joint.name), joint=joint.name)
+            if joint.follows:
+                place = {"joint1": joint.name, "joint2": joint.follows, "polycoef": (0, joint.scale, 0, 0, 0)}
+                _add(equality, "joint", **place, **_STIFF)
+        _add_solids(element, body.shapes, body.mass, body.surface)
+    return elements
 
 
-def lever_name(part: str) -> str:
-    """Name of the first of the sensors of a standing part's joint: its anchor; its axis and position follow."""
-    return f"{part}/lever"
+def latch_name(joint: str, number: int) -> str:
+    """Name of the constraint of a joint's latch."""
+    return f"{joint}/latch/{number}"
+
+
+def sensor_name(joint: str) -> str:
+    """Name of the sensor of a latching joint's position."""
+    return f"{joint}/position"
+
+
+def lever_name(joint: str) -> str:
+    """Name of the sensor of a standing body's latching joint that shows its anchor; that of its axis follows."""
+    return f"{joint}/lever"
+
+
+def _add(above: Element, tag: str, **attributes: Any) -> Element:
+    """A new element; attributes are texts, numbers or arrays of numbers."""
+
+    def text(value: Any) -> str:
+        return value if isinstance(value, str) else " ".join(repr(float(number)) for number in np.ravel(value))
+
+    return ElementTree.SubElement(above, tag, {name: text(value) for name, value in attributes.items()})
+
+
+def pose(position: ArrayLike, quaternion: ArrayLike) -> Attributes:
+    """A pose with its quaternion (scalar last) as MJCF has it."""
+    return {"pos": position, "quat": np.roll(quaternion, 1)}
+
+
+def rubbing(meets: Attributes, parameters: PhysicalParameters) -> Attributes:
+    """The surface of what meets others."""
+    return {**meets, **_CONTACT, "friction": (parameters.contact_friction, 0.005, 0.0001)}
 
 
 def _root(name: str) -> Element:
@@ -213,28 +270,11 @@ def _text(root: Element) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _add(above: Element, tag: str, **attributes: Any) -> Element:
-    """A new element; attributes are texts, numbers or arrays of numbers."""
-
-    def text(value: Any) -> str:
-        return value if isinstance(value, str) else " ".join(repr(float(number)) for number in np.ravel(value))
-
-    return ElementTree.SubElement(above, tag, {name: text(value) for name, value in attributes.items()})
-
-
-def _latches(equality: Element, joint: str, positions: Iterable[float]) -> None:
-    """Constraints that lock a joint at a position each; inactive until they catch."""
-    for number, position in enumerate(positions):
-        fixed = {"joint1": joint, "polycoef": (position, 0, 0, 0, 0), "active": "false"}
-        _add(equality, "joint", name=latch_name(joint, number), **fixed, **_STIFF)
-
-
-def _solids(body: Element, shapes: Sequence[Primitive], mass: float, attributes: Attributes) -> None:
-    """The shapes of a body, which share its mass [kg] by volume."""
+def _add_solids(body: Element, shapes: Sequence[Primitive], mass: float, attributes: Attributes) -> None:
     solids = [(shape, *_size_and_volume(shape)) for shape in shapes]
     whole = sum(volume for *_, volume in solids)
     for shape, size, volume in solids:
-        place = _pose(shape.position, shape.quaternion)
+        place = pose(shape.position, shape.quaternion)
         _add(body, "geom", type=shape.kind, size=size, mass=mass * volume / whole, **place, **attributes)
 
 
@@ -251,12 +291,3 @@ def _size_and_volume(shape: Primitive) -> tuple[tuple[float, ...], float]:
     if shape.kind == "sphere":
         return (radius,), 4 / 3 * math.pi * radius**3
     return (radius, shape.size[1] / 2), math.pi * radius**2 * shape.size[1]
-
-
-def _surface(parameters: PhysicalParameters) -> Attributes:
-    return {**_CONTACT, "friction": (parameters.contact_friction, 0.005, 0.0001)}
-
-
-def _pose(position: ArrayLike, quaternion: ArrayLike) -> Attributes:
-    """A pose with its quaternion (scalar last) as MJCF has it."""
-    return {"pos": position, "quat": np.roll(quaternion, 1)}
