@@ -40,7 +40,7 @@ def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
     root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":
         raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
-    checked = check_urdf(root, str(path), str(Path(path).parent), {})
+    checked = check_urdf(root, str(Path(path).parent), {})
     if checked.mimics:
         problem = f"joint {shown(min(checked.mimics))} follows another one"
         raise InputError(problem, source=path, remedy="remove <mimic>")

@@ -76,9 +76,9 @@ def check_robot(description: RobotDescription) -> CheckedRobot:
     root, source = parse_xml(description.text, description.path), description.path
     if root.tag == "robot":
         packages = {name: str(Path(description.root, folder)) for name, folder in description.packages}
-        return check_urdf(root, source, description.folder, packages)
+        return check_urdf(root, description.folder, packages)
     if root.tag == "mujoco":
-        return check_mjcf(root, source, description.folder)
+        return check_mjcf(root, description.folder)
     raise InputError(f"expected <robot> (URDF) or <mujoco> (MJCF), found <{root.tag[:40]}>", source=source)
 
 

@@ -18,12 +18,13 @@ DEEPEST = 200
 
 @dataclass
 class Element:
-    """An element without its text; robot files keep everything in attributes."""
+    """An element without its text; robot files keep everything in attributes. Line and source are for messages."""
 
     tag: str
     attributes: dict[str, str]
     line: int
     children: list[Element] = field(default_factory=list)
+    source: str = ""
 
     def all(self, tag: str) -> list[Element]:
         """The children of a tag."""
@@ -35,15 +36,17 @@ class Element:
 
     def alone(self) -> Element:
         """A copy without the children."""
-        return Element(self.tag, dict(self.attributes), self.line)
+        return Element(self.tag, dict(self.attributes), self.line, source=self.source)
 
     def walk(self) -> Iterator[Element]:
         """This element and all below it, in the order of the file."""
-        waiting = [self]
-        while waiting:
-            element = waiting.pop()
-            yield element
-            waiting.extend(reversed(element.children))
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+    def error(self, problem: str, remedy: str) -> InputError:
+        """The error that something is wrong with this element."""
+        return InputError(problem, source=self.source, where=f"line {self.line}, <{self.tag}>", remedy=remedy)
 
 
 def read_xml(path: str | Path, formats: str) -> str:
@@ -70,61 +73,41 @@ def parse_xml(text: str, source: str) -> Element:
     data = text.encode("utf-8", "surrogatepass")
     if len(data) > LARGEST_XML_BYTES:
         raise InputError(f"expected at most {LARGEST_XML_BYTES // 1024 // 1024} MiB of XML", source=source)
-    builder = _Builder(source)
+    roots: list[Element] = []
+    opened: list[Element] = []
+    count = 0
+    # The text was decoded before; a declaration of another encoding must not have it read again.
+    parser = expat.ParserCreate("utf-8")
+
+    def refused(problem: str) -> InputError:
+        where = f"line {parser.CurrentLineNumber}"
+        return InputError(problem, source=source, where=where, remedy="write the values out")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_ELEMENTS or len(opened) >= DEEPEST:
+            raise refused(f"expected at most {MOST_ELEMENTS} elements, {DEEPEST} levels deep")
+        element = Element(tag, attributes, parser.CurrentLineNumber, source=source)
+        (opened[-1].children if opened else roots).append(element)
+        opened.append(element)
+
+    def doctype(*_: object) -> None:
+        raise refused("document types and entities are not allowed")
+
+    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
+    parser.EndElementHandler = lambda _: opened.pop()
     try:
-        builder.parser.Parse(data, True)
+        parser.Parse(data, True)
     except expat.ExpatError as error:
         said, where = expat.ErrorString(error.code), f"line {error.lineno}"
         raise InputError(f"not valid XML: {said}", source=source, where=where, remedy="correct the syntax") from None
-    if builder.root is None:
+    if not roots:
         raise InputError("not valid XML: it is empty", source=source)
-    return builder.root
+    return roots[0]
 
 
-def write_xml(root: Element) -> str:
+def write_xml(element: Element) -> str:
     """Text of the elements and their attributes."""
-    parts: list[str] = []
-
-    def write(element: Element) -> None:
-        attributes = "".join(f" {name}={quoteattr(value)}" for name, value in element.attributes.items())
-        parts.append(f"<{element.tag}{attributes}>")
-        for child in element.children:
-            write(child)
-        parts.append(f"</{element.tag}>")
-
-    write(root)
-    return "".join(parts)
-
-
-class _Builder:
-    """Collects what the parser reports."""
-
-    def __init__(self, source: str) -> None:
-        self.root: Element | None = None
-        self._source, self._open, self._count = source, list[Element](), 0
-        # The text was decoded before; a declaration of another encoding must not have it read again.
-        self.parser = expat.ParserCreate("utf-8")
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.StartDoctypeDeclHandler = self._doctype
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self._count += 1
-        if self._count > MOST_ELEMENTS or len(self._open) >= DEEPEST:
-            raise self._error(f"expected at most {MOST_ELEMENTS} elements, {DEEPEST} levels deep")
-        element = Element(tag, attributes, self.parser.CurrentLineNumber)
-        if self._open:
-            self._open[-1].children.append(element)
-        else:
-            self.root = element
-        self._open.append(element)
-
-    def _end(self, _: str) -> None:
-        self._open.pop()
-
-    def _doctype(self, *_: object) -> None:
-        raise self._error("document types and entities are not allowed")
-
-    def _error(self, problem: str) -> InputError:
-        where = f"line {self.parser.CurrentLineNumber}"
-        return InputError(problem, source=self._source, where=where, remedy="write the values out")
+    attributes = "".join(f" {name}={quoteattr(value)}" for name, value in element.attributes.items())
+    return f"<{element.tag}{attributes}>{''.join(map(write_xml, element.children))}</{element.tag}>"
