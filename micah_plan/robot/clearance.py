@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.graph import BASE
@@ -58,7 +59,6 @@ class ClearanceModel:
         parts: numbers of geometries by part, and their poses in the part's frame.
         held: parts that move with the tool.
         first, second: (P,) numbers of the geometries of each pair.
-        scratch, results: room for Coal's results, reused with every question.
     """
 
     arm: Arm
@@ -68,32 +68,37 @@ class ClearanceModel:
     held: frozenset[str]
     first: NDArray[np.int64]
     second: NDArray[np.int64]
-    scratch: Any
-    results: tuple[Any, ...]
+
+    @cached_property
+    def _room(self) -> Any:
+        """For Coal's results, reused with every question."""
+        return _room(self.geometry)
+
+    @cached_property
+    def _results(self) -> tuple[Any, ...]:
+        return tuple(self._room.distanceResults[i] for i in range(len(self.names)))
 
     def fresh(self) -> ClearanceModel:
         """The same model without memory: Coal starts from its last answers, which decide the last digits (1e-8 m)."""
-        scratch = _scratch(self.geometry)
-        return replace(self, scratch=scratch, results=_results(scratch))
+        return replace(self)
 
     def distances(self, q: Floats, parts: PartPoses) -> Floats:
         """(P,) distance of every pair [m] at q (n,), with the pose (single) of each part in the base frame."""
-        missing = [name for name in self.parts if name not in parts]
-        if missing:
+        if missing := [name for name in self.parts if name not in parts]:
             raise InputError(f"clearances need the poses of all parts, missing {', '.join(missing)}")
         return self.placed_distances(q, {name: pin.SE3(parts[name].as_matrix()) for name in self.parts})
 
     def placed_distances(self, q: Floats, parts: Mapping[str, Any], pairs: Sequence[int] | None = None) -> Floats:
         """As `distances`, with the poses of the parts as Pinocchio has them; of some pairs only, in their order."""
-        pin.updateGeometryPlacements(self.arm.model, self.arm.data, self.geometry, self.scratch, q)
+        pin.updateGeometryPlacements(self.arm.model, self.arm.data, self.geometry, self._room, q)
         for name, items in self.parts.items():
             for number, placement in items:
-                self.scratch.oMg[number] = parts[name] * placement
+                self._room.oMg[number] = parts[name] * placement
         if pairs is None:
-            pin.computeDistances(self.geometry, self.scratch)
-            found = np.array([result.min_distance for result in self.results])
+            pin.computeDistances(self.geometry, self._room)
+            found = np.array([result.min_distance for result in self._results])
         else:
-            found = np.array([pin.computeDistance(self.geometry, self.scratch, k).min_distance for k in pairs])
+            found = np.array([pin.computeDistance(self.geometry, self._room, k).min_distance for k in pairs])
         # Where the depth cannot be computed the solids do overlap.
         return np.where(np.isfinite(found), found, -_DEPTH_TOLERANCE)
 
@@ -104,51 +109,34 @@ class ClearanceModel:
             parts: pose (single) of each part in the base frame.
             ignored: pairs, as `names` has them, that may meet now.
         """
-        return self.smallest(self.distances(q, parts or {}), ignored)
+        index, distance = self._closest(q, parts or {}, ignored)
+        return Clearance(distance, ("", "") if index is None else self.names[index])
 
-    def smallest(self, distances: Floats, ignored: frozenset[Pair] = frozenset()) -> Clearance:
-        """The smallest of the distances (P,) of all pairs."""
-        counted = self.counted(ignored)
-        if not counted.any():
-            return Clearance(np.inf, ("", ""))
-        index = int(np.flatnonzero(counted)[np.argmin(distances[counted])])
-        return Clearance(float(distances[index]), self.names[index])
+    def counted(self, ignored: frozenset[Pair]) -> NDArray[np.int64]:
+        """Numbers of the pairs that are not among those that may meet."""
+        return np.array([k for k, pair in enumerate(self.names) if pair not in ignored], dtype=np.int64)
 
-    def counted(self, ignored: frozenset[Pair]) -> NDArray[np.bool_]:
-        """(P,) whether a pair is not among those that may meet."""
-        if not ignored:
-            return np.ones(len(self.names), dtype=bool)
-        return np.array([pair not in ignored for pair in self.names], dtype=bool)
-
-    def along(
-        self, q: ArrayLike, parts: PartPoses | None = None, ignored: Sequence[frozenset[Pair]] | None = None
-    ) -> tuple[Clearance, ...]:
-        """The smallest distance at each of the configurations q (k, n).
-
-        Args:
-            parts: (k,) poses of each part in the base frame.
-            ignored: (k,) pairs that may meet there; None: none.
-        """
-        rows = self.arm.checked(q)
-        found = []
-        for i, row in enumerate(rows):
-            poses = {name: pose[i] for name, pose in (parts or {}).items()}
-            found.append(self.at(row, poses, frozenset() if ignored is None else ignored[i]))
-        return tuple(found)
+    def _closest(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[int | None, float]:
+        """Number of the pair with the smallest distance, and that distance [m]."""
+        distances, counted = self.distances(q, parts), self.counted(ignored)
+        if not len(counted):
+            return None, np.inf
+        index = int(counted[np.argmin(distances[counted])])
+        return index, float(distances[index])
 
     def gradient(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[Clearance, Floats]:
         """The smallest distance and its derivative by q (n,): the relative velocity of the nearest points along the
         normal. Parts that are held move with the tool, others stand still."""
-        distances = self.distances(q, parts)
-        closest = self.smallest(distances, ignored)
-        if not np.isfinite(closest.distance):
-            return closest, np.zeros(self.arm.n)
-        index = int(np.argmin(np.where(self.counted(ignored), distances, np.inf)))
-        result = self.results[index]
+        index, distance = self._closest(q, parts, ignored)
+        if index is None:
+            return Clearance(distance, ("", "")), np.zeros(self.arm.n)
+        result = self._results[index]
         pin.computeJointJacobians(self.arm.model, self.arm.data, q)
         ends = (self.first[index], result.getNearestPoint1()), (self.second[index], result.getNearestPoint2())
         velocities = [self._point_jacobian(int(number), np.asarray(point)) for number, point in ends]
-        return closest, np.asarray(np.asarray(result.normal) @ (velocities[1] - velocities[0]))
+        return Clearance(distance, self.names[index]), np.asarray(
+            np.asarray(result.normal) @ (velocities[1] - velocities[0])
+        )
 
     def _point_jacobian(self, geometry: int, point: Floats) -> Floats:
         """(3, n) derivative of a point of a solid by q, the point in the base frame."""
@@ -199,10 +187,7 @@ def clearance_model(
         if not (name == grasped and geometry.geometryObjects[a].parentJoint == arm.tool_joint)
     ]
     pairs += [(a, b) for (name, a), b in product(part_numbers, scene_numbers) if name != BASE]
-    geometry.removeAllCollisionPairs()
-    for a, b in pairs:
-        geometry.addCollisionPair(pin.CollisionPair(a, b))
-    scratch = _scratch(geometry)
+    _set_pairs(geometry, pairs)
     return ClearanceModel(
         arm=arm,
         geometry=geometry,
@@ -211,12 +196,16 @@ def clearance_model(
         held=frozenset(held),
         first=np.array([a for a, _ in pairs], dtype=np.int64),
         second=np.array([b for _, b in pairs], dtype=np.int64),
-        scratch=scratch,
-        results=_results(scratch),
     )
 
 
-def _scratch(geometry: Any) -> Any:
+def _set_pairs(geometry: Any, pairs: Sequence[tuple[int, int]]) -> None:
+    geometry.removeAllCollisionPairs()
+    for a, b in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(a, b))
+
+
+def _room(geometry: Any) -> Any:
     """Room for the results; depths of penetration are computed, too."""
     for item in geometry.geometryObjects:
         item.geometry.computeLocalAABB()
@@ -228,11 +217,6 @@ def _scratch(geometry: Any) -> Any:
         request.gjk_tolerance, request.epa_tolerance = _TOLERANCE, _DEPTH_TOLERANCE
         request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
     return data
-
-
-def _results(scratch: Any) -> tuple[Any, ...]:
-    """The results, which Coal fills anew with every question."""
-    return tuple(scratch.distanceResults[i] for i in range(len(scratch.distanceResults)))
 
 
 def _added(geometry: Any, labels: list[str], name: str, shapes: Sequence[Shape], pose: Any) -> list[tuple[int, Any]]:
@@ -255,21 +239,15 @@ def _arm_pairs(arm: Arm, geometry: Any, links: Sequence[int]) -> list[tuple[int,
         names = sorted((objects[a].name, objects[b].name))
         if first != second and arm.model.parents[second] != first and (names[0], names[1]) not in arm.separate:
             pairs.append((a, b))
-    geometry.removeAllCollisionPairs()
-    for a, b in pairs:
-        geometry.addCollisionPair(pin.CollisionPair(a, b))
-    data = _scratch(geometry)
+    _set_pairs(geometry, pairs)
+    data = _room(geometry)
     met = np.zeros(len(pairs), dtype=np.int64)
     for q in arm.sample(np.random.default_rng(0), _POSTURES):  # fixed: which pairs count is a property of the arm
         pin.computeDistances(arm.model, arm.data, geometry, data, q)
         met += np.array([result.min_distance < 0 for result in data.distanceResults], dtype=bool)
-    near = np.array([_joints_between(arm, objects, pair) <= 2 for pair in pairs], dtype=bool)
+    # The joints that move two solids against each other.
+    chains = [set(map(int, arm.model.supports[objects[number].parentJoint])) for number in links]
+    near = np.array([len(chains[a] ^ chains[b]) <= 2 for a, b in pairs], dtype=bool)
     # Over the two joints between them, the postures are dense: links that never met there are kept apart by design.
     checked = (met < _POSTURES) & ~(near & (met == 0))
     return [pair for pair, counts in zip(pairs, checked, strict=True) if counts]
-
-
-def _joints_between(arm: Arm, objects: Any, pair: tuple[int, int]) -> int:
-    """How many joints move two solids of the arm against each other."""
-    chains = [set(map(int, arm.model.supports[objects[number].parentJoint])) for number in pair]
-    return len(chains[0] ^ chains[1])

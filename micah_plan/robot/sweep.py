@@ -32,12 +32,10 @@ class Swept(NamedTuple):
         clearance: the smallest distance that was met. Where it is above the margin, the whole motion keeps the margin
             within 1 mm; without a margin, nothing is nearer than this less 1 mm or a fifth of it.
         share: where it was met, 0 to 1.
-        evaluations: how many configurations were looked at.
     """
 
     clearance: Clearance
     share: float
-    evaluations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +99,9 @@ def sweep(
         ignored: pairs that may meet.
     """
     path = _Path(model, bound, start, end)
-    evaluations = 0
-    best, best_share = Clearance(np.inf, ("", "")), 0.0
-    waiting = [(0.5, 0.5, np.flatnonzero(model.counted(ignored)))]
-    while waiting and (margin is None or best.distance >= margin):
+    found = Swept(Clearance(np.inf, ("", "")), 0.0)
+    waiting = [(0.5, 0.5, model.counted(ignored))]
+    while waiting and (margin is None or found.clearance.distance >= margin):
         share, half, pairs = waiting.pop(0)
         if not len(pairs):
             break
@@ -113,21 +110,25 @@ def sweep(
         few = len(pairs) < len(model.names) // 3
         distances = model.placed_distances(q, parts, pairs.tolist() if few else None)
         distances = distances if few else distances[pairs]
-        evaluations += 1
         index = int(np.argmin(distances))
-        if distances[index] < best.distance:
-            best, best_share = Clearance(float(distances[index]), model.names[pairs[index]]), share
-        room = _RESOLUTION_M if margin is not None else max(_RESOLUTION_M, _RELATIVE_RESOLUTION * best.distance)
+        if distances[index] < found.clearance.distance:
+            found = Swept(Clearance(float(distances[index]), model.names[pairs[index]]), share)
+        least = found.clearance.distance
+        room = _RESOLUTION_M if margin is not None else max(_RESOLUTION_M, _RELATIVE_RESOLUTION * least)
         moves = path.moves(q, parts, half, pairs)
-        unproven = (moves > room) & (distances - (best.distance - room if margin is None else margin) < moves)
+        unproven = (moves > room) & (distances - (least - room if margin is None else margin) < moves)
         if unproven.any():
             left = pairs[unproven]
             waiting += [(share - half / 2, half / 2, left), (share + half / 2, half / 2, left)]
-    return Swept(best, best_share, evaluations)
+    return found
 
 
 class _Path:
-    """The motion between the two ends; time runs from 0 to 1."""
+    """The motion between the two ends; time runs from 0 to 1.
+
+    A part moves by its own screw, in the tool's or the base frame: a point p under the twist (w, v) has the speed
+    |w x p + v|, and on the way stays within its first distance from the frame's origin plus what it has slid.
+    """
 
     def __init__(
         self, model: ClearanceModel, bound: MotionBound, start: tuple[Floats, PartPoses], end: tuple[Floats, PartPoses]
@@ -136,12 +137,31 @@ class _Path:
         self._q, self._step = start[0], end[0] - start[0]
         tools = [pin.SE3(model.arm.matrix(q)) for q in (start[0], end[0])]
         self._relative: dict[str, tuple[Any, Any]] = {}
-        for name in model.parts:
+        spin, slide, reach, is_held = (np.zeros(len(bound.radii)) for _ in range(4))
+        for name, group in model.parts.items():
             first, last = (pin.SE3(parts[name].as_matrix()) for parts in (start[1], end[1]))
             if name in model.held:
                 first, last = tools[0].actInv(first), tools[1].actInv(last)
-            self._relative[name] = first, pin.log6(last * first.inverse())
-        self._travel, self._bend = self._bounds()
+            screw = pin.log6(last * first.inverse())
+            self._relative[name] = first, screw
+            for number, _ in group:
+                spin[number], slide[number] = np.linalg.norm(screw.angular), np.linalg.norm(screw.linear)
+                reach[number] = np.linalg.norm(first.act(bound.centers[number])) + bound.radii[number] + slide[number]
+                is_held[number] = name in model.held
+        # (g,) bound on the speed of a part's points by its own screw, and by the joints about its distance.
+        self._own = spin * reach + slide
+        steps = np.abs(self._step)
+        turned = float(steps @ bound.turning)
+        carried = turned * reach * is_held
+        # (P,) how far the solids of each pair move against each other at most: a joint that moves both does not count.
+        first_levers, second_levers = bound.levers[model.first], bound.levers[model.second]
+        both = (first_levers > 0) & (second_levers > 0)
+        between = np.where(both, 0.0, first_levers + second_levers) @ steps
+        self._travel = between + (carried + self._own)[model.first] + (carried + self._own)[model.second]
+        # (g,) half the acceleration: the second derivative of a point by joints i and j is at most its lever about the
+        # outer one of them, so all joints give at most the sum of all turns times the sum of turns times levers.
+        coriolis = 2 * np.where(bound.joints > 0, turned, 0.0) * self._own
+        self._bend = (turned * (bound.levers @ steps + carried) + coriolis + spin * self._own) / 2
 
     def at(self, share: float) -> tuple[Floats, dict[str, Any]]:
         """Configuration and poses of the parts at a share of the way."""
@@ -160,57 +180,15 @@ class _Path:
         """(g,) bound on the speed of a geometry's points at q, the joints moving as on the way."""
         arm, bound = self._model.arm, self._bound
         pin.forwardKinematics(arm.model, arm.data, q, self._step)
-        twists = np.array([velocity.vector for velocity in arm.data.v])
         centers = bound.centers.copy()
-        own = np.zeros(len(centers))
         for name, group in self._model.parts.items():
             into = arm.data.oMi[arm.tool_joint].actInv(parts[name]) if name in self._model.held else parts[name]
             for number, _ in group:
                 centers[number] = into.act(bound.centers[number])
-                own[number] = self._own(name, number)
-        velocity = twists[bound.joints]
+        velocity = np.array([velocity.vector for velocity in arm.data.v])[bound.joints]
         at_center = velocity[:, :3] + np.cross(velocity[:, 3:], centers)
         turned = np.linalg.norm(velocity[:, 3:], axis=1) * bound.radii
-        return np.asarray(np.linalg.norm(at_center, axis=1) + turned + own)
-
-    def _own(self, name: str, number: int) -> float:
-        """Bound on the speed of a part's points by its own screw, in the tool's or the base frame.
-
-        A point p under the twist (w, v) has the speed |w x p + v|; on the way p stays within its first distance from
-        the frame's origin plus what it has slid.
-        """
-        screw = self._relative[name][1]
-        slide = float(np.linalg.norm(screw.linear))
-        return float(np.linalg.norm(screw.angular)) * (self._reach(name, number) + slide) + slide
-
-    def _reach(self, name: str, number: int) -> float:
-        """Distance of the farthest of a part's points from the tool's or the base frame's origin, at first [m]."""
-        first = self._relative[name][0]
-        return float(np.linalg.norm(first.act(self._bound.centers[number]))) + float(self._bound.radii[number])
-
-    def _bounds(self) -> tuple[Floats, Floats]:
-        """(P,) how far the solids of each pair move against each other at most, and (g,) half the acceleration.
-
-        The second derivative of a point by joints i and j is at most its lever about the outer one of them, so the
-        acceleration is at most the sum of all turns times the sum of turns times levers.
-        """
-        bound, steps = self._bound, np.abs(self._step)
-        turned = float(steps @ bound.turning)
-        speed, own, spin = bound.levers @ steps, np.zeros(len(bound.radii)), np.zeros(len(bound.radii))
-        extra = np.zeros(len(bound.radii))
-        for name, group in self._model.parts.items():
-            screw = self._relative[name][1]
-            for number, _ in group:
-                own[number], spin[number] = self._own(name, number), float(np.linalg.norm(screw.angular))
-                if name in self._model.held:
-                    extra[number] = turned * (self._reach(name, number) + float(np.linalg.norm(screw.linear)))
-        first, second = self._model.first, self._model.second
-        # A joint that moves both does not move them against each other.
-        both = (bound.levers[first] > 0) & (bound.levers[second] > 0)
-        between = np.where(both, 0.0, bound.levers[first] + bound.levers[second]) @ steps
-        travel = between + (extra + own)[first] + (extra + own)[second]
-        bend = (turned * (speed + extra) + 2 * np.where(bound.joints > 0, turned, 0.0) * own + spin * own) / 2
-        return np.asarray(travel), np.asarray(bend)
+        return np.asarray(np.linalg.norm(at_center, axis=1) + turned + self._own)
 
 
 def _levers(arm: Arm, joint: int, distance: float) -> Floats:

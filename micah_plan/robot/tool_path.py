@@ -8,8 +8,8 @@ will be driven, straight in the joints: limits, jumps, singularities, and cleara
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
 from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
-from micah_plan.robot.sweep import MotionBound, motion_bound, sweep
+from micah_plan.robot.sweep import motion_bound, sweep
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory
 
@@ -141,51 +141,23 @@ def follow(
     found: list[tuple[float, Floats]] = []
     failures: list[ArmFailure] = []
     try:
-        _try_starts(follower, path, found, failures)
+        for way in (path, path.backwards())[: len(path.tool)]:  # a single knot has no other end
+            for tried in follower.tries(way):
+                if not isinstance(tried, ArmFailure):
+                    rows = tried if way is path else tried[::-1]
+                    found.append((follower.cost(path, rows), rows))
+                elif way is path:  # its knots are what a reader counts
+                    failures.append(tried)
+                if len(found) >= follower.settings.enough:
+                    break
+            if found:
+                break
     except TimeLimitError:
         if not found:
             raise
     if found:
         return follower.summary(path, min(found, key=lambda pair: pair[0])[1])
-    return _furthest(failures, len(path.tool) - 1)
-
-
-def _try_starts(
-    follower: _Follower, path: ToolPath, found: list[tuple[float, Floats]], failures: list[ArmFailure]
-) -> None:
-    """Follow the path from its first knot, and only if that fails from its last; add complete ones with their costs."""
-    last = len(path.tool) - 1
-    for way in (path, path.backwards()) if last else (path,):
-        backwards = way is not path
-        starts = follower.starts(way)
-        if isinstance(starts, ArmFailure):
-            failures.append(_renumbered(starts, last, backwards))
-            continue
-        for start in starts:
-            rows = follower.followed(way, start)
-            if isinstance(rows, ArmFailure):
-                failures.append(_renumbered(rows, last, backwards))
-                continue
-            rows = rows[::-1] if backwards else rows
-            found.append((follower.cost(path, rows), rows))
-            if len(found) >= follower.settings.enough:
-                break
-        if found:
-            return
-
-
-def _renumbered(failure: ArmFailure, last: int, backwards: bool) -> ArmFailure:
-    if not backwards:
-        return failure
-    knot = last - failure.knot
-    sentence = failure.sentence.replace(f"at knot {failure.knot}", f"at knot {knot}, coming from the end", 1)
-    return replace(failure, knot=knot, sentence=sentence)
-
-
-def _furthest(failures: Sequence[ArmFailure], last: int) -> ArmFailure:
-    """The failure of the try that came furthest, forwards ones first: their knots are what a reader counts."""
-    forwards = [failure for failure in failures if "coming from the end" not in failure.sentence]
-    return max(forwards, key=lambda failure: failure.knot) if forwards else min(failures, key=lambda f: last - f.knot)
+    return max(failures, key=lambda failure: failure.knot)
 
 
 class _Follower:
@@ -194,47 +166,51 @@ class _Follower:
     def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int, deadline: Deadline) -> None:
         self.model, self.arm, self.settings, self.deadline = model, model.arm, settings, deadline
         self._generator = np.random.default_rng(seed)
-        self._bound: MotionBound = motion_bound(model)
+        self._bound = motion_bound(model)
         lower, upper = self.arm.lower + settings.limit_margin, self.arm.upper - settings.limit_margin
         middle = np.clip(self.arm.rest, self.arm.lower, self.arm.upper)
         self._limits = np.minimum(lower, middle), np.maximum(upper, middle)
         self._least = settings.least_manipulability * float(self.arm.manipulability(self.arm.rest)[0])
 
-    def starts(self, path: ToolPath) -> list[Floats] | ArmFailure:
+    def tries(self, path: ToolPath) -> Iterator[Floats | ArmFailure]:
+        """(K, n) configurations along the path from each of its best starts, or what stands in the way."""
+        starts = self._starts(path)
+        if isinstance(starts, ArmFailure):
+            yield starts
+        else:
+            yield from (self._followed(path, start) for start in starts)
+
+    def _starts(self, path: ToolPath) -> list[Floats] | ArmFailure:
         """Configurations at the first knot, best first."""
         target = path.tool[0].as_matrix()
         seeds = np.vstack([self.arm.rest, self.arm.sample(self._generator, self.settings.starts)])
         found: list[tuple[float, Floats]] = []
-        nearest: Reached | None = None
+        missed: list[Reached] = []
         blocked: list[ArmFailure] = []
         for number, seed in enumerate(seeds):
             self.deadline.check("arm's motion", f"{number} of {len(seeds)} start postures were sought")
             reached = reach_pose(self.arm, target, np.clip(seed, *self._limits), self._limits)
             if not reached.done:
-                nearer = nearest is None or np.linalg.norm(reached.error) < np.linalg.norm(nearest.error)
-                nearest = reached if nearer else nearest
-                continue
-            if any(np.abs(reached.q - q).max() < _SAME_START for _, q in found):
-                continue
-            failure = self._standing(path, 0, reached.q)
-            if failure is not None:
-                blocked.append(failure)
-                continue
-            found.append((self._posture_cost(path, 0, reached.q), reached.q))
+                missed.append(reached)
+            elif all(np.abs(reached.q - q).max() >= _SAME_START for _, q in found):
+                failure = self._standing(path, 0, reached.q)
+                if failure is None:
+                    found.append((self._posture_cost(path, 0, reached.q), reached.q))
+                else:
+                    blocked.append(failure)
         if found:
             return [q for _, q in sorted(found, key=lambda pair: pair[0])[: self.settings.followed]]
         if blocked:
             return min(blocked, key=lambda failure: abs(failure.amount))
-        closest = nearest or Reached(seeds[0], np.full(6, np.inf), np.zeros(self.arm.n, dtype=bool))
-        return self._out_of_reach(0, closest)
+        return self._out_of_reach(0, min(missed, key=lambda reached: float(np.linalg.norm(reached.error))))
 
     def onwards(self, path: ToolPath, near: Floats) -> Floats | ArmFailure:
         """(K, n) configurations along the path from the one at its first knot that is near a posture."""
         reached = reach_pose(self.arm, path.tool[0].as_matrix(), np.clip(near, *self._limits), self._limits)
         failure = self._standing(path, 0, reached.q) if reached.done else self._out_of_reach(0, reached)
-        return failure or self.followed(path, reached.q)
+        return failure or self._followed(path, reached.q)
 
-    def followed(self, path: ToolPath, start: Floats) -> Floats | ArmFailure:
+    def _followed(self, path: ToolPath, start: Floats) -> Floats | ArmFailure:
         """(K, n) configurations along the path from a configuration at its first knot."""
         rows = [start]
         for knot in range(1, len(path.tool)):

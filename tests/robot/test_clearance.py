@@ -65,11 +65,7 @@ def test_the_smallest_distance_names_its_pair_and_can_be_allowed() -> None:
     assert closest.pair == ("stick", "table")
     assert closest.distance == pytest.approx(-0.011, abs=1e-6)
     assert model.at(arm.rest, lowered, frozenset({("stick", "table")})).pair != ("stick", "table")
-    batch = model.along(
-        np.stack([arm.rest, arm.rest]), {"stick": RigidTransform.concatenate([*poses.values(), *lowered.values()])}
-    )
-    assert [found.pair for found in batch] == [model.at(arm.rest, poses).pair, closest.pair]
-    assert [found.distance for found in batch] == pytest.approx([model.at(arm.rest, poses).distance, closest.distance])
+    assert model.at(arm.rest, poses).distance > closest.distance
 
 
 def test_pairs_are_those_that_can_meet_and_should_not() -> None:
