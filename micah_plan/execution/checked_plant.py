@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pkgutil import resolve_name
 from types import TracebackType
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
 
 Floats = NDArray[np.float64]
-T = TypeVar("T")
 
 _METHODS = ("reset", "apply", "close")
 
@@ -48,7 +47,7 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
         raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
-    plant = _called(lambda: maker(problem), maker, f"{getattr(maker, '__name__', 'the plant')}(problem)")
+    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}(problem)", maker, problem)
     check_methods(plant, type(plant).__name__)
     return plant
 
@@ -65,18 +64,17 @@ class CheckedPlant:
     def reset(self, rng: np.random.Generator) -> Measurement:
         """The first measurement of a trial."""
         self._time = -np.inf
-        return self._checked(self._ask("reset", lambda: self._plant.reset(rng)))
+        return self._measured("reset", rng)
 
     def apply(self, command: Command) -> Measurement:
         """The measurement after a control step."""
-        return self._checked(self._ask("apply", lambda: self._plant.apply(command)))
+        return self._measured("apply", command)
 
     def truth(self) -> Truth | None:
         """The true state now; None if the plant is no referee."""
-        plant = self._plant
-        if not isinstance(plant, Referee):
+        if not isinstance(self._plant, Referee):
             return None
-        answer: object = self._ask("truth", plant.truth)
+        answer = self._ask("truth")
         if not isinstance(answer, Truth):
             raise InputError(f"the plant's truth() must give a Truth. Got {type(answer).__name__}")
         return answer
@@ -86,16 +84,17 @@ class CheckedPlant:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         if error is None:
-            self._ask("close", self._plant.close)
+            self._ask("close")
         else:
             with suppress(Exception):  # what went wrong first is what is told
                 self._plant.close()
 
-    def _ask(self, method: str, call: Callable[[], T]) -> T:
-        return _called(call, type(self._plant), f"{type(self._plant).__name__}.{method}")
+    def _ask(self, method: str, *arguments: object) -> object:
+        kind = type(self._plant)
+        return _called(kind, f"{kind.__name__}.{method}", getattr(self._plant, method), *arguments)
 
-    def _checked(self, answer: object) -> Measurement:
-        measurement = checked(answer, self._parts, self._time)
+    def _measured(self, method: str, argument: object) -> Measurement:
+        measurement = checked(self._ask(method, argument), self._parts, self._time)
         self._time = measurement.time
         return measurement
 
@@ -115,11 +114,12 @@ def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Mea
     if not isinstance(answer, Measurement):
         remedy = "return a micah_plan.execution.plant.Measurement from reset and apply"
         raise InputError(f"a plant must answer with a Measurement. Got {type(answer).__name__}", remedy=remedy)
-    rows, time = len(parts), float(_array(answer.time, "time", (), LARGEST["t"]))
+    rows = len(parts)
+    time = float(_array(answer.time, "time", (), "t"))
     if time <= after:
         problem = f"Measurement.time must be later at every step. Got {time:.9g} s after {after:.9g} s"
         raise InputError(problem, remedy="count the seconds since the reset")
-    quaternion = _array(answer.quaternion, "quaternion", (rows, 4), LARGEST["qx"])
+    quaternion = _array(answer.quaternion, "quaternion", (rows, 4), "qx")
     norms = np.linalg.norm(quaternion, axis=1)
     off = np.abs(norms - 1.0)
     if off.max(initial=0.0) > NORM_TOLERANCE:
@@ -129,16 +129,16 @@ def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Mea
         raise InputError(problem, remedy="give the measured orientation, scalar last")
     return Measurement(
         time=time,
-        position=_array(answer.position, "position", (rows, 3), LARGEST["x"]),
+        position=_array(answer.position, "position", (rows, 3), "x"),
         quaternion=quaternion,
-        force=None if answer.force is None else _array(answer.force, "force", (rows, 3), LARGEST["fx"]),
-        joints=None if answer.joints is None else _array(answer.joints, "joints", None, LARGEST["x"]),
+        force=None if answer.force is None else _array(answer.force, "force", (rows, 3), "fx"),
+        joints=None if answer.joints is None else _array(answer.joints, "joints", None, "x"),
     )
 
 
-def _array(value: object, name: str, shape: tuple[int, ...] | None, largest: float) -> Floats:
-    """A copy of finite numbers of that shape; None: of any number of joints."""
-    expected = "(J,)" if shape is None else str(shape)
+def _array(value: object, name: str, shape: tuple[int, ...] | None, column: str) -> Floats:
+    """A copy of finite numbers of that shape (None: one row), no larger than those of a column of recordings."""
+    expected, largest = "(J,)" if shape is None else str(shape), LARGEST[column]
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -146,10 +146,11 @@ def _array(value: object, name: str, shape: tuple[int, ...] | None, largest: flo
     if array.ndim != 1 if shape is None else array.shape != shape:
         remedy = "give one row per part, in the order of the automaton's links" if shape else None
         raise InputError(f"Measurement.{name} must have shape {expected}. Got {array.shape}", remedy=remedy)
-    if not (np.abs(array) <= largest).all():  # false for NaN
-        wrong = float(array[~(np.abs(array) <= largest)].flat[0])
+    wrong = array[~(np.abs(array) <= largest)]  # NaN is not
+    if wrong.size:
         remedy = "wait for a measurement, or raise PlantError if there is none"
-        raise InputError(f"Measurement.{name} must be finite and at most {largest:g}. Got {wrong:g}", remedy=remedy)
+        problem = f"Measurement.{name} must be finite and at most {largest:g}. Got {float(wrong.flat[0]):g}"
+        raise InputError(problem, remedy=remedy)
     array.setflags(write=False)
     return array
 
@@ -170,10 +171,10 @@ def fault(error: BaseException, file: str | None, what: str) -> InputError:
     return InputError(f"{what} raised {said}", source=file, where=None if line is None else f"line {line}")
 
 
-def _called(call: Callable[[], T], culprit: object, what: str) -> T:
+def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:
     """What a call gives; an exception from code that is not the package's becomes one line about that code."""
     try:
-        return call()
+        return call(*arguments)
     except MicahError:
         raise
     except (Exception, SystemExit) as error:

@@ -6,7 +6,7 @@ share one batched step of the filter: what they need of each other is nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,18 +152,17 @@ class Episode:
         self._beliefs.append(belief)
         self._truth = truth
         self._confidence = lasting_probability(self.automaton, self._problem.goal, belief)
-        plain, mode = self._problem.automaton, belief.most_likely
-        true = None if truth is None else true_state(plain, truth)
-        true_x = None if true is None else true[1]
+        plain, likely = self._problem.automaton, belief.most_likely
+        mode, x = self._state(belief)
         if self._commanded is not None:
-            arrived = plain.mode_index(true[0]) if true is not None else mode
-            x = belief.means[mode, : plain.n] if true_x is None else true_x
-            self._path.add(np.array([arrived]), x[None], self._commanded[None], belief.factors[[mode]])
+            arrived = plain.mode_index(mode) if mode in plain.mode_names else likely
+            self._path.add(np.array([arrived]), x[None], self._commanded[None], belief.factors[[likely]])
+        true_x = None if truth is None else x
         if self._has_ended(belief):
             self._log.add(measurement, belief, true_x, None)
             return None
         u = self._commanded = self._pilot.input(belief, measurement.joints)
-        order = command(plain, plain.modes[mode].name, belief.means[mode, : plain.n], u)
+        order = command(plain, plain.modes[likely].name, belief.means[likely, : plain.n], u)
         self._log.add(measurement, belief, true_x, order.origin)
         return replace(order, posture=self._pilot.posture)
 
@@ -173,25 +172,22 @@ class Episode:
         Args:
             failure: what the machine failed with after the last command; empty if it did not.
         """
-        problem, pilot, belief = self._problem, self._pilot, self._beliefs[-1]
-        goal, mode, x = problem.goal, problem.automaton.modes[belief.most_likely].name, belief.means[belief.most_likely]
-        x = x[: problem.automaton.n]
-        reached, incident = self._is_confident, ""
-        if self._truth is not None:
-            mode, x = true_state(problem.automaton, self._truth)
-            reached, incident = goal.contains(mode, x), self._truth.incident
-        reached = reached and not self._path.is_broken.any()
+        goal, pilot, truth = self._problem.goal, self._pilot, self._truth
+        mode, x = self._state(self._beliefs[-1])
+        # A mode that the model does not have is a collision.
+        in_goal = goal.contains(mode, x) and mode in self._problem.automaton.mode_names
+        reached = (self._is_confident if truth is None else in_goal) and not self._path.is_broken.any()
+        reason = self._ending()
         if failure:
             reason = f"the machine failed in step {len(self._beliefs)}: {failure}"
-        elif reached:
-            reason = self._ending()
-        else:
-            misses = [incident, *self._misses(mode, x)] if incident else self._misses(mode, x)
-            reason = f"{self._ending()}, but {' and '.join(misses)}" if misses else self._ending()
+        elif not reached:
+            incident = [truth.incident] if truth is not None and truth.incident else []
+            misses = [*incident, *self._misses(mode, x)]
+            reason += f", but {' and '.join(misses)}" if misses else ""
         return TrialResult(
             recording=self._log.recording(self._run),
             success=reached and not failure,
-            believed=self._truth is None,
+            believed=truth is None,
             reason=reason,
             final_error=goal.error(x),
             final_mode=mode,
@@ -203,6 +199,13 @@ class Episode:
             refusals=tuple(pilot.refusals),
             beliefs=tuple(self._beliefs),
         )
+
+    def _state(self, belief: HybridBelief) -> tuple[str, Floats]:
+        """Mode and x (n,) in the model's terms: the true ones or, where nobody knows them, the believed ones."""
+        plain, likely = self._problem.automaton, belief.most_likely
+        if self._truth is not None:
+            return true_state(plain, self._truth)
+        return plain.modes[likely].name, belief.means[likely, : plain.n]
 
     @property
     def _is_confident(self) -> bool:
@@ -281,34 +284,26 @@ def execute_abreast(
     while beliefs:
         orders: dict[int, Command] = {}
         readings = {i: episodes[i].reading(belief, seen[i]) for i, belief in beliefs.items()}
-        for rows in _alike(readings):
+        alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
+        for i, reading in readings.items():
+            alike.setdefault(np.isnan(reading).tobytes(), []).append(i)
+        for rows in alike.values():
             z = np.array([readings[i] for i in rows])
             updated = update_each(automaton, [beliefs[i] for i in rows], z)
             beliefs.update(zip(rows, updated, strict=True))
         for i, belief in list(beliefs.items()):
             order, failed = episodes[i].decide(belief, seen[i], machines[i].truth()), ""
-            try:
-                seen[i] = seen[i] if order is None else machines[i].apply(order)
-            except PlantError as failure:
-                order, failed = None, str(failure)
             if order is not None:
-                orders[i] = order
-                continue
+                try:
+                    seen[i] = machines[i].apply(order)
+                    orders[i] = order
+                    continue
+                except PlantError as failure:
+                    failed = str(failure)
             results[i] = episodes[i].result(failed)
             if ended is not None:
                 ended(results[i])
-        if orders:
-            inputs = np.array([order.input for order in orders.values()])
-            after = predict_each(automaton, [beliefs[i] for i in orders], inputs)
-            beliefs = dict(zip(orders, after, strict=True))
-        else:
-            beliefs = {}
+        inputs = np.array([order.input for order in orders.values()])
+        after = predict_each(automaton, [beliefs[i] for i in orders], inputs) if orders else []
+        beliefs = dict(zip(orders, after, strict=True))
     return [results[number] for number in range(len(episodes))]
-
-
-def _alike(readings: Mapping[int, Floats]) -> list[list[int]]:
-    """Numbers of the readings in groups that show the same coordinates."""
-    groups: dict[bytes, list[int]] = {}
-    for number, reading in readings.items():
-        groups.setdefault(np.isnan(reading).tobytes(), []).append(number)
-    return list(groups.values())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +20,18 @@ Floats = NDArray[np.float64]
 ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sample:
-    """One time: what was measured, believed and true, and the action (l, 3) [m] then commanded (NaN: none)."""
-
-    measurement: Measurement
-    belief: HybridBelief
-    true_x: Floats | None
-    action: Floats
-
-
-@dataclass(eq=False)
 class RunLog:
     """Collects the samples of one run of an automaton's object."""
 
-    automaton: HybridAutomaton
-    _samples: list[_Sample] = field(default_factory=list)
+    def __init__(self, automaton: HybridAutomaton) -> None:
+        self._automaton = automaton
+        self._measurements: list[Measurement] = []
+        self._beliefs: list[HybridBelief] = []
+        self._true: list[Floats] = []
+        self._actions: list[Floats] = []
 
     def __len__(self) -> int:
-        return len(self._samples)
+        return len(self._beliefs)
 
     def add(self, measurement: Measurement, belief: HybridBelief, true_x: Floats | None, action: Floats | None) -> None:
         """A sample.
@@ -47,8 +41,10 @@ class RunLog:
             true_x: (n,) [rad or m]; None in every sample of a run: nobody knows.
             action: (l, 3) [m]; None in the run's last sample.
         """
-        empty = np.full((len(self.automaton.links), 3), np.nan)
-        self._samples.append(_Sample(measurement, belief, true_x, empty if action is None else action))
+        self._measurements.append(measurement)
+        self._beliefs.append(belief)
+        self._true += [] if true_x is None else [true_x]
+        self._actions.append(np.full((len(self._automaton.links), 3), np.nan) if action is None else action)
 
     def recording(self, run: int) -> Recording:
         """The run so far as a Recording, times outermost, one row per part.
@@ -57,23 +53,22 @@ class RunLog:
         that mode) and, if it is known, ``true_c`` [rad or m], and ``estimate_x`` to ``estimate_qw``, the part's pose at
         that mean in the base frame [m].
         """
-        parts = tuple(link.child for link in self.automaton.links)
-        rows = len(self._samples) * len(parts)
+        parts = tuple(link.child for link in self._automaton.links)
+        rows = len(self) * len(parts)
 
         def per_part(values: Sequence[Floats]) -> Floats:
             return np.asarray(values).reshape(rows, -1)
 
-        measurements = [sample.measurement for sample in self._samples]
-        forces = [m.force for m in measurements if m.force is not None]
+        forces = [m.force for m in self._measurements if m.force is not None]
         times = {name: tuple(v for v in values for _ in parts) for name, values in self._belief_columns().items()}
         return Recording(
-            time=np.repeat([m.time for m in measurements], len(parts)),
-            position=per_part([m.position for m in measurements]),
-            quaternion=per_part([m.quaternion for m in measurements]),
-            action=per_part([sample.action for sample in self._samples]),
-            force=per_part(forces) if len(forces) == len(measurements) else None,
+            time=np.repeat([m.time for m in self._measurements], len(parts)),
+            position=per_part([m.position for m in self._measurements]),
+            quaternion=per_part([m.quaternion for m in self._measurements]),
+            action=per_part(self._actions),
+            force=per_part(forces) if len(forces) == len(self) else None,
             run=np.full(rows, run),
-            part=parts * len(self._samples),
+            part=parts * len(self),
             has_run=True,
             has_part=parts != (DEFAULT_PART,),
             extra=times | self._estimate_columns(),
@@ -81,50 +76,37 @@ class RunLog:
 
     def _belief_columns(self) -> dict[str, list[str]]:
         """One text per sample."""
-        modes = self.automaton.mode_names
-        columns: dict[str, list[str]] = {"mode": [modes[sample.belief.most_likely] for sample in self._samples]}
-        for index, coordinate in enumerate(self.automaton.coordinates):
-            beliefs = [(sample.belief, sample.belief.most_likely) for sample in self._samples]
-            columns[f"belief_{coordinate.name}"] = [_text(b.means[q, index]) for b, q in beliefs]
-            deviations = [float(np.linalg.norm(b.factors[q, index])) for b, q in beliefs]
-            columns[f"belief_std_{coordinate.name}"] = [_text(value) for value in deviations]
-            true = [_text(sample.true_x[index]) for sample in self._samples if sample.true_x is not None]
-            if len(true) == len(self._samples):
-                columns[f"true_{coordinate.name}"] = true
+        likely = [(belief, belief.most_likely) for belief in self._beliefs]
+        columns = {"mode": [self._automaton.mode_names[q] for _, q in likely]}
+        for index, name in enumerate(coordinate.name for coordinate in self._automaton.coordinates):
+            columns[f"belief_{name}"] = _texts(b.means[q, index] for b, q in likely)
+            columns[f"belief_std_{name}"] = _texts(float(np.linalg.norm(b.factors[q, index])) for b, q in likely)
+            if len(self._true) == len(self):
+                columns[f"true_{name}"] = _texts(x[index] for x in self._true)
         return columns
 
     def _estimate_columns(self) -> dict[str, tuple[str, ...]]:
         """One text per sample and part."""
-        automaton, modes = self.automaton, self.automaton.mode_names
-        poses = []
-        for belief in (sample.belief for sample in self._samples):
+        automaton, poses = self._automaton, []
+        for belief in self._beliefs:
             number = belief.most_likely
-            poses.append(chain(automaton, moving_joints(automaton, modes[number]), belief.means[number]))
+            joints = moving_joints(automaton, automaton.mode_names[number])
+            poses.append(chain(automaton, joints, belief.means[number]))
         columns = np.hstack(components(np.concatenate(poses))).T
-        return {name: tuple(map(_text, column)) for name, column in zip(ESTIMATE, columns, strict=True)}
+        return {name: tuple(_texts(column)) for name, column in zip(ESTIMATE, columns, strict=True)}
 
 
 def concatenated(recordings: Sequence[Recording]) -> Recording:
     """Several recordings with the same columns, one after the other."""
     first = recordings[0]
-
-    def stack(name: str) -> Floats | None:
+    stacked: dict[str, Any] = {}
+    for name in ("time", "position", "quaternion", "action", "force", "run"):
         values = [getattr(recording, name) for recording in recordings]
-        return None if any(value is None for value in values) else np.concatenate(values)
-
-    return Recording(
-        time=np.concatenate([recording.time for recording in recordings]),
-        position=np.concatenate([recording.position for recording in recordings]),
-        quaternion=stack("quaternion"),
-        action=stack("action"),
-        force=stack("force"),
-        run=np.concatenate([recording.run for recording in recordings]),
-        part=tuple(name for recording in recordings for name in recording.part),
-        has_run=first.has_run,
-        has_part=first.has_part,
-        extra={name: tuple(v for recording in recordings for v in recording.extra[name]) for name in first.extra},
-    )
+        stacked[name] = None if any(value is None for value in values) else np.concatenate(values)
+    part = tuple(name for recording in recordings for name in recording.part)
+    extra = {name: tuple(v for recording in recordings for v in recording.extra[name]) for name in first.extra}
+    return replace(first, part=part, extra=extra, **stacked)
 
 
-def _text(value: float) -> str:
-    return f"{float(value):.9g}"
+def _texts(values: Iterable[float]) -> list[str]:
+    return [f"{float(value):.9g}" for value in values]

@@ -1,16 +1,21 @@
-"""Deciding the input of each step: a plan is followed, and another asked for when it no longer serves."""
+"""Deciding the input of each step: `PlanFollower` follows a plan, `Pilot` asks for another when it no longer serves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
+from micah_plan.automaton.input_memory import own_size
+from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.follower import Advice, PlanFollower
+from micah_plan.planning.feedback import feedback_input
+from micah_plan.planning.input_memory import coasted
+from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
 
@@ -18,6 +23,7 @@ if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
 
 Floats = NDArray[np.float64]
+Fit = Literal["on_plan", "strayed", "lagging", "finished", "off_plan"]
 Replan = Callable[[HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 AskArm = Callable[[Trajectory, Floats | None], "ArmTrajectory | ArmFailure"]
@@ -25,6 +31,129 @@ AskArm = Callable[[Trajectory, Floats | None], "ArmTrajectory | ArmFailure"]
 MOST_REPLANS = 5
 # Steps that a late transition or a belief held at the last knot may take before a new plan is asked for.
 _PATIENCE = 3
+# A belief further from its knot than this happens once in 100,000 steps if the model is right (4.4 sigma in 1-D).
+_OFF_PLAN_PROBABILITY = 1e-5
+_NO_MOTION = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """What the plan says now.
+
+    Attributes:
+        u: (m,) the input to apply, within the limits.
+        fit: ``"on_plan"``; ``"strayed"``: in the planned mode, but far from the knot; ``"lagging"``: a planned
+            transition was missed, u works towards it; ``"finished"``: the last knot was reached, u holds it;
+            ``"off_plan"``: the plan does not lead through this mode.
+    """
+
+    u: Floats
+    fit: Fit
+
+
+class PlanFollower:
+    """Walks along one trajectory, a knot per call, as the roll-outs of its verification do.
+
+    A belief in another mode than the knot's may still be on its way: transitions come a little earlier or later than
+    planned, and that a plan passes a guard by more than once is what makes them sure. So the plan goes on as long as
+    its rest takes the estimate to the goal; where it does not, the last transition is worked towards again.
+    """
+
+    def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
+        self._problem, self._automaton = problem, problem.automaton
+        self._trajectory = trajectory
+        self._max_step = limits_of(problem).max_step
+        self._size = own_size(problem.automaton)
+        self._knot = 0
+
+    def advise(self, belief: HybridBelief) -> Advice:
+        """The input for the belief, and how well plan and belief agree. Advances along the plan."""
+        plan = self._trajectory
+        number = belief.most_likely
+        mode, estimate = self._automaton.modes[number].name, belief.means[number]
+        self._skip_transitions()
+        knot, agrees = self._knot, mode == plan.modes[self._knot]
+        if knot == len(plan.inputs):
+            if agrees:
+                return Advice(self._settle(belief, knot), "finished")
+        elif agrees or self._still_arrives(mode, estimate):
+            self._knot += 1
+            strayed = agrees and self._strayed(belief, knot)
+            return Advice(self._planned(mode, estimate, knot), "strayed" if strayed else "on_plan")
+        earlier = [k for k in range(knot) if plan.modes[k] == mode]
+        if earlier:
+            return Advice(self._towards(mode, estimate, earlier[-1]), "lagging")
+        return Advice(self._towards(mode, estimate, knot), "off_plan")
+
+    @property
+    def place(self) -> tuple[Trajectory, int]:
+        """The trajectory, and the knot that the next input belongs to."""
+        return self._trajectory, self._knot
+
+    def is_finished(self, belief: HybridBelief) -> bool:
+        """Whether the plan has no further steps for this belief."""
+        mode = self._automaton.modes[belief.most_likely].name
+        self._skip_transitions()
+        return self._knot == len(self._trajectory.inputs) and mode == self._trajectory.modes[-1]
+
+    def _skip_transitions(self) -> None:
+        """Move on to the knot that the next input belongs to."""
+        while self._knot < len(self._trajectory.inputs) and self._trajectory.is_transition[self._knot]:
+            self._knot += 1
+
+    def _still_arrives(self, mode: str, estimate: Floats) -> bool:
+        """Whether the rest of the plan, with its feedback and without noise, takes a state to the goal."""
+        plan, x = self._trajectory, estimate
+        for knot in range(self._knot, len(plan.inputs)):
+            if not plan.is_transition[knot]:
+                after = step(self._automaton, mode, x, self._planned(mode, x, knot), np.zeros_like(x))
+                mode, x = after.mode, after.x
+        return self._problem.goal.contains(mode, x)
+
+    def _planned(self, mode: str, estimate: Floats, knot: int) -> Floats:
+        return self._limited(mode, estimate, feedback_input(self._trajectory, knot, estimate))
+
+    def _strayed(self, belief: HybridBelief, knot: int) -> bool:
+        """Whether the estimate is further from the knot than plan and belief together allow (Mahalanobis distance)."""
+        number = belief.most_likely
+        n = self._size  # a memory of inputs is known exactly
+        away = belief.means[number][:n] - self._trajectory.means[knot][:n]
+        planned, actual = self._trajectory.factors[knot][:n, :n], belief.factors[number][:n, :n]
+        measured = np.square(self._automaton.sensing(self._automaton.modes[number]).std_at(belief.means[number]))[:n]
+        covariance = planned @ planned.T + actual @ actual.T + np.diag(np.where(np.isfinite(measured), measured, 0.0))
+        distance = float(away @ np.linalg.pinv(covariance) @ away)
+        return distance > float(chi2.isf(_OFF_PLAN_PROBABILITY, away.size))
+
+    def _settle(self, belief: HybridBelief, knot: int) -> Floats:
+        """The input at the end of the plan: repeat the last transition as long as it may not have happened, or hold.
+
+        A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is. Where the
+        press would move what reached its goal, it is not repeated.
+        """
+        plan, number = self._trajectory, belief.most_likely
+        mode, estimate = self._automaton.modes[number].name, belief.means[number]
+        others = [q for q in np.argsort(-belief.weights, kind="stable") if q != number and belief.weights[q] > 0]
+        for doubted in others[:1]:
+            other = self._automaton.modes[doubted].name
+            earlier = [k for k in range(knot) if plan.modes[k] == other]
+            if earlier:
+                again = self._towards(other, belief.means[doubted], earlier[-1])
+                after = step(self._automaton, mode, estimate, again, np.zeros_like(estimate))
+                moved = np.abs(after.x - estimate)[: self._size].max(initial=0.0)
+                if after.mode == mode and moved <= _NO_MOTION:
+                    return again
+        return self._towards(mode, estimate, knot)
+
+    def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
+        """The smallest input that brings what the mode moves closest to a knot; what it holds is not pulled at."""
+        effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
+        ahead = coasted(self._automaton, mode, estimate)  # what is on its way need not be commanded again
+        away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
+        u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
+        return self._limited(mode, estimate, np.asarray(u, dtype=float))
+
+    def _limited(self, mode: str, estimate: Floats, u: Floats) -> Floats:
+        return limited_input(self._automaton.mode(mode), estimate, u, self._max_step)
 
 
 @dataclass(frozen=True)
@@ -45,7 +174,13 @@ class Replanning:
 
 
 class Pilot:
-    """Decides the input of each step: follows the plan, and asks for another when the plan no longer serves."""
+    """Decides the input of each step.
+
+    Attributes:
+        replans, continuations: how many new plans, and optimised rests of plans, are and were followed.
+        refusals: why others were not.
+        is_lost: whether the belief has left the plan for good: none of the new plans asked for leads on.
+    """
 
     def __init__(
         self,
@@ -55,22 +190,12 @@ class Pilot:
         replanning: Replanning | None = None,
     ) -> None:
         """Args: as of `closed_loop.Episode`, the problem with the memory of its inputs."""
-        replanning = replanning or Replanning()
-        self._problem = problem
-        self._arm = arm
-        self._ask_arm = replanning.ask_arm
-        self._replan = replanning.replan
-        self._continue_plan = replanning.continue_plan
-        self._every = problem.settings.replan_every
-        self._followed = 0
-        self._waited = 0
-        self._asked = 0
-        self.replans = 0
-        self.continuations = 0
+        self._problem, self._arm, self._replanning = problem, arm, replanning or Replanning()
+        self._follower = PlanFollower(problem, trajectory)
+        self._followed = self._waited = self._asked = 0
+        self.replans = self.continuations = 0
         self.refusals: list[str] = []
         self.is_lost = False
-        """Whether the belief has left the plan for good: none of the new plans asked for leads on."""
-        self._follower = PlanFollower(self._problem, trajectory)
 
     def is_finished(self, belief: HybridBelief) -> bool:
         """Whether the plan that is followed has no further steps for this belief."""
@@ -85,16 +210,17 @@ class Pilot:
         """(m,) the input to apply now; joints (J,): where the arm is, None: as planned."""
         self._look_ahead(belief, joints)
         self._followed += 1
-        advice = self._follower.advise(belief)
+        advice, replan = self._follower.advise(belief), self._replanning.replan
         self._waited = 0 if advice.fit == "on_plan" else self._waited + 1
-        if not self._wants_replan(advice) or self._replan is None:
+        serves = advice.fit not in ("strayed", "off_plan") and self._waited <= _PATIENCE
+        if serves or replan is None:
             return advice.u
         if self._asked == MOST_REPLANS:
             self.is_lost = advice.fit in ("lagging", "off_plan")
             return advice.u
         self._asked += 1
         self._waited = 0
-        fresh = self._replan(belief, self._follower.place)
+        fresh = replan(belief, self._follower.place)
         if fresh is None or not self._follow(fresh, joints):
             return advice.u
         self.replans += 1
@@ -102,8 +228,8 @@ class Pilot:
 
     def _follow(self, trajectory: Trajectory, joints: Floats | None) -> bool:
         """Whether a new trajectory is followed from now on: not if the arm cannot."""
-        if self._ask_arm is not None:
-            answer = self._ask_arm(trajectory, self.posture if joints is None else joints)
+        if self._replanning.ask_arm is not None:
+            answer = self._replanning.ask_arm(trajectory, self.posture if joints is None else joints)
             if not isinstance(answer, ArmTrajectory):
                 self.refusals.append(f"the arm cannot follow: {answer.sentence}")
                 return False
@@ -114,13 +240,10 @@ class Pilot:
 
     def _look_ahead(self, belief: HybridBelief, joints: Floats | None) -> None:
         """Where it is time to, optimise the rest of the plan from the belief."""
-        due = self._continue_plan is not None and 0 < self._every <= self._followed
-        if self._continue_plan is None or not due or self._follower.is_finished(belief):
+        continue_plan, due = self._replanning.continue_plan, 0 < self._problem.settings.replan_every <= self._followed
+        if continue_plan is None or not due or self._follower.is_finished(belief):
             return
-        fresh = self._continue_plan(belief, *self._follower.place)
+        fresh = continue_plan(belief, *self._follower.place)
         self._followed = 0
         if fresh is not None and self._follow(fresh, joints):
             self.continuations += 1
-
-    def _wants_replan(self, advice: Advice) -> bool:
-        return advice.fit in ("strayed", "off_plan") or self._waited > _PATIENCE

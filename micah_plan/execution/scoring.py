@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.contacts.values import COLLIDED
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Truth
 from micah_plan.execution.pose import configuration
@@ -50,19 +51,20 @@ def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
     """The truth in the terms of the executing side's model: its mode and x (n,).
 
     A plant may be another model or physics. Then x follows from the true poses by the model's inverse kinematics, and
-    the mode is the one that pins what is latched, with the largest margin inside its invariant among those.
+    the mode is the one that pins what is latched, with the largest margin inside its invariant among those. A collision
+    stays one, though the model may have no mode for it.
     """
-    if truth.mode is not None and truth.mode in automaton.mode_names:
-        return truth.mode, truth.x
+    if truth.mode in automaton.mode_names:
+        return str(truth.mode), truth.x
     still = np.zeros(automaton.m)
     x = configuration(automaton, automaton.modes[0].name, truth.position, truth.quaternion, truth.x)
     x = np.where(np.isnan(x), truth.x, x)
+    if truth.mode == COLLIDED:
+        return COLLIDED, x
 
-    def fit(number: int) -> tuple[int, float, float]:
-        mode = automaton.modes[number]
+    def fit(mode: Mode) -> tuple[int, float, float]:
         distance = sum(abs(pin.value - float(x[pin.coordinate])) for pin in mode.pins)
         margin = float(mode.invariant.margins(x, still).min(initial=0.0))
         return -int((mode.free == truth.held).sum()), -distance, margin
 
-    best = max(range(len(automaton.modes)), key=fit)
-    return automaton.modes[best].name, x
+    return max(automaton.modes, key=fit).name, x

@@ -109,7 +109,13 @@ def run_trials(
 
     make = partial(Episode, problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps)
     abreast = min(trials, _ABREAST) if isinstance(plant, str) and plant in BUILT_IN and BUILT_IN[plant].abreast else 1
-    results, report = list[TrialResult](), _Report(trials, progress)
+    results, ended = list[TrialResult](), list[bool]()
+
+    def report(result: TrialResult) -> None:
+        ended.append(result.success)
+        if progress is not None:
+            progress(f"trial {len(ended)} of {trials}: {sum(ended)} successful", len(ended) / trials)
+
     with ExitStack() as opened:
         machines = [opened.enter_context(_opened(problem, plant)) for _ in range(abreast)]
         for first in range(0, trials, abreast):
@@ -123,21 +129,6 @@ def run_trials(
                     if keep is not None and log is not None:
                         keep(log)
     return summarise(results)
-
-
-class _Report:
-    """Tells the progress whenever a trial ends."""
-
-    def __init__(self, trials: int, progress: Progress | None) -> None:
-        self._trials, self._progress = trials, progress
-        self._ended = self._successes = 0
-
-    def __call__(self, result: TrialResult) -> None:
-        self._ended += 1
-        self._successes += result.success
-        if self._progress is not None:
-            text = f"trial {self._ended} of {self._trials}: {self._successes} successful"
-            self._progress(text, self._ended / self._trials)
 
 
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:

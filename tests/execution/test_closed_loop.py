@@ -11,8 +11,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.closed_loop import Episode, execute
-from micah_plan.execution.follower import PlanFollower
-from micah_plan.execution.pilot import Replanning
+from micah_plan.execution.pilot import PlanFollower, Replanning
 from micah_plan.recording.csv_file import read_csv, write_csv
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.task.goal import Goal

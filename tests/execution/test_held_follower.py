@@ -8,7 +8,7 @@ import numpy as np
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.follower import PlanFollower
+from micah_plan.execution.pilot import PlanFollower
 from micah_plan.task.plan import Trajectory
 
 PROBLEM = load_problem(Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml")
