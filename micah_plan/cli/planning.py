@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -179,7 +181,7 @@ def execute(
     logs: list[Recording] = []
     begin = time.perf_counter()
     try:
-        with progress_bar(as_json) as progress:
+        with _terminated_as_interrupted(), progress_bar(as_json) as progress:
             run = partial(workflow.execute, stored.problem, stored.plan, plant=machine, trials=trials, seed=seed)
             statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
     except BaseException as error:
@@ -223,6 +225,16 @@ def _print_executed(summary: dict[str, Any], unit: str, files: tuple[Path | None
     for failure in summary["failures"]:
         out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
     print_files(files)
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """A block that SIGTERM ends as Ctrl-C does: plants are closed and logs are written."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:

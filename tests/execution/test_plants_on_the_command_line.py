@@ -15,6 +15,8 @@ from micah_plan.task.plants import BUILT_IN
 
 OWN = """
 from __future__ import annotations
+import os
+import signal
 import sys
 from dataclasses import dataclass
 from beside import MISTAKE_AT
@@ -49,6 +51,10 @@ class Slips(Own):
 class Stopped(Own):
     def mistake(self):
         raise KeyboardInterrupt
+
+class Terminated(Own):
+    def mistake(self):
+        os.kill(os.getpid(), signal.SIGTERM)
 
 class Dead(Own):
     def reset(self, rng):
@@ -144,10 +150,13 @@ def test_a_plant_that_a_package_registered_is_known_by_its_name(run, place):
         ("own.py:Broken", 2, ["own.py, line ", "Broken.apply raised ValueError: no such register; what was"], 3),
         ("own.py:Dead", 1, ["error: the protective stop is pressed; what was logged until then is in "], 14),
         ("own.py:Stopped", 130, ["error: interrupted; what was logged until then is in "], 3),
+        ("own.py:Terminated", 130, ["error: interrupted; what was logged until then is in "], 3),
     ],
 )
 def test_what_breaks_an_execution_off_is_one_line_and_the_log_is_kept(run, tmp_path, plant, code, said, rows):
-    line = told(run(plant, "--trials", "3"), code)
+    done = run(plant, "--trials", "3")
+    line = told(done, code)
+    assert done.stderr.startswith("closed\n")
     for words in said:
         assert words in line
     assert str(tmp_path / "runs.csv") in line

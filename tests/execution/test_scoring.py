@@ -1,15 +1,19 @@
 """Goal probabilities against sampling, and the truth in the model's terms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from execution_objects import SHUT, arm, door
+from execution_objects import SHUT, arm, closing, door
 
 from micah_plan.belief.filter import initial_belief
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.closed_loop import Episode
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Truth
 from micah_plan.execution.scoring import goal_probability, true_state
 from micah_plan.task.goal import Goal
+from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
 
@@ -58,3 +62,18 @@ def test_a_plant_without_modes_is_read_by_what_it_holds(held):
     mode, x = true_state(automaton, truth)
     assert mode == ("shut" if held else "swinging")
     np.testing.assert_allclose(x, [SHUT], atol=1e-9)
+
+
+def test_a_collision_is_no_success_though_the_model_has_no_mode_for_it():
+    automaton = door()
+    problem = Problem(automaton, Start((SHUT,), (0.0,), "shut"), Goal(((0, SHUT, 0.05),)))
+    plant = NominalPlant(automaton, problem.start)
+    episode, seen, known = Episode(problem, closing()), plant.reset(np.random.default_rng(0)), plant.truth()
+    arrived = replace(known, mode="collided", incident="it hit 'wall' at 0.1 s")
+    assert true_state(automaton, arrived)[0] == "collided"
+    belief = initial_belief(automaton, [SHUT], [1e-3], "shut")
+    assert episode.decide(belief, seen, arrived) is None
+    result = episode.result()
+    assert not result.success
+    assert result.final_mode == "collided"
+    assert "but it hit 'wall' at 0.1 s" in result.reason
