@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, memoised
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian, placements
 from micah_plan.automaton.step_noise import drawn_gains, with_gains
@@ -38,17 +38,10 @@ class NominalPlant:
 
     def __init__(self, automaton: HybridAutomaton, start: Start, control_period: float = 0.5) -> None:
         """Args: the model, the belief from which true starts are drawn, and the duration of a control step [s]."""
-        self.automaton = automaton
-        self.start = start
-        self._true = automaton
-        self._channel = InputChannel(automaton)
-        self._period = control_period
+        self.automaton = self._true = automaton
+        self.start, self._period = start, control_period
         self._process_std = np.array(automaton.noise.process_std)
-        self._rng: np.random.Generator | None = None
         self._tracker: PoseTracker | None = None
-        self._mode = automaton.modes[0].name
-        self._x: Floats = np.zeros(automaton.n)
-        self._time = 0.0
 
     @classmethod
     def of(cls, problem: Problem) -> NominalPlant:
@@ -57,36 +50,31 @@ class NominalPlant:
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
-        self._rng = rng
         gains = drawn_gains(self.automaton, rng, 1)[0]
         self._true = with_drawn_thresholds(with_gains(self.automaton, gains), rng)
         self._mode, self._x = sample_start(self._true, self.start, rng)
-        self._channel = InputChannel(self._true)
-        self._time = 0.0
+        self._rng, self._channel, self._time = rng, InputChannel(self._true), 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)
-        return self._measure(0.0)
+        return self._measure(self._tracker, 0.0)
 
     def apply(self, command: Command) -> Measurement:
         """One step of the automaton with a drawn disturbance."""
-        if self._rng is None:
+        if self._tracker is None:
             raise RuntimeError("apply before reset")
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
         after = step(self._true, self._mode, self._x, self._channel.pass_on(command.input, self._mode), disturbance)
         self._mode, self._x = after.mode, after.x
         self._time += self._period
-        return self._measure(self._period)
+        return self._measure(self._tracker, self._period)
 
     def truth(self) -> Truth:
         """The true mode and configuration."""
-        position, quaternion = self._poses()
-        held = ~self.automaton.mode(self._mode).free
-        return Truth(self._mode, self._x.copy(), position, quaternion, held)
+        joints = moving_joints(self.automaton, self._mode)
+        position, quaternion = components(chain(self.automaton, joints, self._x))
+        return Truth(self._mode, self._x.copy(), position, quaternion, ~self.automaton.mode(self._mode).free)
 
     def close(self) -> None:
         """Nothing to free."""
-
-    def _poses(self) -> tuple[Floats, Floats]:
-        return components(chain(self.automaton, moving_joints(self.automaton, self._mode), self._x))
 
     def _shown(self) -> tuple[Floats, Floats]:
         """(n,) what the sensors make of the configuration now, and by how much of each rad or m they change."""
@@ -98,17 +86,14 @@ class NominalPlant:
                 slope[i] *= own.measured(np, here[i] + 1.0, self._time, effect.values) - shown[i]
         return shown, np.abs(slope)
 
-    def _measure(self, elapsed: float) -> Measurement:
-        if self._tracker is None:  # reset creates it before measuring
-            raise RuntimeError("measure before reset")
+    def _measure(self, tracker: PoseTracker, elapsed: float) -> Measurement:
         automaton = self.automaton
-        joints = moving_joints(automaton, self._mode)
-        shown, slope = self._shown()
+        joints, (shown, slope) = moving_joints(automaton, self._mode), self._shown()
         links = zip(joints, automaton.links, strict=True)
         relative = np.array([placements(joint, shown[link.coordinate])[0] for joint, link in links])
         sensing = automaton.sensing(automaton.mode(self._mode))
         noise = pose_noise(automaton, slope * sensing.std_at(self._x))
-        seen = matrices(*self._tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
+        seen = matrices(*tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
         return Measurement(self._time, *components(carried(automaton, seen)))
 
 
@@ -124,15 +109,12 @@ def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None
     return TrackerNoise(position, np.minimum(position / ROTATION_LENGTH, _MOST_ROTATION))
 
 
+@memoised
 def _sensitivity(automaton: HybridAutomaton) -> Floats:
     """(n,) |J| of each coordinate that is measured, 0 for the others."""
-    known: Floats | None = automaton.derived.get("pose_sensitivity")
-    if known is None:
-        known = np.zeros(automaton.n)
-        joints = moving_joints(automaton, automaton.modes[0].name)
-        for number, link in measuring_links(automaton):
-            scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
-            # An unmoving part has no configuration; its noise is that of a slide.
-            known[link.coordinate] = float(np.linalg.norm(scaled)) or 1.0
-        automaton.derived["pose_sensitivity"] = known
-    return known
+    found, joints = np.zeros(automaton.n), moving_joints(automaton, automaton.modes[0].name)
+    for number, link in measuring_links(automaton):
+        scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
+        # An unmoving part has no configuration; its noise is that of a slide.
+        found[link.coordinate] = float(np.linalg.norm(scaled)) or 1.0
+    return found

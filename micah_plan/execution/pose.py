@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, placements
 from micah_plan.automaton.tracks import in_base_frame, measuring_links
@@ -33,13 +33,11 @@ def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
     return next((candidate for candidate in candidates if candidate.B[coordinate].any()), here)
 
 
+@memoised
 def moving_joints(automaton: HybridAutomaton, mode: str) -> tuple[Joint, ...]:
     """Per link, the joint that relates poses to its coordinate even while `mode` holds it still."""
-    memo: dict[str, tuple[Joint, ...]] = automaton.derived.setdefault("moving_joints", {})
-    if mode not in memo:
-        links = enumerate(automaton.links)
-        memo[mode] = tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
-    return memo[mode]
+    links = enumerate(automaton.links)
+    return tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
 
 
 def chain(automaton: HybridAutomaton, joints: Sequence[Joint], x: Floats) -> Floats:
