@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ class _Trial:
         truth = self._plant.truth()
         if truth is not None:
             yield from self._hides_truth(first, truth)
-        self._measure(first)
+        self._x[: self._plain.n] = self._measured(first)
         for j in range(self._plain.m):
             yield from self._goes_elsewhere(j)
         yield from self._moves_by_itself()
@@ -107,21 +108,31 @@ class _Trial:
         """Parts that are not where the model's joints allow them to be, whatever the configuration."""
         joints, x = moving_joints(self._plain, self._mode), self._measured(seen)
         allowed = [placements(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
-        measured = self._relative(seen.position, seen.quaternion)
-        turned = self._relative(seen.position, np.roll(seen.quaternion, -1, axis=1))
-        noise = pose_noise(self._plain, self._noise(self._x))
-        for row, part in enumerate(self._parts):
-            place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
-            away, angle = _apart(allowed[row], measured[row])
-            lever = float(np.linalg.norm(allowed[row][:3, 3]))
-            if away > place + _PLACE + turn * lever:
+        rolled = replace(seen, quaternion=np.roll(seen.quaternion, -1, axis=1))
+        scalar_last = self._off(rolled, allowed, self._x)
+        for (part, away, angle), (*_, rolled_angle) in zip(self._off(seen, allowed, self._x), scalar_last, strict=True):
+            if away:
                 hint = "give the place of the part's origin in m, in the base frame of the model"
                 yield f"part '{part}' is measured {quantity(away, 'm')} from where its joint allows it to be; {hint}"
-            if angle > turn + _TURN:
+            if angle:
                 hint = "give the orientation from part to base, scalar last"
-                if _apart(allowed[row], turned[row])[1] <= turn + _TURN:
+                if not rolled_angle:
                     hint = "the quaternion has its scalar first; give it last"
                 yield f"part '{part}' is measured turned by {quantity(angle, 'rad')} against its joint; {hint}"
+
+    def _off(self, seen: Measurement, expected: Sequence[Floats], x: Floats) -> Iterator[tuple[str, float, float]]:
+        """Each part with how far [m] and by which angle [rad] its measured pose relative to its parent is off an
+        expected one (4, 4); 0 where the noise of the model at x explains that."""
+        noise = pose_noise(self._plain, self._noise(x))
+        measured = self._relative(seen.position, seen.quaternion)
+        for row, part in enumerate(self._parts):
+            place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
+            between = np.linalg.solve(expected[row], measured[row])
+            away = float(np.linalg.norm(between[:3, 3]))
+            angle = float(Rotation.from_matrix(between[:3, :3]).magnitude())
+            lever = float(np.linalg.norm(expected[row][:3, 3]))
+            is_away, is_turned = away > place + _PLACE + turn * lever, angle > turn + _TURN
+            yield part, away if is_away else 0.0, angle if is_turned else 0.0
 
     def _off_start(self, seen: Measurement) -> Iterator[str]:
         start, noise, x = self._problem.start, self._noise(self._x), self._measured(seen)
@@ -134,21 +145,14 @@ class _Trial:
         """A referee that does not say what the tracker shows."""
         rows, n = len(self._parts), self._plain.n
         shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "held": (n,)}
-        wrong = [name for name, shape in shapes.items() if np.shape(getattr(truth, name)) != shape]
-        for name in wrong:
-            yield f"Truth.{name} must have shape {shapes[name]}. Got {np.shape(getattr(truth, name))}"
-        if wrong:
-            return
-        noise = pose_noise(self._plain, self._noise(truth.x))
-        pairs = zip(
-            self._relative(seen.position, seen.quaternion),
-            self._relative(truth.position, truth.quaternion),
-            strict=True,
-        )
-        for row, (measured, true) in enumerate(pairs):
-            away, room = _apart(measured, true)[0], _SIGMAS * float(np.ravel(noise.position)[row]) + _PLACE
-            if away > room + _SIGMAS * float(np.ravel(noise.rotation)[row]) * float(np.linalg.norm(true[:3, 3])):
-                yield f"part '{self._parts[row]}' is measured {quantity(away, 'm')} from its true place"
+        found = {name: np.shape(getattr(truth, name)) for name in shapes}
+        for name, shape in shapes.items():
+            if found[name] != shape:
+                yield f"Truth.{name} must have shape {shape}. Got {found[name]}"
+        if found == shapes:
+            for part, away, _ in self._off(seen, self._relative(truth.position, truth.quaternion), truth.x):
+                if away:
+                    yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
 
     def _goes_elsewhere(self, j: int) -> Iterator[str]:
         """Along one input, in the direction in which the mode stays what it is: does it go where it is told to?"""
@@ -199,11 +203,8 @@ class _Trial:
             order = command(self._plain, self._mode, self._x[:n], u)
             self._x = np.array(step(self._augmented, self._mode, self._x, u).x)
             expected = step(self._augmented, self._mode, expected, u).x
-            self._measure(self._plant.apply(order))
+            self._x[:n] = self._measured(self._plant.apply(order))
         return np.asarray(expected[:n])
-
-    def _measure(self, seen: Measurement) -> None:
-        self._x[: self._plain.n] = self._measured(seen)
 
     def _measured(self, seen: Measurement) -> Floats:
         """(n,) the configuration that a measurement shows; where it shows nothing, as the model predicts."""
@@ -228,9 +229,3 @@ class _Trial:
             np.linalg.solve(named[link.parent], named[link.child]) if link.parent in named else named[link.child]
             for link in self._plain.links
         ]
-
-
-def _apart(one: Floats, other: Floats) -> tuple[float, float]:
-    """How far two poses (4, 4) are apart: [m], [rad]."""
-    between = np.linalg.solve(one, other)
-    return float(np.linalg.norm(between[:3, 3])), float(Rotation.from_matrix(between[:3, :3]).magnitude())
