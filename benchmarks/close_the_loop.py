@@ -22,12 +22,11 @@ from micah_plan import workflow
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.closed_loop import Episode, execute, true_state
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.execution.scoring import true_state
 from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan

@@ -34,7 +34,7 @@ from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.scoring import goal_probability
+from micah_plan.execution.closed_loop import goal_probability
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.explain import explain
 from micah_plan.planning.limits import limits_of

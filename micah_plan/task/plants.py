@@ -28,7 +28,7 @@ class BuiltInPlant:
 
 BUILT_IN: Mapping[str, BuiltInPlant] = {
     "nominal": BuiltInPlant("micah_plan.execution.nominal:NominalPlant.of", "the model with noise", abreast=True),
-    "mujoco": BuiltInPlant("micah_plan.execution.in_mujoco:in_mujoco", "independent physics"),
+    "mujoco": BuiltInPlant("micah_plan.execution.mujoco.held:in_mujoco", "independent physics"),
 }
 DEFAULT_PLANT = "nominal"
 SENTENCES = "; ".join(f"{name}: {plant.sentence}" for name, plant in BUILT_IN.items())

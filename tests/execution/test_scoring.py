@@ -8,10 +8,9 @@ from execution_objects import SHUT, arm, closing, door
 
 from micah_plan.belief.filter import initial_belief
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.execution.closed_loop import Episode
+from micah_plan.execution.closed_loop import Episode, goal_probability, true_state
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Truth
-from micah_plan.execution.scoring import goal_probability, true_state
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start

@@ -19,6 +19,7 @@ from micah_plan.execution.mujoco.core import Carrier, Flags, MujocoPlant, import
 from micah_plan.execution.mujoco.held_object import OBJECT, held_object
 from micah_plan.execution.mujoco.incidents import Watch, add_contact_sensors
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.mujoco.world import held_mjcf, scene_mjcf
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import input_effect
@@ -52,7 +53,7 @@ class HeldPlant(MujocoPlant):
         self.problem, self._object = problem, held_object(automaton, grip, parameters)
         # Inputs displace the hand in every mode; contacts alone move the object's joint.
         inputs = input_effect(automaton, automaton.modes[0].name)[self._object.hand]
-        self._displacement_per_input = self._object.reach[-1] @ inputs
+        self._displacement_per_input = self._object.axes.T @ inputs
         has_arm = problem.robot is not None and problem.grasp is not None
         world = mujoco.MjSpec.from_string(scene_mjcf(problem.scene, parameters))
         hand = mujoco.MjSpec.from_string(held_mjcf(self._object.bodies, parameters, slides=not has_arm)).body("hand")
@@ -125,3 +126,16 @@ class HeldPlant(MujocoPlant):
         position, quaternion = self._seen(*self._link_poses(), elapsed)
         seen = self._with_slides(position[self._object.slides[-1]].copy(), position, quaternion)
         return Measurement(float(self.data.time), *seen, None, self._carrier.joints)
+
+
+def in_mujoco(problem: Problem) -> MujocoPlant:
+    """The plant for a problem, with its parameters: its object on its joints, or in a hand among bodies of its scene.
+
+    Raises:
+        MissingDependencyError: if MuJoCo is not installed.
+        InputError: if the problem cannot be simulated.
+    """
+    if problem.hold is None:
+        return StandingPlant(problem.automaton, problem.start, parameters_of(problem))
+    posture = problem.start.posture
+    return HeldPlant(problem, posture=None if posture is None else np.array(posture))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +31,8 @@ class HeldObject:
     Attributes:
         slides: numbers of the links by which the hand moves, from the base on; the last one ends at the hand.
         hand: (s,) their coordinates.
-        origins: (s, 3) places of these links' children with the hand's coordinates at 0 [m].
-        reach: (s, 3, s) how these places change per unit of the hand's coordinates.
+        steps: (s, 3) from the place of each link's parent to its child's with the hand's coordinates at 0 [m].
+        axes: (s, 3) directions of the slides.
         parts: numbers of the links that end at the part in the hand and at the other part.
         bodies: the two parts, the first one carried by the body "hand".
         modes: of the model, in which the object is latched, one per latch.
@@ -41,24 +40,19 @@ class HeldObject:
 
     slides: list[int]
     hand: list[int]
-    origins: Floats
-    reach: Floats
+    steps: Floats
+    axes: Floats
     parts: list[int]
     bodies: tuple[WorldBody, WorldBody]
     modes: tuple[str, ...]
 
-    @cached_property
-    def _back(self) -> Floats:
-        """(s, 3) how the hand's coordinates change with its place."""
-        return np.asarray(np.linalg.pinv(self.reach[-1]))
-
     def places(self, hand: Floats) -> Floats:
         """(s, 3) places of the slides' children [m] for the hand's coordinates (s,); the last is the hand's."""
-        return np.asarray(self.origins + self.reach @ hand)
+        return np.cumsum(self.steps + hand[:, None] * self.axes, axis=0)
 
     def coordinates(self, place: Floats) -> Floats:
         """(s,) the hand's coordinates at a place (3,), the nearest ones if the slides do not lead there."""
-        return np.asarray(self._back @ (place - self.origins[-1]))
+        return np.asarray(np.linalg.pinv(self.axes.T) @ (place - self.steps.sum(axis=0)))
 
 
 def held_object(automaton: HybridAutomaton, grip: Grip, parameters: PhysicalParameters) -> HeldObject:
@@ -74,10 +68,7 @@ def held_object(automaton: HybridAutomaton, grip: Grip, parameters: PhysicalPara
     turned = [joint for joint in slide_joints if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
     if turned or any(joint.kind != "prismatic" for joint in slide_joints):
         raise InputError("the hand of a held object must move on slides that do not turn it")
-    origins = np.cumsum([joint.position for joint in slide_joints], axis=0)
-    reach = np.zeros((len(slides), 3, len(slides)))
-    for number, slide in enumerate(slide_joints):
-        reach[number:, :, number] = slide.axis
+    steps, axes = (np.array([getattr(joint, key) for joint in slide_joints]) for key in ("position", "axis"))
     joint, coordinate = _joint(automaton, moving), automaton.links[moving].coordinate
     rotation = Rotation.from_rotvec(grip.rotation)
     place = pose(-rotation.apply(grip.point), rotation.as_quat()) | {"gravcomp": 1}
@@ -92,7 +83,7 @@ def held_object(automaton: HybridAutomaton, grip: Grip, parameters: PhysicalPara
         ),
         WorldBody(grip.moving.name, grip.held.name, fixed, moved, *solids[1], rubbing(MOVING, parameters)),
     )
-    return HeldObject(slides, hand, origins, reach, [in_hand, moving], bodies, modes)
+    return HeldObject(slides, hand, steps, axes, [in_hand, moving], bodies, modes)
 
 
 def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]:
