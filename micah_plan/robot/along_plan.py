@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
-from micah_plan.robot.clearance import ClearanceModel, Pair, clearance_model
+from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.load_arm import load_arm
-from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
+from micah_plan.robot.tool_path import ArmFailure, ToolPath, follow
 from micah_plan.task.contact_poses import settled_poses, touching_pairs
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import ArmTrajectory, Trajectory
@@ -26,19 +26,17 @@ def arm_along(
     problem: Problem,
     trajectory: Trajectory,
     seed: int = 0,
-    settings: PathSettings | None = None,
-    touching: Sequence[frozenset[Pair]] | None = None,
     deadline: Deadline = NEVER,
     start: Floats | None = None,
 ) -> ArmTrajectory | ArmFailure:
     """The arm's trajectory that takes the held part along the means of a plan, or what stands in the way.
 
+    Parts may meet bodies of the scene where a held object is to touch them.
+
     Args:
         problem: with a robot and a grasp.
         trajectory: over K knots.
         seed: of the start postures.
-        touching: (K,) pairs (part, body of the scene) that may meet at each knot; None: those of the contacts that a
-            held object is to make, none for others.
         deadline: when to end.
         start: (n,) joints that the arm is at, nearly; None: it may start in any posture.
 
@@ -46,8 +44,8 @@ def arm_along(
         TimeLimitError: if it passes before there is a trajectory.
         InputError: if the problem has no robot or grasp, or its files cannot be used.
     """
-    path = tool_path(problem, trajectory, touching)
-    return follow(problem_clearance(problem), path, seed, settings, deadline, start)
+    path = tool_path(problem, trajectory.modes, trajectory.of_first(problem.automaton.n).means)
+    return follow(problem_clearance(problem), path, seed, deadline=deadline, start=start)
 
 
 def start_posture(problem: Problem, seed: int = 0) -> Floats:
@@ -56,10 +54,9 @@ def start_posture(problem: Problem, seed: int = 0) -> Floats:
     Raises:
         InputError: if it cannot hold the object there.
     """
-    start = problem.start
-    mode = start.mode or problem.automaton.modes[0].name
-    poses = settled_poses(problem, mode, np.array(start.mean))
-    found = follow(problem_clearance(problem), _path(problem, [poses]), seed)
+    mode = problem.start.mode or problem.automaton.modes[0].name
+    path = tool_path(problem, [mode], np.array([problem.start.mean]))
+    found = follow(problem_clearance(problem), path, seed)
     if isinstance(found, ArmFailure):
         raise InputError(f"the arm cannot start: {found.sentence}", source=problem.source or None, remedy=found.remedy)
     return np.array(found.positions[0])
@@ -84,27 +81,17 @@ def problem_clearance(problem: Problem) -> ClearanceModel:
     return clearance_model(load_arm(problem.robot), problem.scene, parts, held)
 
 
-def tool_path(problem: Problem, trajectory: Trajectory, touching: Sequence[frozenset[Pair]] | None = None) -> ToolPath:
-    """Poses of the tool and of the object's parts at the knots of a plan, as contacts leave them.
+def tool_path(problem: Problem, modes: Sequence[str], states: Floats) -> ToolPath:
+    """Poses of the tool and of the object's parts in K modes and states (K, n), as contacts leave them.
 
     Raises:
         InputError: if the problem has no grasp.
     """
-    states = trajectory.of_first(problem.automaton.n).means
-    knots = [settled_poses(problem, mode, x) for mode, x in zip(trajectory.modes, states, strict=True)]
-    return _path(problem, knots, touching)
-
-
-def _path(
-    problem: Problem,
-    knots: Sequence[dict[str, RigidTransform]],
-    touching: Sequence[frozenset[Pair]] | None = None,
-) -> ToolPath:
     grasp = problem.grasp
     if grasp is None:
         raise InputError("the problem has no grasp", source=problem.source or None, remedy="add 'grasp'")
-    if touching is None and problem.hold is not None:
-        touching = [touching_pairs(problem, poses) for poses in knots]
+    knots = [settled_poses(problem, mode, x) for mode, x in zip(modes, states, strict=True)]
+    touching = None if problem.hold is None else [touching_pairs(problem, poses) for poses in knots]
     moved = {
         name: RigidTransform.from_matrix(np.stack([poses[name].as_matrix() for poses in knots])) for name in knots[0]
     }

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from micah_plan.documents.problem import load_problem
-from micah_plan.robot.along_plan import arm_along, problem_clearance
-from micah_plan.robot.tool_path import ArmFailure
+from micah_plan.robot.along_plan import arm_along, problem_clearance, tool_path
+from micah_plan.robot.tool_path import ArmFailure, follow
 from micah_plan.scene.body import corners
 from micah_plan.task.contact_poses import settled_poses, touching_pairs
 from micah_plan.task.plan import ArmTrajectory, Trajectory
@@ -87,7 +87,8 @@ def test_the_arm_presses_and_carries_without_meeting_anything_else() -> None:
 
 def test_contact_that_is_not_intended_is_a_collision() -> None:
     problem, trajectory = stapler(), pressed()
-    found = arm_along(problem, trajectory, touching=[frozenset()] * len(trajectory.modes))
+    path = tool_path(problem, trajectory.modes, trajectory.means)
+    found = follow(problem_clearance(problem), replace(path, touching=None))
     assert isinstance(found, ArmFailure)
     assert set(found.names) == {"lower_arm", "table"}
     low = replace(
