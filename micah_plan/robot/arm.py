@@ -37,7 +37,7 @@ class Arm:
         tool: number of the tool's frame in the model.
         rest: (n,) posture to prefer.
         colors: ``"#rrggbb"`` by name of geometry.
-        separate: pairs of geometries' names, sorted, that a file declares to need no check.
+        separate: pairs of links, sorted by name, that a file declares to need no check.
         locked: (joint, position [rad or m]) of the robot's joints that are held still.
     """
 

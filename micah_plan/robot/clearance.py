@@ -236,7 +236,7 @@ def _arm_pairs(arm: Arm, geometry: Any, links: Sequence[int]) -> list[tuple[int,
     pairs = []
     for a, b in combinations(links, 2):
         first, second = sorted((int(objects[a].parentJoint), int(objects[b].parentJoint)))
-        names = sorted((objects[a].name, objects[b].name))
+        names = sorted((link_name(objects[a]), link_name(objects[b])))
         if first != second and arm.model.parents[second] != first and (names[0], names[1]) not in arm.separate:
             pairs.append((a, b))
     _set_pairs(geometry, pairs)

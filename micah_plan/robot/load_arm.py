@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,7 @@ def load_arm(description: RobotDescription) -> Arm:
         tool=_tool(model, description),
         rest=_rest(model, description),
         colors=_colors(geometry, checked),
-        separate=_separate(geometry, description),
+        separate=_separate(description),
         locked=tuple(still),
         data=model.createData(),
     )
@@ -146,30 +147,31 @@ def _held_positions(model: Any, description: RobotDescription) -> Any:
     single = [model.idx_qs[joint] for joint in range(1, model.njoints) if model.joints[joint].nq == 1]
     q[single] = middle(model.lowerPositionLimit, model.upperPositionLimit)[single]
     for name, value in description.held:
-        index = model.idx_qs[_joint(model, name, description)]
+        index = _index(model, name, description)
         if index in single:
             q[index] = value
     return q
-
-
-def _joint(model: Any, name: str, description: RobotDescription) -> int:
-    names = list(model.names)[1:]
-    if name not in names:
-        remedy = f"choose one of {', '.join(names[:_MOST_LISTED])}"
-        raise InputError(f"the robot has no joint {shown(name)}", source=description.path, remedy=remedy)
-    return int(model.getJointId(name))
 
 
 def _rest(model: Any, description: RobotDescription) -> Floats:
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     rest = middle(low, high)
     for name, value in description.rest:
-        index = model.idx_qs[_joint(model, name, description)]
+        index = _index(model, name, description)
         if not low[index] <= value <= high[index]:
             problem = f"the rest posture has {shown(name)} at {value:g}, outside {low[index]:g} to {high[index]:g}"
             raise InputError(problem, source=description.path, remedy="choose a value within the limits")
         rest[index] = value
     return rest
+
+
+def _index(model: Any, name: str, description: RobotDescription) -> int:
+    """Where the positions of a joint begin among all."""
+    names = list(model.names)[1:]
+    if name not in names:
+        remedy = f"choose one of {', '.join(names[:_MOST_LISTED])}"
+        raise InputError(f"the robot has no joint {shown(name)}", source=description.path, remedy=remedy)
+    return int(model.idx_qs[model.getJointId(name)])
 
 
 def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
@@ -186,18 +188,14 @@ def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
 def _colors(geometry: Any, checked: CheckedRobot) -> dict[str, str]:
     """By name of geometry; further shapes of a link have the colour of its last."""
     found: dict[str, str] = {}
-    for link, names in _names_by_link(geometry).items():
-        colors = checked.colors.get(link, ())
-        if colors:
-            found |= {name: colors[min(number, len(colors) - 1)] for number, name in enumerate(names)}
-    return found
-
-
-def _names_by_link(geometry: Any) -> dict[str, list[str]]:
-    names: dict[str, list[str]] = {}
+    shapes: Counter[str] = Counter()
     for item in geometry.geometryObjects:
-        names.setdefault(link_name(item), []).append(item.name)
-    return names
+        link = link_name(item)
+        colors = checked.colors.get(link)
+        if colors:
+            found[item.name] = colors[min(shapes[link], len(colors) - 1)]
+        shapes[link] += 1
+    return found
 
 
 def link_name(item: Any) -> str:
@@ -205,14 +203,10 @@ def link_name(item: Any) -> str:
     return str(item.name).rpartition("_")[0] or str(item.name)
 
 
-def _separate(geometry: Any, description: RobotDescription) -> frozenset[tuple[str, str]]:
-    """Pairs of geometries whose links an SRDF says need no check."""
+def _separate(description: RobotDescription) -> frozenset[tuple[str, str]]:
+    """Pairs of links that an SRDF says need no check."""
     if not description.srdf:
         return frozenset()
-    root = parse_xml(description.srdf, f"{description.path} (SRDF)")
-    links = _names_by_link(geometry)
-    pairs = set()
-    for entry in root.all("disable_collisions"):
-        ends = [links.get(entry.attributes.get(key, ""), []) for key in ("link1", "link2")]
-        pairs |= {(min(a, b), max(a, b)) for a in ends[0] for b in ends[1]}
-    return frozenset(pairs)
+    entries = parse_xml(description.srdf, f"{description.path} (SRDF)").all("disable_collisions")
+    pairs = [sorted(entry.attributes.get(key, "") for key in ("link1", "link2")) for entry in entries]
+    return frozenset((first, second) for first, second in pairs)

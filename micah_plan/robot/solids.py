@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 _DEFAULT_COLOR = "#c9d1d9"
 _DIRECTIONS = 12
+_PRIMITIVES = {"box": coal.Box, "cylinder": coal.Cylinder, "sphere": coal.Sphere}
 
 
 class LinkShape(NamedTuple):
@@ -44,24 +45,18 @@ def solid(shape: Shape) -> tuple[Any, Any]:
     placement = pin.SE3(Rotation.from_quat(shape.quaternion).as_matrix(), np.array(shape.position))
     if isinstance(shape, Hull):
         return _convex(np.array(shape.vertices)), placement
-    size = shape.size
-    if shape.kind == "box":
-        return coal.Box(*size), placement
-    if shape.kind == "cylinder":
-        return coal.Cylinder(*size), placement
-    if shape.kind == "sphere":
-        return coal.Sphere(size[0]), placement
-    raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder, sphere or mesh")
+    if shape.kind not in _PRIMITIVES:
+        raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder, sphere or mesh")
+    return _PRIMITIVES[shape.kind](*shape.size), placement
 
 
 def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     """What the arm's clearances are computed with, as shapes to draw."""
     found = []
     for item in arm.geometry.geometryObjects:
-        placement, color = item.placement, arm.colors.get(item.name, _DEFAULT_COLOR)
-        x, y, z, w = Rotation.from_matrix(placement.rotation).as_quat().tolist()
-        shape = _drawn(item.geometry, vector3(placement.translation), (x, y, z, w), color)
-        found.append(LinkShape(int(item.parentJoint), shape))
+        x, y, z, w = Rotation.from_matrix(item.placement.rotation).as_quat().tolist()
+        place = vector3(item.placement.translation), (x, y, z, w), arm.colors.get(item.name, _DEFAULT_COLOR)
+        found.append(LinkShape(int(item.parentJoint), _drawn(item.geometry, *place)))
     return tuple(found)
 
 
