@@ -19,7 +19,7 @@ from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 
-from micah_plan.execution.mujoco.core import MujocoPlant
+from micah_plan.execution.mujoco.core import PhysicalPlant
 from micah_plan.execution.mujoco.held import HeldPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
@@ -35,7 +35,7 @@ def problem():
 def with_leaps_and_without(run, monkeypatch):
     """What `run` returns either way, and how many steps were taken alone."""
     alone = [0]
-    free_steps = MujocoPlant._free_steps
+    free_steps = PhysicalPlant._free_steps
 
     def counted(plant, controls):
         alone[0] += len(controls)
@@ -46,10 +46,10 @@ def with_leaps_and_without(run, monkeypatch):
         return begin
 
     with monkeypatch.context() as patch:
-        patch.setattr(MujocoPlant, "_free_steps", counted)
+        patch.setattr(PhysicalPlant, "_free_steps", counted)
         leaping = run()
     with monkeypatch.context() as patch:
-        patch.setattr(MujocoPlant, "_leap", careful)
+        patch.setattr(PhysicalPlant, "_leap", careful)
         return leaping, run(), alone[0]
 
 
@@ -181,7 +181,7 @@ def test_a_warning_of_the_engine_ends_a_leap_but_loses_no_step():
     mujoco = import_mujoco()
     text = """<mujoco><worldbody><body><joint name="j" type="slide"/><geom size="0.1"/></body></worldbody>
     <actuator><motor joint="j"/></actuator><sensor><jointpos joint="j"/></sensor></mujoco>"""
-    plant = MujocoPlant(door(), PhysicalParameters(), mujoco.MjModel.from_xml_string(text))
+    plant = PhysicalPlant(door(), PhysicalParameters(), mujoco.MjModel.from_xml_string(text))
     controls = np.ones((200, 1))
     controls[70] = np.nan
     taken = []

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import Carrier, MujocoPlant
+from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
@@ -36,7 +36,7 @@ _NOT_REACHED = 0.002
 
 def attach_arm(
     mujoco: Any, world: Any, hand: Any, problem: Problem, parameters: PhysicalParameters, posture: Floats | None
-) -> Callable[[MujocoPlant], Carrier]:
+) -> Callable[[PhysicalPlant], Carrier]:
     """Put a problem's robot into a world (MjSpec), with a position-controlled motor at each joint of its arm.
 
     The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
@@ -83,7 +83,7 @@ def attach_arm(
 class ArmCarrier(Carrier):
     """Drives the arm's joints to where continuous inverse kinematics puts the hand, whose orientation it keeps."""
 
-    def __init__(self, plant: MujocoPlant, arm: Arm, grasp: Grasp, posture: Floats) -> None:
+    def __init__(self, plant: PhysicalPlant, arm: Arm, grasp: Grasp, posture: Floats) -> None:
         """Args: posture: (J,) from which the start is sought."""
         super().__init__(plant, [_ROBOT + name for name in arm.joints])
         self._arm, self._posture = arm, posture

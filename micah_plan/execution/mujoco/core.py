@@ -59,7 +59,7 @@ def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
         )
 
 
-class MujocoPlant:
+class PhysicalPlant:
     """A world that is stepped, the latches in it, and the tracker that sees it: what plants in MuJoCo build on.
 
     Most of the time nothing happens that the engine does not know of, and it can take many steps alone: it leaps. What
@@ -265,7 +265,7 @@ class Carrier:
         complaint: why it could not go where it was told to since it was put; empty if it could.
     """
 
-    def __init__(self, plant: MujocoPlant, joints: Sequence[str]) -> None:
+    def __init__(self, plant: PhysicalPlant, joints: Sequence[str]) -> None:
         """Args: names of joints in the world, which are those of their motors too."""
         self._plant, self.complaint = plant, ""
         self._address = [int(plant.model.joint(name).qposadr[0]) for name in joints]

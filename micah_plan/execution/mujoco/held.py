@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.contacts.product import FREE
 from micah_plan.automaton.contacts.values import AXES, COLLIDED
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import Carrier, Flags, MujocoPlant, import_mujoco
+from micah_plan.execution.mujoco.core import Carrier, Flags, PhysicalPlant, import_mujoco
 from micah_plan.execution.mujoco.held_object import OBJECT, held_object
 from micah_plan.execution.mujoco.incidents import Watch, add_contact_sensors
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
@@ -29,7 +29,7 @@ from micah_plan.task.start import sample_start
 Floats = NDArray[np.float64]
 
 
-class HeldPlant(MujocoPlant):
+class HeldPlant(PhysicalPlant):
     """The object of a problem with a block `hold`, as a mechanism in MuJoCo; the problem's robot carries it, if any."""
 
     def __init__(
@@ -60,7 +60,7 @@ class HeldPlant(MujocoPlant):
         if has_arm:
             from micah_plan.execution.mujoco.arm import attach_arm  # Pinocchio is loaded only where there is an arm
 
-            carry: Callable[[MujocoPlant], Carrier] = attach_arm(mujoco, world, hand, problem, parameters, posture)
+            carry: Callable[[PhysicalPlant], Carrier] = attach_arm(mujoco, world, hand, problem, parameters, posture)
         else:
             world.worldbody.add_frame().attach_body(hand, OBJECT, "")
             carry = partial(Carrier, joints=[OBJECT + axis for axis in AXES])
@@ -128,7 +128,7 @@ class HeldPlant(MujocoPlant):
         return Measurement(float(self.data.time), *seen, None, self._carrier.joints)
 
 
-def in_mujoco(problem: Problem) -> MujocoPlant:
+def in_mujoco(problem: Problem) -> PhysicalPlant:
     """The plant for a problem, with its parameters: its object on its joints, or in a hand among bodies of its scene.
 
     Raises:

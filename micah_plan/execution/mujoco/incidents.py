@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.contacts.values import Grip
-from micah_plan.execution.mujoco.core import Flags, MujocoPlant
+from micah_plan.execution.mujoco.core import Flags, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.world import SCENE
 
@@ -69,7 +69,7 @@ def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], gri
 class Watch:
     """Looks at what happens to a held object, and remembers the first incident of a trial."""
 
-    def __init__(self, plant: MujocoPlant, touchable: Collection[str]) -> None:
+    def __init__(self, plant: PhysicalPlant, touchable: Collection[str]) -> None:
         """Args: touchable: as of `add_contact_sensors`."""
         self._plant, model = plant, plant.model
         self._owner = model.geom_bodyid.tolist()

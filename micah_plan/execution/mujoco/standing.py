@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.execution.mujoco.core import LONGEST_STEP, Flags, MujocoPlant, import_mujoco
+from micah_plan.execution.mujoco.core import LONGEST_STEP, Flags, PhysicalPlant, import_mujoco
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing_object import standing_bodies
 from micah_plan.execution.mujoco.world import Latch, WorldBody, lever_name, standing_mjcf
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _STEPS_PER_RADIAN = 5.0
 
 
-class StandingPlant(MujocoPlant):
+class StandingPlant(PhysicalPlant):
     """Any automaton whose parts each have one moving joint, as a mechanism in MuJoCo.
 
     Each part's handle is pulled by a compliant hand (spring, critical damping, limited force) that is told
