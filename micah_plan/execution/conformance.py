@@ -16,7 +16,7 @@ from micah_plan.errors import InputError, together
 from micah_plan.execution.checked_plant import CheckedPlant, check_methods
 from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
-from micah_plan.execution.pose import command, configuration, matrices, moving_joints
+from micah_plan.execution.pose import command, configuration, moving_joints, relative
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import limits_of
 from micah_plan.quantities import quantity, with_spread
@@ -124,7 +124,7 @@ class _Trial:
         """Each part with how far [m] and by which angle [rad] its measured pose relative to its parent is off an
         expected one (4, 4); 0 where the noise of the model at x explains that."""
         noise = pose_noise(self._plain, self._noise(x))
-        measured = self._relative(seen.position, seen.quaternion)
+        measured = relative(self._plain, seen.position, seen.quaternion)
         for row, part in enumerate(self._parts):
             place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
             between = np.linalg.solve(expected[row], measured[row])
@@ -150,7 +150,7 @@ class _Trial:
             if found[name] != shape:
                 yield f"Truth.{name} must have shape {shape}. Got {found[name]}"
         if found == shapes:
-            for part, away, _ in self._off(seen, self._relative(truth.position, truth.quaternion), truth.x):
+            for part, away, _ in self._off(seen, relative(self._plain, truth.position, truth.quaternion), truth.x):
                 if away:
                     yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
 
@@ -221,11 +221,3 @@ class _Trial:
         """(n,) of a measured displacement over some steps."""
         process = np.array(self._plain.noise.process_std)
         return np.asarray(np.sqrt(2.0 * self._noise(self._x) ** 2 + steps * process**2))
-
-    def _relative(self, position: Floats, quaternion: Floats) -> list[Floats]:
-        """Pose (4, 4) of each link's child relative to its parent, where that is measured too."""
-        named = dict(zip(self._parts, matrices(position, quaternion), strict=True))
-        return [
-            np.linalg.solve(named[link.parent], named[link.child]) if link.parent in named else named[link.child]
-            for link in self._plain.links
-        ]

@@ -54,6 +54,15 @@ def carried(automaton: HybridAutomaton, relative: Floats) -> Floats:
     return np.array([poses[link.child] for link in automaton.links]).reshape(-1, 4, 4)
 
 
+def relative(automaton: HybridAutomaton, position: Floats, quaternion: Floats) -> list[Floats]:
+    """Pose (4, 4) of each link's child relative to its parent, from their poses in the base frame."""
+    named = dict(zip((link.child for link in automaton.links), matrices(position, quaternion), strict=True))
+    return [
+        np.linalg.solve(named[link.parent], named[link.child]) if link.parent in named else named[link.child]
+        for link in automaton.links
+    ]
+
+
 def matrices(position: Floats, quaternion: Floats) -> Floats:
     """(l, 4, 4) poses from positions (l, 3) and quaternions (l, 4), scalar last."""
     poses = np.tile(np.eye(4), (len(position), 1, 1))
@@ -80,16 +89,11 @@ def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quate
     Returns:
         (n,) [rad or m]; NaN for coordinates of no link.
     """
-    x = np.full(automaton.n, np.nan)
-    poses = matrices(position, quaternion)
-    measured = {link.child: poses[number] for number, link in enumerate(automaton.links)}
-    joints = moving_joints(automaton, mode)
+    x, joints = np.full(automaton.n, np.nan), moving_joints(automaton, mode)
+    poses = relative(automaton, position, quaternion)
     for number, link in measuring_links(automaton):
-        pose = measured[link.child]
-        if link.parent != BASE and link.parent in measured:
-            pose = np.linalg.solve(measured[link.parent], pose)
-        turn = Rotation.from_matrix(pose[:3, :3])
-        x[link.coordinate] = inverse(joints[number], pose[:3, 3], turn, near=near[link.coordinate])[0]
+        place, turn = poses[number][:3, 3], Rotation.from_matrix(poses[number][:3, :3])
+        x[link.coordinate] = inverse(joints[number], place, turn, near=near[link.coordinate])[0]
     return x
 
 

@@ -16,7 +16,7 @@ from micah_plan.automaton.contacts.product import FREE
 from micah_plan.automaton.contacts.values import AXES, COLLIDED
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import Carrier, Flags, PhysicalPlant, import_mujoco
-from micah_plan.execution.mujoco.held_object import OBJECT, held_object
+from micah_plan.execution.mujoco.held_object import OBJECT, HeldObject
 from micah_plan.execution.mujoco.incidents import Watch, add_contact_sensors
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
 from micah_plan.execution.mujoco.standing import StandingPlant
@@ -50,7 +50,7 @@ class HeldPlant(PhysicalPlant):
             raise InputError("the problem does not say how the object is held", remedy="add the block 'hold'")
         automaton, grip, parameters = problem.automaton, problem.hold.grip, parameters or parameters_of(problem)
         mujoco, touchable = import_mujoco(), {body for body, _, _ in problem.hold.contacts}
-        self.problem, self._object = problem, held_object(automaton, grip, parameters)
+        self.problem, self._object = problem, HeldObject(automaton, grip, parameters)
         # Inputs displace the hand in every mode; contacts alone move the object's joint.
         inputs = input_effect(automaton, automaton.modes[0].name)[self._object.hand]
         self._displacement_per_input = self._object.axes.T @ inputs

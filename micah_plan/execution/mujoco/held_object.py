@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -24,66 +22,55 @@ _HINGE = (0.0, 1.0, 0.0)
 _SAME = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
 class HeldObject:
     """A held object as a mechanism: slides of the hand, the part in the hand, and the other part on its joint.
 
     Attributes:
         slides: numbers of the links by which the hand moves, from the base on; the last one ends at the hand.
         hand: (s,) their coordinates.
-        steps: (s, 3) from the place of each link's parent to its child's with the hand's coordinates at 0 [m].
-        axes: (s, 3) directions of the slides.
+        axes: (s, 3) their directions.
         parts: numbers of the links that end at the part in the hand and at the other part.
         bodies: the two parts, the first one carried by the body "hand".
         modes: of the model, in which the object is latched, one per latch.
     """
 
-    slides: list[int]
-    hand: list[int]
-    steps: Floats
-    axes: Floats
-    parts: list[int]
-    bodies: tuple[WorldBody, WorldBody]
-    modes: tuple[str, ...]
+    def __init__(self, automaton: HybridAutomaton, grip: Grip, parameters: PhysicalParameters) -> None:
+        """The mechanism of a held object's model.
+
+        Raises:
+            InputError: unless the model is a hand on slides, the part in it, and the other part on at most one joint,
+                revolute or prismatic; or if nothing says at which configuration the shapes are given.
+        """
+        self.slides, in_hand, moving = _links(automaton, grip)
+        self.parts = [in_hand, moving]
+        self.hand = [automaton.links[number].coordinate for number in self.slides]
+        slides = [_joint(automaton, number) for number in self.slides]
+        turned = [joint for joint in slides if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
+        if turned or any(joint.kind != "prismatic" for joint in slides):
+            raise InputError("the hand of a held object must move on slides that do not turn it")
+        self.axes = np.array([joint.axis for joint in slides])
+        self._steps = np.array([joint.position for joint in slides])
+        joint, coordinate = _joint(automaton, moving), automaton.links[moving].coordinate
+        rotation = Rotation.from_rotvec(grip.rotation)
+        place = pose(-rotation.apply(grip.point), rotation.as_quat()) | {"gravcomp": 1}
+        is_fixed = joint.kind == "rigid"
+        others = self.hand if is_fixed else [*self.hand, coordinate]
+        turns = [_pivot(automaton, grip, in_hand, others, parameters)] if grip.pivots else []
+        moved, self.modes = ([], ()) if is_fixed else _moving_joint(automaton, grip, joint, coordinate, parameters)
+        fixed = pose(joint.position, joint.quaternion) if is_fixed else {}
+        solids = [(part.shapes, parameters.mass) for part in (grip.held, grip.moving)]
+        self.bodies = (
+            WorldBody(grip.held.name, "hand", place, turns, *solids[0], rubbing(IN_HAND, parameters)),
+            WorldBody(grip.moving.name, grip.held.name, fixed, moved, *solids[1], rubbing(MOVING, parameters)),
+        )
 
     def places(self, hand: Floats) -> Floats:
         """(s, 3) places of the slides' children [m] for the hand's coordinates (s,); the last is the hand's."""
-        return np.cumsum(self.steps + hand[:, None] * self.axes, axis=0)
+        return np.cumsum(self._steps + hand[:, None] * self.axes, axis=0)
 
     def coordinates(self, place: Floats) -> Floats:
         """(s,) the hand's coordinates at a place (3,), the nearest ones if the slides do not lead there."""
-        return np.asarray(np.linalg.pinv(self.axes.T) @ (place - self.steps.sum(axis=0)))
-
-
-def held_object(automaton: HybridAutomaton, grip: Grip, parameters: PhysicalParameters) -> HeldObject:
-    """The mechanism of a held object's model.
-
-    Raises:
-        InputError: unless the model is a hand on slides, the part in it, and the other part on at most one joint,
-            revolute or prismatic; or if nothing says at which configuration the shapes are given.
-    """
-    slides, in_hand, moving = _links(automaton, grip)
-    hand = [automaton.links[number].coordinate for number in slides]
-    slide_joints = [_joint(automaton, number) for number in slides]
-    turned = [joint for joint in slide_joints if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
-    if turned or any(joint.kind != "prismatic" for joint in slide_joints):
-        raise InputError("the hand of a held object must move on slides that do not turn it")
-    steps, axes = (np.array([getattr(joint, key) for joint in slide_joints]) for key in ("position", "axis"))
-    joint, coordinate = _joint(automaton, moving), automaton.links[moving].coordinate
-    rotation = Rotation.from_rotvec(grip.rotation)
-    place = pose(-rotation.apply(grip.point), rotation.as_quat()) | {"gravcomp": 1}
-    is_fixed = joint.kind == "rigid"
-    turns = [_pivot(automaton, grip, in_hand, [*hand, *([] if is_fixed else [coordinate])], parameters)]
-    moved, modes = ([], ()) if is_fixed else _moving_joint(automaton, grip, joint, coordinate, parameters)
-    fixed = pose(joint.position, joint.quaternion) if is_fixed else {}
-    solids = [(part.shapes, parameters.mass) for part in (grip.held, grip.moving)]
-    bodies = (
-        WorldBody(
-            grip.held.name, "hand", place, turns if grip.pivots else (), *solids[0], rubbing(IN_HAND, parameters)
-        ),
-        WorldBody(grip.moving.name, grip.held.name, fixed, moved, *solids[1], rubbing(MOVING, parameters)),
-    )
-    return HeldObject(slides, hand, steps, axes, [in_hand, moving], bodies, modes)
+        return np.asarray(np.linalg.pinv(self.axes.T) @ (place - self._steps.sum(axis=0)))
 
 
 def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]:
