@@ -9,7 +9,6 @@ makes up for joints that move against each other while the hand hardly moves.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,9 +37,8 @@ class Swept(NamedTuple):
     share: float
 
 
-@dataclass(frozen=True, eq=False)
 class MotionBound:
-    """How far points of solids move.
+    """How far points of solids move, for an arm and its surroundings, at all configurations within the limits.
 
     Attributes:
         levers: (g, n) largest distance of a geometry's points from each joint's axis that moves it, else 0 [m]; 1 for a
@@ -51,32 +49,27 @@ class MotionBound:
         turning: (n,) 1 for joints that turn, 0 for those that slide.
     """
 
-    levers: Floats
-    radii: Floats
-    centers: Floats
-    joints: NDArray[np.int64]
-    turning: Floats
-
-
-def motion_bound(model: ClearanceModel) -> MotionBound:
-    """The bound for an arm and its surroundings; it holds at all configurations within the limits."""
-    arm, items = model.arm, model.geometry.geometryObjects
-    count = len(items)
-    levers, radii, centers = np.zeros((count, arm.n)), np.zeros(count), np.zeros((count, 3))
-    joints = np.zeros(count, dtype=np.int64)
-    of_part = {number: (name, placement) for name, group in model.parts.items() for number, placement in group}
-    tool = float(np.linalg.norm(arm.model.frames[arm.tool].placement.translation))
-    for number, item in enumerate(items):
-        item.geometry.computeLocalAABB()
-        name, placement = of_part.get(number, ("", item.placement))
-        centers[number], radii[number] = placement.act(item.geometry.aabb_center), item.geometry.aabb_radius
-        if name in model.held:
-            joints[number], levers[number] = arm.tool_joint, _levers(arm, arm.tool_joint, tool)
-        elif not name and item.parentJoint > 0:
-            distance = float(np.linalg.norm(centers[number])) + radii[number]
-            joints[number], levers[number] = item.parentJoint, _levers(arm, int(item.parentJoint), distance)
-    turning = np.any(arm.twists()[:, 3:] != 0, axis=1).astype(float)
-    return MotionBound(levers, radii, centers, joints, turning)
+    def __init__(self, model: ClearanceModel) -> None:
+        arm, items = model.arm, model.geometry.geometryObjects
+        count = len(items)
+        self.levers, self.radii, self.centers = np.zeros((count, arm.n)), np.zeros(count), np.zeros((count, 3))
+        self.joints = np.zeros(count, dtype=np.int64)
+        self.turning = np.any(arm.twists()[:, 3:] != 0, axis=1).astype(float)
+        of_part = {number: (name, placement) for name, group in model.parts.items() for number, placement in group}
+        tool = float(np.linalg.norm(arm.model.frames[arm.tool].placement.translation))
+        for number, item in enumerate(items):
+            item.geometry.computeLocalAABB()
+            name, placement = of_part.get(number, ("", item.placement))
+            self.centers[number] = placement.act(item.geometry.aabb_center)
+            self.radii[number] = item.geometry.aabb_radius
+            if name in model.held:
+                joint, distance = arm.tool_joint, tool
+            elif not name:
+                distance = float(np.linalg.norm(self.centers[number])) + self.radii[number]
+                joint = int(item.parentJoint)
+            else:  # a part that stands on its own
+                continue
+            self.joints[number], self.levers[number] = joint, _levers(arm, joint, distance)
 
 
 def sweep(
@@ -92,7 +85,7 @@ def sweep(
     Parts that are held move relative to the tool, others relative to the base frame, by one screw motion.
 
     Args:
-        bound: `motion_bound` of the model.
+        bound: of the model.
         start, end: configuration (n,) and pose (single) of each part in the base frame.
         margin: distance that is wanted [m]; the sweep ends early where it is not kept. None: the smallest
             distance itself is found.

@@ -22,7 +22,7 @@ from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
 from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
-from micah_plan.robot.sweep import motion_bound, sweep
+from micah_plan.robot.sweep import MotionBound, sweep
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory
 
@@ -166,7 +166,7 @@ class _Follower:
     def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int, deadline: Deadline) -> None:
         self.model, self.arm, self.settings, self.deadline = model, model.arm, settings, deadline
         self._generator = np.random.default_rng(seed)
-        self._bound = motion_bound(model)
+        self._bound = MotionBound(model)
         lower, upper = self.arm.lower + settings.limit_margin, self.arm.upper - settings.limit_margin
         middle = np.clip(self.arm.rest, self.arm.lower, self.arm.upper)
         self._limits = np.minimum(lower, middle), np.maximum(upper, middle)

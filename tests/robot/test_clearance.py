@@ -11,7 +11,7 @@ from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.errors import InputError
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.load_arm import describe_robot, load_arm
-from micah_plan.robot.sweep import motion_bound, sweep
+from micah_plan.robot.sweep import MotionBound, sweep
 from micah_plan.scene.body import Body, Hull
 
 TABLE = Body("table", (Primitive("box", (1.2, 1.2, 0.02), (0.5, 0.0, -0.011)),))
@@ -132,7 +132,7 @@ def test_a_sweep_finds_what_lies_between_two_free_postures() -> None:
     post = Body("post", (Primitive("cylinder", (0.01, 2.0)),), position=(float(hand[0]), float(hand[1]), 0.5))
     model = clearance_model(arm, [post])
     assert min(model.at(q).distance for q in (start, end)) > 0.05
-    found = sweep(model, motion_bound(model), (start, {}), (end, {}))
+    found = sweep(model, MotionBound(model), (start, {}), (end, {}))
     assert found.clearance.distance < 0
     assert found.clearance.pair[1] == "post"
     assert 0.2 < found.share < 0.8
@@ -141,7 +141,7 @@ def test_a_sweep_finds_what_lies_between_two_free_postures() -> None:
 def test_a_sweep_is_never_more_hopeful_than_a_dense_check() -> None:
     arm = arm7()
     model = clearance_model(arm, [TABLE, ROCK], [STICK], ["stick"])
-    bound = motion_bound(model)
+    bound = MotionBound(model)
     generator = np.random.default_rng(6)
     relative = RigidTransform.from_components([0, 0, 0.02], Rotation.from_rotvec([0.4, 0, 0]))
     free = blocked = 0
@@ -173,7 +173,7 @@ def test_a_sweep_is_never_more_hopeful_than_a_dense_check() -> None:
 def test_no_point_moves_further_than_the_bound() -> None:
     arm = load_arm(described(SLIDER, "finger"))
     model = clearance_model(arm, [ROCK])
-    bound = motion_bound(model)
+    bound = MotionBound(model)
     wheel = next(i for i, item in enumerate(model.geometry.geometryObjects) if item.name.startswith("wheel"))
     rim = np.array([0.2, 0.0, 0.025, 1.0])
     generator = np.random.default_rng(7)
