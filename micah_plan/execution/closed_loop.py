@@ -316,18 +316,13 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
 
     Within a mode, coordinates may be correlated; Bonferroni's bound 1 - Σ P(outside) holds whatever the correlation.
     """
-    total = 0.0
-    for number, mode in enumerate(automaton.modes):
-        if not goal.admits(mode.name):
-            continue
-        std = np.sqrt(np.maximum(np.sum(belief.factors[number] ** 2, axis=1), 1e-24))
-        outside = 0.0
-        for index, value, tolerance in goal.target:
-            away = belief.means[number, index] - value
-            inside = ndtr((tolerance - away) / std[index]) - ndtr((-tolerance - away) / std[index])
-            outside += 1.0 - float(inside)
-        total += float(belief.weights[number]) * max(0.0, 1.0 - outside)
-    return total
+    coordinates, values, tolerances = np.array(goal.target, dtype=float).reshape(-1, 3).T
+    index = coordinates.astype(int)
+    std = np.sqrt(np.maximum(np.square(belief.factors[:, index]).sum(axis=2), 1e-24))
+    away = belief.means[:, index] - values
+    outside = 1.0 - (ndtr((tolerances - away) / std) - ndtr((-tolerances - away) / std))
+    admitted = np.array([goal.admits(name) for name in automaton.mode_names])
+    return float(belief.weights @ (admitted * np.maximum(0.0, 1.0 - outside.sum(axis=1))))
 
 
 def lasting_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
