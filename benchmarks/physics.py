@@ -44,19 +44,19 @@ class Row:
 
 
 class Recorder:
-    """Stands in for the library MuJoCo of a core and notes what the engine is given at every step."""
+    """Stands in for the library MuJoCo of a plant and notes what the engine is given at every step."""
 
-    def __init__(self, core: Any) -> None:
-        self._core, self._mujoco, self._free_steps = core, core.mujoco, core.free_steps
+    def __init__(self, plant: Any) -> None:
+        self._plant, self._mujoco, self._free_steps = plant, plant.mujoco, plant._free_steps
         self.given: list[tuple[Floats, NDArray[np.uint8]]] = []
         self._leapt = 0
 
     def __enter__(self) -> Recorder:
-        self._core.mujoco, self._core.free_steps = self, self.free_steps
+        self._plant.mujoco, self._plant._free_steps = self, self.free_steps
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._core.mujoco, self._core.free_steps = self._mujoco, self._free_steps
+        self._plant.mujoco, self._plant._free_steps = self._mujoco, self._free_steps
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._mujoco, name)
@@ -75,7 +75,7 @@ class Recorder:
 
     def free_steps(self, controls: Floats) -> Floats:
         self._leapt = len(controls)
-        self.given += [(row, self._core.data.eq_active.copy()) for row in controls]
+        self.given += [(row, self._plant.data.eq_active.copy()) for row in controls]
         return self._free_steps(controls)
 
     def mj_setState(self, *arguments: Any) -> None:  # noqa: N802
@@ -99,7 +99,7 @@ def measured(path: Path, repeats: int, seed: int) -> Row:
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     start = replace(problem.start, mode=plan.trajectory.modes[0], posture=posture)
     plant: Any = make_plant(replace(problem, start=start), "mujoco")
-    core, commands, apply = plant._core, [], plant.apply
+    commands, apply = [], plant.apply
 
     def noted(command: Command) -> Any:
         commands.append(command)
@@ -112,7 +112,7 @@ def measured(path: Path, repeats: int, seed: int) -> Row:
         plant.reset(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,))))
 
     def loop() -> None:
-        model, data, step = core.model, core.data, core.mujoco.mj_step
+        model, data, step = plant.model, plant.data, plant.mujoco.mj_step
         control, active = data.ctrl, data.eq_active
         for given, closed in recorder.given:
             control[:] = given
@@ -124,7 +124,7 @@ def measured(path: Path, repeats: int, seed: int) -> Row:
             plant.apply(command)
 
     plant.apply = noted
-    with Recorder(core) as recorder:
+    with Recorder(plant) as recorder:
         execute()
     plant.apply = apply
     best, ends = [np.inf] * 3, {}
@@ -132,7 +132,7 @@ def measured(path: Path, repeats: int, seed: int) -> Row:
         for number, run in enumerate((loop, repeat)):
             begin()
             best[number] = min(best[number], seconds(run))
-            ends[number] = core.data.qpos.copy()
+            ends[number] = plant.data.qpos.copy()
         best[2] = min(best[2], seconds(execute))
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
     plant.close()
