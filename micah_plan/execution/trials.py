@@ -15,7 +15,7 @@ from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import Episode, TrialResult, execute_abreast
 from micah_plan.execution.log import concatenated
-from micah_plan.execution.pilot import AskArm, ContinuePlan, Replanning
+from micah_plan.execution.pilot import ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
@@ -99,23 +99,13 @@ def run_trials(
         raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
-    replanning = Replanning(
-        replan=None if replan is None else partial(replan, problem),
-        continue_plan=None if continuation is None else continuation(problem, trajectory),
-        ask_arm=_arm_of(problem, plan),
-    )
+    replanning = _replanning(problem, plan, replan, None if continuation is None else continuation(problem, trajectory))
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
 
     make = partial(Episode, problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps)
     abreast = min(trials, _ABREAST) if isinstance(plant, str) and plant in BUILT_IN and BUILT_IN[plant].abreast else 1
-    results, ended = list[TrialResult](), list[bool]()
-
-    def report(result: TrialResult) -> None:
-        ended.append(result.success)
-        if progress is not None:
-            progress(f"trial {len(ended)} of {trials}: {sum(ended)} successful", len(ended) / trials)
-
+    results, report = list[TrialResult](), _reporting(trials, progress)
     with ExitStack() as opened:
         machines = [opened.enter_context(_opened(problem, plant)) for _ in range(abreast)]
         for first in range(0, trials, abreast):
@@ -139,13 +129,28 @@ def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContex
     return nullcontext(CheckedPlant(plant, parts))
 
 
-def _arm_of(problem: Problem, plan: Plan) -> AskArm | None:
-    """Asks the arm of a problem whether it can follow a new plan, where it follows the present one."""
+def _replanning(
+    problem: Problem, plan: Plan, replan: ProblemReplan | None, continue_plan: ContinuePlan | None
+) -> Replanning:
+    """Where new plans come from, which the arm must be able to follow where it follows the present one."""
+    proposed = None if replan is None else partial(replan, problem)
     if problem.robot is None or plan.arm is None:
-        return None
+        return Replanning(proposed, continue_plan)
     from micah_plan.robot.along_plan import arm_along  # Pinocchio is loaded only where there is an arm
 
-    return lambda trajectory, joints: arm_along(problem, trajectory, start=joints)
+    return Replanning(proposed, continue_plan, lambda plan, joints: arm_along(problem, plan, start=joints))
+
+
+def _reporting(trials: int, progress: Progress | None) -> Callable[[TrialResult], None]:
+    """What tells the progress whenever a trial has ended."""
+    ended: list[bool] = []
+
+    def report(result: TrialResult) -> None:
+        ended.append(result.success)
+        if progress is not None:
+            progress(f"trial {len(ended)} of {trials}: {sum(ended)} successful", len(ended) / trials)
+
+    return report
 
 
 def summarise(results: list[TrialResult]) -> TrialStatistics:
