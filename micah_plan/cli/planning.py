@@ -36,7 +36,7 @@ from micah_plan.task.settings import Method
 if TYPE_CHECKING:
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.recording.value import Recording
-    from micah_plan.task.plan import Plan
+    from micah_plan.task.plan import ArmTrajectory, Plan
     from micah_plan.task.problem import Problem
 
 
@@ -88,26 +88,28 @@ def _solved(plan: Plan) -> dict[str, Any]:
     return {
         "outcome": plan.outcome,
         "reason": plan.reason,
-        "modes": list(plan.mode_sequence),
+        "modes": plan.mode_sequence,
         "cost": plan.cost,
         "goal_error": plan.goal_error,
         "goal_std": plan.goal_std,
         "success_probability": plan.success_probability,
-        "success_interval": None if plan.success_interval is None else list(plan.success_interval),
+        "success_interval": plan.success_interval,
         "verification_trials": plan.verification_trials,
         "findings": [asdict(finding) for finding in plan.findings],
-        "warnings": list(plan.warnings),
-        "arm": None
-        if plan.arm is None
-        else {
-            "least_clearance": plan.arm.least_clearance,
-            "closest_pair": list(plan.arm.closest_pair),
-            "closest_knot": plan.arm.closest_knot,
-            "least_manipulability": float(plan.arm.manipulability.min()),
-            "deviation": plan.arm.deviation,
-        },
-        "seconds": dict(plan.timings),
+        "warnings": plan.warnings,
+        "arm": None if plan.arm is None else _arm(plan.arm),
+        "seconds": plan.timings,
         "seed": plan.seed,
+    }
+
+
+def _arm(arm: ArmTrajectory) -> dict[str, Any]:
+    return {
+        "least_clearance": arm.least_clearance,
+        "closest_pair": arm.closest_pair,
+        "closest_knot": arm.closest_knot,
+        "least_manipulability": float(arm.manipulability.min()),
+        "deviation": arm.deviation,
     }
 
 
@@ -204,11 +206,7 @@ def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
         "trials": statistics.trials,
         "successes": statistics.successes,
         "believed": statistics.believed,
-        "final_error": {
-            "mean": statistics.final_error.mean,
-            "std": statistics.final_error.std,
-            "max": statistics.final_error.max,
-        },
+        "final_error": asdict(statistics.final_error),
         "failures": [{"trial": trial, "reason": reason} for trial, reason in statistics.failures],
         "seconds": seconds,
     }

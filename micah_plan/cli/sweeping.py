@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Container
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,7 +34,7 @@ def sweep(
 ) -> None:
     """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
     from micah_plan.documents.sweep import load_sweep
-    from micah_plan.sweep.journal import journal_path, read_journal
+    from micah_plan.sweep.journal import journal_path
     from micah_plan.sweep.run import check_sweep_outputs, run_on
 
     if workers is not None and scheduler is not None:
@@ -48,8 +47,7 @@ def sweep(
         if output is not None:
             check_sweep_outputs(asked, output)
         if output is None or dry_run:
-            finished = {} if output is None else read_journal(journal_path(output))
-            counts = _counted(asked, finished)
+            counts = _counted(asked, output)
             print_summary(as_json, counts, lambda: _print_counted(counts))
             return
         begin = time.perf_counter()
@@ -57,7 +55,9 @@ def sweep(
             with _workers(workers, scheduler) as chosen:
                 done = run_on(asked, output, chosen, progress)
         except KeyboardInterrupt:
-            raise Interrupted(_how_to_go_on(asked, output)) from None
+            counts = _counted(asked, output)
+            state = f"{counts['finished']} of {counts['cases']} cases are finished and kept in {journal_path(output)}"
+            raise Interrupted(f"interrupted; {state}; give the same command again to go on") from None
     summary = _swept(done, time.perf_counter() - begin)
     print_summary(as_json, summary, lambda: _print_swept(summary, done.files))
 
@@ -68,16 +68,11 @@ def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager
     return process_workers(count) if scheduler is None else dask_workers(scheduler)
 
 
-def _how_to_go_on(asked: Sweep, output: Path) -> str:
+def _counted(sweep: Sweep, output: Path | None) -> dict[str, Any]:
+    """Keys of `sweep --dry-run`: what the cases are made of, how many there are, and how many the journal has."""
     from micah_plan.sweep.journal import journal_path, read_journal
 
-    counts = _counted(asked, read_journal(journal_path(output)))
-    state = f"{counts['finished']} of {counts['cases']} cases are finished"
-    return f"interrupted; {state} and kept in {journal_path(output)}; give the same command again to go on"
-
-
-def _counted(sweep: Sweep, finished: Container[str]) -> dict[str, Any]:
-    """Keys of `sweep --dry-run`: what the cases are made of, how many there are, and how many of them a journal has."""
+    finished = {} if output is None else read_journal(journal_path(output))
     keys = {case.key for case in sweep.cases()}
     return {
         "problems": len(sweep.problems),

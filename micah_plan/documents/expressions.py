@@ -39,21 +39,6 @@ _END = ("end", "")
 
 
 @dataclass(frozen=True)
-class Variables:
-    """The names that expressions may use: (n) coordinates and (m) inputs, in the automaton's order."""
-
-    coordinates: tuple[str, ...]
-    inputs: tuple[str, ...]
-
-    @staticmethod
-    def of(scope: Scope) -> Variables:
-        return Variables(tuple(scope["coordinate"]), tuple(scope["input"]))
-
-    def listed(self) -> list[str]:
-        return [_written(name) for name in self.coordinates] + [f"{INPUT} {_written(name)}" for name in self.inputs]
-
-
-@dataclass(frozen=True)
 class Affine:
     """a'x + b'u + constant, and whether a constant was written at all (``0.0`` counts)."""
 
@@ -63,25 +48,25 @@ class Affine:
     has_constant: bool = False
 
 
-def parse_affine(text: str, variables: Variables) -> Affine:
+def parse_affine(text: str, scope: Scope) -> Affine:
     """An affine expression.
 
     Raises:
         InputError: if it is not one or uses an unknown name; the file and place are left to the caller.
     """
-    parser = _Parser(text, variables)
+    parser = _Parser(text, scope)
     expression = parser.sum()
     parser.end("+ or -")
     return expression
 
 
-def parse_half_space(text: str, variables: Variables, name: str | None = None) -> HalfSpace:
+def parse_half_space(text: str, scope: Scope, name: str | None = None) -> HalfSpace:
     """A half-space from one comparison; without a name it gets the canonical one.
 
     Raises:
         InputError: as for `parse_affine`, and if no variable has a weight.
     """
-    parser = _Parser(text, variables)
+    parser = _Parser(text, scope)
     left = parser.sum()
     operator = parser.comparison()
     right = parser.sum()
@@ -91,26 +76,26 @@ def parse_half_space(text: str, variables: Variables, name: str | None = None) -
     b = tuple(sign * (p - q) + 0.0 for p, q in zip(left.b, right.b, strict=True))
     c = sign * (right.constant - left.constant)
     if not any((*a, *b)):
-        raise parser.error("expected a variable with a weight other than 0", f"use {', '.join(variables.listed())}")
+        raise parser.error("expected a variable with a weight other than 0", f"use {', '.join(_listed(scope))}")
     if not all(map(math.isfinite, (*a, *b, c))):
         raise parser.error("a number is too large", "use SI units")
     half_space = HalfSpace(a, b, c + 0.0, strict=len(operator) == 1)  # + 0.0: no -0.0 in what people see
-    return replace(half_space, name=canonical_name(half_space, variables) if name is None else name)
+    return replace(half_space, name=canonical_name(half_space, scope) if name is None else name)
 
 
-def half_space_text(half_space: HalfSpace, variables: Variables) -> str:
+def half_space_text(half_space: HalfSpace, scope: Scope) -> str:
     """The text that `parse_half_space` reads back as the same half-space."""
-    return _comparison(half_space, variables, _exact)
+    return _comparison(half_space, scope, _exact)
 
 
-def canonical_name(half_space: HalfSpace, variables: Variables) -> str:
+def canonical_name(half_space: HalfSpace, scope: Scope) -> str:
     """The name that the builders of `automaton.region` give, with numbers rounded for reading."""
-    return _comparison(half_space, variables, lambda value: f"{value:g}")
+    return _comparison(half_space, scope, lambda value: f"{value:g}")
 
 
-def short_text(half_space: HalfSpace, variables: Variables) -> str:
+def short_text(half_space: HalfSpace, scope: Scope) -> str:
     """The exact text for messages: what a person copies from it is the limit itself, not a rounded one."""
-    return _comparison(half_space, variables, short_number)
+    return _comparison(half_space, scope, short_number)
 
 
 def short_number(value: float) -> str:
@@ -119,9 +104,9 @@ def short_number(value: float) -> str:
     return rounded if float(rounded) == value else _exact(value)
 
 
-def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, variables: Variables) -> str:
+def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, scope: Scope) -> str:
     """The text that `parse_affine` reads back as the same expression; ``0.0`` if nothing is left."""
-    text = _sum(a, b, variables, _exact)
+    text = _sum(a, b, scope, _exact)
     if not text or not constant:
         return text or _exact(constant or 0.0)
     return f"{text} {'-' if constant < 0 else '+'} {_exact(abs(constant))}"
@@ -130,12 +115,12 @@ def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, 
 class _Parser:
     """Recursive descent over the tokens of one expression: (kind, text), at the end ("end", "")."""
 
-    def __init__(self, text: str, variables: Variables) -> None:
+    def __init__(self, text: str, scope: Scope) -> None:
         if len(text) > _LONGEST:
             raise InputError(f"expected at most {_LONGEST} characters, found {len(text)}")
         self._text = text
-        self._variables = variables.listed()
-        self._coordinates = len(variables.coordinates)
+        self._variables = _listed(scope)
+        self._coordinates = len(scope["coordinate"])
         self._rest = self._tokens()
         self._next = next(self._rest, _END)
 
@@ -221,6 +206,11 @@ def _exact(value: float) -> str:
     return repr(float(value))
 
 
+def _listed(scope: Scope) -> list[str]:
+    """The variables as expressions write them, coordinates before inputs."""
+    return [_written(name) for name in scope["coordinate"]] + [f"{INPUT} {_written(name)}" for name in scope["input"]]
+
+
 def _written(name: str) -> str:
     """A name as expressions write it."""
     if name != INPUT and _IDENTIFIER.fullmatch(name):
@@ -228,9 +218,9 @@ def _written(name: str) -> str:
     return json.dumps(name, ensure_ascii=False)
 
 
-def _sum(a: Sequence[float], b: Sequence[float], variables: Variables, number: Callable[[float], str]) -> str:
+def _sum(a: Sequence[float], b: Sequence[float], scope: Scope, number: Callable[[float], str]) -> str:
     text = ""
-    for weight, name in zip((*a, *b), variables.listed(), strict=True):
+    for weight, name in zip((*a, *b), _listed(scope), strict=True):
         if weight == 0.0:
             continue
         term = name if abs(weight) == 1.0 else f"{number(abs(weight))}*{name}"
@@ -241,13 +231,13 @@ def _sum(a: Sequence[float], b: Sequence[float], variables: Variables, number: C
     return text
 
 
-def _comparison(half_space: HalfSpace, variables: Variables, number: Callable[[float], str]) -> str:
+def _comparison(half_space: HalfSpace, scope: Scope, number: Callable[[float], str]) -> str:
     a, b, c, strict = half_space.a, half_space.b, half_space.c, half_space.strict
     weights = [w for w in (*a, *b) if w != 0.0]
     upper = weights == [-1.0]  # a single coordinate or input from above reads better as "door < 1.2"
     if upper:
         a, b, c = tuple(-w for w in a), tuple(-w for w in b), -c
-    left = _sum(a, b, variables, number)
+    left = _sum(a, b, scope, number)
     operator = ("<" if upper else ">") + ("" if strict else "=")
     return f"{left} {operator} {number(c + 0.0)}"
 
@@ -274,32 +264,32 @@ def _expression(value: Any) -> str:
 
 def _affine_of(text: str, at: Located, scope: Scope) -> Affine:
     with at.locating_errors():
-        return parse_affine(text, Variables.of(scope))
+        return parse_affine(text, scope)
 
 
 def _affine_entry(value: Affine, scope: Scope) -> str | float:
     """The text of an expression, or the number that it is."""
     is_number = not any((*value.a, *value.b))
-    return value.constant if is_number else affine_text(value.a, value.b, value.constant, Variables.of(scope))
+    return value.constant if is_number else affine_text(value.a, value.b, value.constant, scope)
 
 
 def _region_of(entries: Sequence[tuple[str, str | None]], at: Located, scope: Scope) -> Region:
-    names, half_spaces = Variables.of(scope), []
+    half_spaces = []
     for i, (text, name) in enumerate(entries):
         with at.at(i).locating_errors():
-            half_spaces.append(parse_half_space(text, names, name))
+            half_spaces.append(parse_half_space(text, scope, name))
     return Region(tuple(half_spaces))
 
 
 def _region_entries(region: Region, scope: Scope) -> list[str | dict[str, str]]:
     """The entries of a region; names only where they are not the canonical ones."""
-    names = Variables.of(scope)
+    sizes = len(scope["coordinate"]), len(scope["input"])
     entries: list[str | dict[str, str]] = []
     for half_space in region.half_spaces:
-        if (len(half_space.a), len(half_space.b)) != (len(names.coordinates), len(names.inputs)):
+        if (len(half_space.a), len(half_space.b)) != sizes:
             raise InputError(f"automaton: half-space '{half_space.name}' has weights of another state or input size")
-        text = half_space_text(half_space, names)
-        own_name = half_space.name not in ("", canonical_name(half_space, names))
+        text = half_space_text(half_space, scope)
+        own_name = half_space.name not in ("", canonical_name(half_space, scope))
         entries.append({half_space.name: text} if own_name else text)
     return entries
 

@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Interval
-from micah_plan.documents.expressions import Variables, short_number, short_text
+from micah_plan.documents.expressions import short_number, short_text
 from micah_plan.documents.fields import (
     BY_NAME,
     ITEMS,
@@ -290,11 +290,10 @@ def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> 
 
 def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
     """The remedy that says what the modes allow: ``allowed: swings (door >= 0, door <= 1.2)``."""
-    variables = Variables(automaton.coordinate_names, automaton.input_names)
-    texts = []
+    scope, texts = scope_of(automaton), []
     for name in modes[:_MOST_LISTED]:
         regions = start_regions(automaton, automaton.mode(name))
-        rows = [", ".join(short_text(h, variables) for h in region.half_spaces) or "everywhere" for region in regions]
+        rows = [", ".join(short_text(h, scope) for h in region.half_spaces) or "everywhere" for region in regions]
         texts.append(f"{name} ({' or '.join(rows) or 'nowhere'})")
     return f"allowed: {'; '.join(texts)}{'; ...' if len(modes) > _MOST_LISTED else ''}"
 

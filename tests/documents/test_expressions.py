@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from micah_plan.automaton.region import HalfSpace, above, below, input_above, input_below
 from micah_plan.documents.expressions import (
     Affine,
-    Variables,
     affine_text,
     canonical_name,
     half_space_text,
@@ -19,7 +18,7 @@ from micah_plan.documents.expressions import (
 )
 from micah_plan.errors import InputError
 
-XZ = Variables(("x", "z", "upper arm", "input"), ("x", "input"))
+XZ = {"coordinate": ("x", "z", "upper arm", "input"), "input": ("x", "input")}
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 WEIGHTS = st.sampled_from([0.0, 1.0, -1.0, 0.5]) | NUMBERS
 
