@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.track import PartTrack
@@ -18,13 +18,10 @@ _NEIGHBOURS = 7
 
 
 def find_inliers(track: PartTrack) -> Bools:
-    """(n,) rows that are not far from the running median of their neighbours, measured in such distances (Hampel)."""
-    distances = [np.linalg.norm(track.position - _running_median(track.position), axis=1)]
+    """(n,) rows that are not far from the middle one of their neighbours, measured in such distances (Hampel)."""
+    distances = [np.linalg.norm(track.position - _middle_ones(track.position), axis=1)]
     if track.quaternion is not None:
-        middle = _running_median(track.quaternion)
-        lengths = np.linalg.norm(middle, axis=1)
-        middle = np.where(lengths[:, None] > 0.1, middle, track.quaternion)
-        apart = Rotation.from_quat(track.quaternion) * Rotation.from_quat(middle).inv()
+        apart = Rotation.from_quat(track.quaternion) * Rotation.from_quat(_middle_ones(track.quaternion)).inv()
         distances.append(np.asarray(apart.magnitude()))
     outlying = np.zeros(len(track), dtype=bool)
     for distance, floor in zip(distances, _FLOORS, strict=False):
@@ -32,6 +29,10 @@ def find_inliers(track: PartTrack) -> Bools:
     return ~outlying if outlying.mean() < 0.4 else np.ones(len(track), dtype=bool)
 
 
-def _running_median(values: Floats) -> Floats:
+def _middle_ones(values: Floats) -> Floats:
+    """Of every row (n, k) the one among its neighbours that is closest to all of them: a median in no axes."""
+    half = _NEIGHBOURS // 2
     # Mirrored at the ends: repeated, the first row would be the median of its own neighbourhood.
-    return np.asarray(median_filter(values, size=(_NEIGHBOURS, 1), mode="mirror"))
+    near = sliding_window_view(np.pad(values, ((half, half), (0, 0)), mode="reflect"), _NEIGHBOURS, axis=0)
+    apart = np.sqrt(((near[..., :, None] - near[..., None, :]) ** 2).sum(axis=1)).sum(axis=2)
+    return np.asarray(near[np.arange(len(values)), :, apart.argmin(axis=1)])

@@ -243,7 +243,8 @@ def unless_free(
     The number is the log odds of free motion. It counts only if the joint misses the rows further than their noise lets
     them scatter.
     """
-    free = free_log_probability(segmented.track, segmented.noise, segmented.table.trust)
+    rough = first_noise(segmented.track, settings)
+    free = free_log_probability(segmented.track, rough, segmented.table.trust)
     log_odds = free - _FREE_IS_RARE - segmented.log_probability
     if log_odds <= 0:
         return segmented, log_odds, None
@@ -268,10 +269,11 @@ def _misfit(
     error = seen.error[0].T[inlier]
     turned = track.quaternion is not None
     missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
-    # How far rows are from their neighbours is no motion either: few rows leave open how much of it the noise is.
+    # How far rows are from their neighbours is no motion either: few rows leave open how much of it the noise is. And a
+    # tracker wanders as far as it is assumed to; what was fitted to these misses as wander may be the motion itself.
     rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
     whites = [[noise.position_white, rough.position_white], [noise.rotation_white, rough.rotation_white]]
-    scatter = np.sqrt(3) * np.max(whites, axis=1)
+    scatter = np.sqrt(3) * np.hypot(np.max(whites, axis=1), [settings.position_wander, settings.rotation_wander])
     if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
         return None
     return Misfit(

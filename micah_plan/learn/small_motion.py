@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack, part_track
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
@@ -21,8 +22,7 @@ Floats = NDArray[np.float64]
 _TELLING = 10.0  # wanders; a larger motion shows its joint
 _BLOCKS = 8  # in which rows are averaged to see whether anything moves
 _BEYOND_NOISE = 7.0  # times the noise of these means
-_MOST, _LEAST = 0.98, 0.02  # quantiles between which a part moves; few rows do not count
-_MISS_STD = 1.4826 / np.sqrt(1.5)  # white std per median miss of the middle of the neighbours
+_FEW = 0.02  # share of the rows that do not count
 
 
 def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
@@ -56,14 +56,13 @@ def _reach(track: PartTrack) -> tuple[float, float] | None:
     """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
     inlier = find_inliers(track)
     position = track.position[inlier]
-    misses = position[1:-1] - 0.5 * (position[:-2] + position[2:])
-    noise = _MISS_STD * float(np.linalg.norm(np.median(np.abs(misses), axis=0)))
+    noise = float(np.sqrt(3) * white_std(bends(position)))
     blocks = np.array_split(position, min(_BLOCKS, len(position)))
-    apart = float(np.linalg.norm(np.ptp([block.mean(axis=0) for block in blocks], axis=0)))
+    apart = extent(np.array([block.mean(axis=0) for block in blocks]))
     turned = 0.0
     if track.quaternion is not None:
         rotation = Rotation.from_quat(track.quaternion[inlier])
-        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), _MOST))
+        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
     if apart < _BEYOND_NOISE * noise / np.sqrt(len(position) / len(blocks)):
         return None
-    return float(np.linalg.norm(np.subtract(*np.quantile(position, [_MOST, _LEAST], axis=0)))), turned
+    return extent(position, _FEW), turned

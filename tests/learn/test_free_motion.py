@@ -12,6 +12,7 @@ import pytest
 from planted import JOINTS, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.certainty import Misfit
+from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
@@ -96,3 +97,29 @@ def test_few_rows_of_a_part_at_rest_are_rigid(rows: int, scatter: Noise) -> None
     recording = recorded([(JOINTS["prismatic"], np.zeros(rows))], np.random.default_rng(0), scatter)
     segments = learn_graph(recording).edges[0].segments
     assert [(one.joint.kind, one.certainty.misfit) for one in segments] == [("rigid", None)]
+
+
+def seen_by_a_wandering_tracker(position: np.ndarray, std: float, rng: np.random.Generator) -> Recording:
+    """Positions alone, with an error that keeps nine tenths of itself from row to row."""
+    error = rng.standard_normal(position.shape)
+    for row in range(1, len(error)):
+        error[row] = 0.9 * error[row - 1] + np.sqrt(1 - 0.9**2) * error[row]
+    white = 2e-4 * rng.standard_normal(position.shape)
+    return Recording(time=np.arange(len(position)) / 18, position=position + white + std * error)
+
+
+@pytest.mark.parametrize("std", [0.001, 0.002, 0.003, 0.005])
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_what_a_wandering_tracker_misses_of_a_joint_is_no_free_motion(kind: str, std: float) -> None:
+    for seed in range(2):
+        rng = np.random.default_rng([seed, 8])
+        c = moving_then_held(kind, 120, 0)
+        position = forward(JOINTS[kind], c).translation
+        assert misfit_of(seen_by_a_wandering_tracker(position, std, rng)) is None
+
+
+@pytest.mark.parametrize("std", [0.001, 0.003])
+def test_a_path_that_no_joint_has_is_refused_under_a_wandering_tracker_too(std: float) -> None:
+    s = np.linspace(0, 0.3, 120)
+    position = np.stack([s, 0.03 * np.cos(2 * np.pi * s / 0.15), np.zeros(120)], axis=1)
+    assert misfit_of(seen_by_a_wandering_tracker(position, std, np.random.default_rng(4))) is not None

@@ -16,11 +16,12 @@ from micah_plan.recording.read import read_recording
 DATA = Path(os.environ.get("MICAH_DATA", Path(__file__).parents[3] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="measured recordings are not here (set MICAH_DATA)")
 
-# Kinds in order of time, and where the motion ends by the eye on the displacement: the rows it may be told at.
+# Kinds in order of time, and where the motion ends by the eye on the displacement: the rows it may be told at. The
+# stapler is pressed from row 86 on and creeps, by less than its tracker errs, until it latches at about 102.
 DEMONSTRATIONS = {
     "microwave_with_grasp": (["revolute", "rigid"], range(80, 85)),
     "drawer_no_grasp": (["prismatic"], None),
-    "stapler": (["revolute", "rigid"], range(97, 105)),
+    "stapler": (["revolute", "rigid"], range(86, 105)),
 }
 TRACKS = {
     "cabinet_one": ("revolute", 0.38),

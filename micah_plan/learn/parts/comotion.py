@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.recording.value import Recording
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,7 @@ _MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, howeve
 _SHARE = 0.5
 _FAR = 0.1  # m; further than slow errors of a tracker take a part, seen from another
 _FAR_STDS = 20.0
-_STD_PER_MAD = 1.4826
+_FEW = 0.05  # share of the rows that do not count
 
 
 def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
@@ -42,8 +43,7 @@ def moves_far(recording: Recording) -> bool:
     """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
     for run in recording.runs:
         place = _places(recording.rows(recording.run == run))
-        low, high = np.quantile(place, [0.05, 0.95], axis=0)
-        if len(place) > 2 and (high - low).max() > max(_FAR, _FAR_STDS * _white_std(place)):
+        if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(white_std(bends(place)))):
             return True
     return False
 
@@ -58,12 +58,12 @@ def moving_windows(recording: Recording, run: int, part: str) -> Bools:
     place = _places(recording.rows(own))
     edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
     window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
-    threshold = _MOTION_STDS * _white_std(place)
+    threshold = _MOTION_STDS * float(white_std(bends(place)))
     for k in range(_WINDOWS):
         # With its neighbours: a window between rows of a slow recording would have none or one.
         rows = place[np.abs(window - k) <= 1]
         if len(rows) > 1:
-            moves[k] = np.ptp(rows, axis=0).max() > threshold
+            moves[k] = extent(rows) > threshold
     return moves
 
 
@@ -77,9 +77,3 @@ def _places(own: Recording) -> Floats:
         return own.position
     turned = own.poses().rotation.as_matrix().reshape(len(own), 9)
     return np.concatenate([own.position, ROTATION_LENGTH * turned], axis=1)
-
-
-def _white_std(place: Floats) -> float:
-    """The largest column's noise, by what the mean of both neighbours misses (variance 1.5 σ²)."""
-    miss = place[1:-1] - 0.5 * (place[:-2] + place[2:])
-    return float(_STD_PER_MAD * np.median(np.abs(miss), axis=0).max() / np.sqrt(1.5))

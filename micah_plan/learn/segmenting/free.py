@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
+from micah_plan.learn.spread import extent
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,7 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     """ln probability of a track of free motion, to compare with that of its segments.
 
     Args:
-        noise: of the track's measurement; free motion is not told more exactly than that.
+        noise: as the roughness of the rows tells it; free motion is not told more exactly than that.
         trust: power of the likelihood.
     """
     path = _path(track)
@@ -48,7 +49,9 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
         size = sum(sizes[one, group] for group, one in enumerate(way))
         density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(chosen / (_DOF + d)) - size
         best = max(best, float(density.sum()))
-    first = float(np.log(np.maximum(np.ptp(path, axis=0), _FINEST_EXTENT)).sum())
+    # Where the first row is, is uniform over a cube as large as the path.
+    reached = [max(extent(path[:, group : group + 3]), _FINEST_EXTENT) for group in range(0, d, 3)]
+    first = 3 * float(np.log(reached).sum())
     # One scale per group is fitted, and its way of going on is chosen.
     fitted = 0.5 * (d // 3) * np.log(3.0 * n) + (d // 3) * np.log(len(ways))
     return trust * (best - first) - float(fitted)

@@ -1,9 +1,10 @@
 """Noise of a pose measurement: white, with fast and slow wander, and how much of it the rows before foretell.
 
-Measured pose = joint at its configuration + error e_t. Each channel's error is white noise + a fast wander + a slow
-wander of the tracker (Ornstein-Uhlenbeck each); a row's error given the p rows before it is normal around a linear
-prediction (Levinson, Durbin), so that likelihoods are sums over rows. What is left, the innovations, is correlated
-between channels (errors of rotation and position are tied by a lever arm) and has Student's tails.
+Measured pose = joint at its configuration + error e_t. Errors are white noise + a fast wander + a slow wander of the
+tracker (Ornstein-Uhlenbeck each), of one scale for rotations and one for positions. A row's error given the p rows
+before it is normal around a linear prediction (Levinson, Durbin), so that likelihoods are sums over rows. What is left,
+the innovations, is correlated between channels (errors of rotation and position are tied by a lever arm, and a tracker
+may have axes of its own) and has Student's tails.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class NoiseModel:
     Attributes:
         white, fast, slow: (m, d) variances of the white noise and of two wanders.
         fast_kept, slow_kept: (m, d) correlation of a wander in neighbouring rows.
-        correlation: (m, d, d) of the channels' innovations.
+        correlation: (m, d, d) of the channels' innovations; 1 is the mean of its diagonal over the axes of a vector.
         dof: (m,) degrees of freedom of the innovations' tails.
         coefficients: (m, p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
         left: (m, p + 1, d) variances of what they leave.

@@ -76,7 +76,7 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     error, direction = pool.seen.error[joints], pool.seen.direction[joints]
     rigid = np.flatnonzero(~pool.moving)
     rows = [np.flatnonzero(used[i]) for i in rigid]
-    missed_by = np.array([_median(error[..., own]) for own in rows])
+    missed_by = np.array([error[..., own].mean(axis=2) for own in rows])
     along = np.moveaxis(direction[..., [own[len(own) // 2] for own in rows]], 2, 0) * reach[:, None]
     prior = np.diag(noise.slow[0] + noise.white[0]) + along[..., :, None] * along[..., None, :]
     count = np.array([len(own) for own in rows])[:, None, None, None]
@@ -84,13 +84,6 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
     result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1) + denied[rigid])
     return result
-
-
-def _median(values: Floats) -> Floats:
-    """(j, d) medians over the rows of values (j, d, n), without the overhead of the general one."""
-    n = values.shape[2]
-    ordered = np.sort(values, axis=2)
-    return np.asarray(0.5 * (ordered[..., (n - 1) // 2] + ordered[..., n // 2]))
 
 
 def _denied(pool: Pool, noise: NoiseModel) -> Floats:
@@ -101,10 +94,11 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     inside, count = _blocks(used)
     travel = _span(inside, count, pool.seen.configuration[:, None])
     noises = np.sqrt(pool.white[:, None] / block + pool.renewed[:, None] * rows / _BLOCKS / 3)
-    travel = travel / np.where(pool.moving[:, None], noises, 1.0)
+    travel = travel / np.where(pool.moving, noises[:, 0], 1.0)
     # The wander of a tracker goes on over all rows of a rest.
-    drift = _span(inside, count, pool.seen.error) / np.sqrt(noise.white / block + noise.renewed * rows)
-    denied = np.where(pool.moving, travel[:, 0] < _TRAVEL, drift.max(axis=1) > _DRIFT)
+    drift = pool.seen.error / np.sqrt(noise.white / block + noise.renewed * rows)[..., None]
+    drifts = [_span(inside, count, drift[:, i : i + 3]) for i in range(0, drift.shape[1], 3)]
+    denied = np.where(pool.moving, travel < _TRAVEL, np.max(drifts, axis=0) > _DRIFT)
     return np.asarray(_DENIED * denied)
 
 
@@ -117,10 +111,11 @@ def _blocks(used: Bools) -> tuple[Floats, Floats]:
 
 
 def _span(inside: Floats, count: Floats, values: Floats) -> Floats:
-    """(h, d) how far apart the means of blocks lie, of values (h, d, n)."""
+    """(h,) how far apart the means of blocks lie, of values (h, d, n)."""
     means = values @ inside / np.maximum(count, 1)
     means = np.where(count > 0, means, means[..., :1])
-    return np.asarray(np.ptp(means, axis=2))
+    apart = ((means[..., :, None] - means[..., None, :]) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(apart.max(axis=(1, 2))))
 
 
 def parameter_counts(joints: JointArrays, has_orientation: bool) -> Floats:

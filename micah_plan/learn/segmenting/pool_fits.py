@@ -18,6 +18,8 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 PARAMETERS = 13  # of `JointArrays.moved`'s step
+_VECTORS = np.array([0, 3, 6, 9, 12])  # its first numbers of turns, shifts and the pitch
+_VECTOR_OF = np.minimum(np.arange(PARAMETERS) // 3, 4)
 _GAUGE = 1e-9  # directions of less relative information are redundant
 _TINY = 1e-300
 _CONVERGED = 1e-3  # nats that the next step promises
@@ -91,10 +93,14 @@ class _Fits:
         damped = (weighted @ columns.swapaxes(2, 3)).sum(axis=1)
         pull = (weighted @ self.innovation[..., None]).sum(axis=1)[..., 0]
         diagonal = np.einsum("hii->hi", damped)
+        # One damping for the three numbers of a vector: no axes are preferred.
+        scale = np.add.reduceat(diagonal, _VECTORS[numbers > _VECTORS], axis=1)[:, _VECTOR_OF[:numbers]]
         # What is redundant gets a step of next to no length.
-        diagonal += self.damping[:, None] * diagonal + _GAUGE * diagonal.max(axis=1, keepdims=True) + _TINY
+        diagonal += self.damping[:, None] * scale + _GAUGE * scale.max(axis=1, keepdims=True) + _TINY
+        solved = np.nan_to_num(np.linalg.solve(damped, pull[..., None])[..., 0])
+        longest = np.sqrt(np.add.reduceat(solved**2, _VECTORS[numbers > _VECTORS], axis=1))[:, _VECTOR_OF[:numbers]]
         step = np.zeros((h, PARAMETERS))
-        step[:, :numbers] = np.clip(np.nan_to_num(np.linalg.solve(damped, pull[..., None])[..., 0]), -1.0, 1.0)
+        step[:, :numbers] = solved / np.maximum(longest, 1.0)
         return step, 0.5 * (step[:, :numbers] * pull).sum(axis=1)
 
     def after(self, step: Floats) -> _Fits:

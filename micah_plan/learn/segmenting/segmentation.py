@@ -16,7 +16,6 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, t
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
-from micah_plan.learn.segmenting.occam import RARE_SCREW
 from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
@@ -32,7 +31,6 @@ _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
-_CLOSE = 10.0  # nats; outcomes further apart under their own noises are not compared under others
 _SAME_ROWS = 0.6  # of the rows of either
 # By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
 # be followed by any kind, and by a pause. And how many times too large the log odds of kinds are: joints and noise are
@@ -69,8 +67,7 @@ def segment_track(
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
-    (under which there may be one). What each proposes settles on its own, and the outcome is taken that is the most
-    probable one under the noises that close ones leave.
+    (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
 
     Args:
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
@@ -89,7 +86,7 @@ def segment_track(
     ]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     settled = _settled(proposals, prior, settings, use_actions)
-    best = _most_probable(settled, prior, settings, use_actions)
+    best = max(settled, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
         best = _unless_stopped(best, prior, settings)
     return best
@@ -105,7 +102,7 @@ def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSetting
         return found
     table, segmentation = stopped
     rivals = _settled([replace(found, table=table, segmentation=segmentation)], prior, settings, True)
-    return _most_probable([found, *rivals], prior, settings, True)
+    return max([found, *rivals], key=lambda one: one.log_probability)
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
@@ -194,26 +191,6 @@ def _renewed(
     ]
 
 
-def _most_probable(
-    settled: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
-) -> Segmented:
-    """The outcome with the best odds against the others, on average over the noises that they leave.
-
-    Every outcome is told too exactly under the noise fitted to it, by more than there is between two close ones.
-    """
-    different = _different(settled)
-    close = [one for one in different if one.log_probability > different[0].log_probability - _CLOSE]
-    totals = np.diag([one.log_probability for one in close])
-    pairs = [(i, k) for i in range(len(close)) for k in range(len(close)) if i != k]
-    if pairs:
-        pools, noises = [close[i].table.pool.hypotheses for i, _ in pairs], [close[k].noise for _, k in pairs]
-        trust = close[0].table.trust
-        tables = all_tabulated(pools, close[0].track, noises, use_actions, settings.rest, trust)
-        for (i, k), table in zip(pairs, tables, strict=True):
-            totals[i, k] = shared(table, _rows_of_joints(close[i])[0], prior, settings).log_probability
-    return close[int(np.argmax(totals.mean(axis=1)))]
-
-
 def _rows_of_joints(found: Segmented) -> tuple[list[int], Bools]:
     """Hypotheses in use, and the rows (u, n) that each explains."""
     pieces = found.segmentation.pieces
@@ -289,10 +266,7 @@ def kind_probabilities(
     best = np.array(
         [max((sums[i] for i, name in enumerate(names) if name == kind and rival[i]), default=-np.inf) for kind in kinds]
     )
-    # That screws are rare is known beforehand, and not told by rows.
-    rare = RARE_SCREW * np.array([kind == "screw" for kind in kinds])
-    best = (best + rare) / _KINDS_OVERSTATED - rare
-    share = np.exp(best - best.max())
+    share = np.exp((best - best.max()) / _KINDS_OVERSTATED)
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
 

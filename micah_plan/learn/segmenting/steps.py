@@ -13,6 +13,7 @@ from math import dist
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack
 
 Floats = NDArray[np.float64]
@@ -21,7 +22,6 @@ Ints = NDArray[np.int64]
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
 MOST_SWEEPS = 4.0
-_STD_PER_MAD = 1.4826
 _FINE_STRIDE = 0.02  # of the extent
 _GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
 _LARGEST_NOISE = 0.25  # of the extent
@@ -96,11 +96,10 @@ def is_long(track: PartTrack, inlier: Bools) -> bool:
     which the part has hardly moved yet shows how it trembles.
     """
     values = _clearest(track.take(np.flatnonzero(inlier)))[2]
-    extent = float(np.linalg.norm(np.ptp(values, axis=0)))
+    whole = extent(values)
     end = _FIRST_STRETCH
     while True:
-        reached = float(np.linalg.norm(np.ptp(values[:end], axis=0)))
-        if reached >= _MOVED * extent and _clarity_and_sweeps(values[:end])[1] > MOST_SWEEPS:
+        if extent(values[:end]) >= _MOVED * whole and _clarity_and_sweeps(values[:end])[1] > MOST_SWEEPS:
             return True
         if end >= len(values):
             return False
@@ -121,10 +120,10 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
     values = _block_means(values, len(values) / _BLOCKS)
     if len(values) < 4:
         return 0.0, 1.0
-    extent = float(np.linalg.norm(np.ptp(values, axis=0)))
-    lag, level = _noise(values, extent)
+    whole = extent(values)
+    lag, level = _noise(values, whole)
     # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
-    fine = _FINE_STRIDE * max(extent, 1e-12)
+    fine = _FINE_STRIDE * max(whole, 1e-12)
     means = _block_means(values, min(lag * (level / fine) ** 2, len(values) / _FEWEST_BLOCKS))
     points = means.tolist()
     anchor, path = points[0], 0.0
@@ -132,11 +131,10 @@ def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
         length = dist(point, anchor)
         if length > 3 * fine:
             path, anchor = path + length, point
-    reached = float(np.linalg.norm(np.ptp(means, axis=0)))
-    return extent / max(level, 1e-12), 0.5 * path / max(reached, 1e-12)
+    return whole / max(level, 1e-12), 0.5 * path / max(extent(means), 1e-12)
 
 
-def _noise(values: Floats, extent: float) -> tuple[int, float]:
+def _noise(values: Floats, whole: float) -> tuple[int, float]:
     """After how many rows (n, k) their noise forgets, and its std.
 
     How far rows are from the middle of those `lag` before and after grows with the lag where that is motion, and where
@@ -145,9 +143,8 @@ def _noise(values: Floats, extent: float) -> tuple[int, float]:
     found: list[float] = []
     lags = [2**i for i in range(16) if 4 * 2**i <= len(values)]
     for lag in lags:
-        bends = values[lag:-lag] - 0.5 * (values[: -2 * lag] + values[2 * lag :])
-        found.append(float(np.linalg.norm(_STD_PER_MAD * np.median(np.abs(bends), axis=0) / np.sqrt(1.5))))
-        if len(found) > 1 and found[-1] < _GROWTH * found[-2] and found[-2] < _LARGEST_NOISE * extent:
+        found.append(float(np.sqrt(3) * white_std(bends(values, lag))))
+        if len(found) > 1 and found[-1] < _GROWTH * found[-2] and found[-2] < _LARGEST_NOISE * whole:
             return lags[len(found) - 2], found[-2]
     return 1, found[0]
 
