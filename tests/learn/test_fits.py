@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 
-from micah_plan.automaton.joint import Joint, radius, rigid
+from micah_plan.automaton.joint import Joint, radius, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.comparison import compare_arrays
@@ -53,6 +53,23 @@ def test_a_circle_through_exact_positions_is_exact() -> None:
     joints, fixed = linear_fits(["revolute"], np.ones((1, ROWS), dtype=bool), track.position, None)
     assert fixed.all()
     assert_same_motion(joints.joint(0), JOINTS["revolute"], 1e-6)
+
+
+@pytest.mark.parametrize("lead", [-50, -10, 0, 25, 60])
+@pytest.mark.parametrize("travel", [0.5, 1.2, 2.5])
+def test_a_helix_through_exact_positions_starts_near_the_truth(lead: float, travel: float) -> None:
+    """Its axis and pitch follow from how the rows leave the plane of their circle; so does which way it winds."""
+    c, pitch = np.linspace(0, travel, ROWS), 0.2 * np.tan(np.radians(lead))
+    truth = screw((0.36, 0.48, 0.8), (0.4, 0.2, 0.2), pitch, (0.5, 0.1, 0.3))
+    position = forward(truth, c).translation
+    joints, fixed = linear_fits(["screw", "revolute"], np.ones((2, ROWS), dtype=bool), position, None)
+    assert fixed.all()
+    helix = joints.joint(0)
+    winding = np.sign(np.dot(helix.axis, truth.axis))
+    angle = np.degrees(np.arctan2(helix.pitch, radius(helix)))
+    assert angle == pytest.approx(np.degrees(np.arctan2(pitch, radius(truth))), abs=12 if travel > 2 else 3)
+    assert np.dot(helix.axis, truth.axis) * winding > np.cos(np.radians(12 if travel > 2 else 3))
+    assert joints.joint(1).pitch == 0.0
 
 
 def test_a_circle_through_noisy_positions_of_a_short_arc_is_not_too_small() -> None:

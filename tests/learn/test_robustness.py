@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan import cli
 from micah_plan.automaton.graph import Segment
+from micah_plan.automaton.joint import screw
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.settings import LearnSettings
@@ -290,3 +291,15 @@ def test_repeated_times_are_refused_in_one_line(method: Method) -> None:
     with pytest.raises(InputError, match=rf"time must increase .* in row {first}") as caught:
         learn_graph(replace(original, time=time), method=method)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("pitch", [0.04, -0.04])
+def test_a_helix_swept_once_is_a_screw_by_positions_alone(pitch: float) -> None:
+    """A circle through it leaves five times the noise, and four steps of a fit do not lead from there to the helix."""
+    truth = screw(JOINTS["screw"].axis, (0.4, 0.2, 0.2), pitch, (0.5, 0.1, 0.3))
+    for seed in range(3):
+        sweep = [(truth, np.linspace(0.0, 6.0, 120))]
+        seen = recorded(sweep, np.random.default_rng(seed), Noise(position=0.002), orientation=False)
+        (segment,) = learned(seen, "champ")
+        assert segment.joint.kind == "screw"
+        assert segment.joint.pitch == pytest.approx(pitch, abs=0.003)

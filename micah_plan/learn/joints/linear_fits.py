@@ -2,7 +2,7 @@
 
 With orientations every model is linear in the measured rotation matrices: a part-fixed point c_b on the axis stays put,
 p_t + R_t c_b = c_w (+ pitch · angle along the axis), and the axis is the direction the relative rotations share. A
-circle through positions alone (Taubin 1991) only starts the refinement.
+circle through positions alone (Taubin 1991), and the helix that osculates it, only start the refinement.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_mat
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Line = tuple[Floats, Floats]
+"""Directions (h, 3) of axes, and points (h, 3) on them."""
 
 _TINY = 1e-9
 _STRAIGHTEST = 1e-4  # width of the rows in diameters of their circle
@@ -62,14 +64,18 @@ def linear_fits(
         some = np.unique(stretch[turning])
         at = np.searchsorted(some, stretch[turning])
         if quaternion is None:
-            axes, centers, starts, fixed = _circles(share[some], centred[some], vectors[some])
-            centers, starts, pitches = centers + mean[some], starts + mean[some], np.zeros(len(some))
+            circles, starts, helices, pitches, fixed = _arcs(share[some], centred[some], vectors[some])
+            (axes, centers), starts = (circles[0], circles[1] + mean[some]), starts + mean[some]
         else:
             axes, centers, starts, pitches, fixed = _turning(
                 share[some], centred[some], middle[some], position, quaternion
             )
         axis[turning], center[turning], start[turning] = axes[at], centers[at], starts[at]
         pitch[turning], turned[turning] = np.where(kind_of[turning] == "screw", pitches[at], 0.0), fixed[at]
+        if quaternion is None:
+            climbs = np.flatnonzero(kind_of == "screw")
+            at = np.searchsorted(some, stretch[climbs])
+            axis[climbs], center[climbs] = helices[0][at], helices[1][at] + mean[stretch[climbs]]
     arrays = JointArrays(tuple(kinds), axis, center, start, middle[stretch], pitch)
     return arrays, rigid | (sliding & slid[stretch]) | turned
 
@@ -107,6 +113,30 @@ def _turning(
     spread = np.sum(share * angle**2, axis=1)
     pitch = np.sum(share * angle * along, axis=1) / np.maximum(spread, _TINY)
     return axis, center, start, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
+
+
+def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats, Line, Floats, Bools]:
+    """Circles, starts (h, 3), helices through these, their pitches (h,), and whether there are any (h,).
+
+    Points are relative to the mean of the rows. A helix leaves the plane of its circle with the cube of the angle, by a
+    sixth of its torsion times the squared radius of the circle; torsion by curvature is the tangent of its lead angle.
+    """
+    normal, center, start, fixed = _circles(share, centred, vectors)
+    out = start - center
+    around = np.maximum(np.linalg.norm(out, axis=1), _TINY)
+    away = out / around[:, None]
+    tangent = np.cross(normal, away)
+    arm = centred - center[:, None]
+    angle = np.arctan2(np.einsum("hni,hi->hn", arm, tangent), np.einsum("hni,hi->hn", arm, away))
+    powers = np.stack([np.ones_like(angle), angle, angle**2, angle**3], axis=2)
+    weighted = (powers * share[..., None]).swapaxes(1, 2)
+    off = np.einsum("hni,hi->hn", centred, normal)
+    cubic = (np.linalg.pinv(weighted @ powers, hermitian=True) @ weighted @ off[..., None])[:, 3, 0]
+    lead = np.arctan(6 * cubic / around)
+    axis = np.cos(lead)[:, None] * normal + np.sin(lead)[:, None] * tangent
+    radius = around * np.cos(lead) ** 2
+    pitch = around * np.sin(lead) * np.cos(lead)
+    return (normal, center), start, (axis, start - radius[:, None] * away), pitch, fixed
 
 
 def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, Floats, Floats, Bools]:
