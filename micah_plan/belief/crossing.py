@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief.event import transition
@@ -20,10 +20,6 @@ from micah_plan.belief.gaussian import SMALLEST_STD, those
 from micah_plan.belief.layout import Doors, Exit, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _NOTHING = 1e-30
 

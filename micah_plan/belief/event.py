@@ -7,18 +7,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, lower_factors, put_at_pins
 from micah_plan.belief.layout import Exit, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Pieces
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # Factors with more than this many columns per row are made triangular on the way.
 _WIDEST = 3

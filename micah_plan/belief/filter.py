@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_arrays
 from micah_plan.automaton.region import HalfSpace
@@ -29,9 +30,6 @@ from micah_plan.belief.pieces import Ends, Pieces, joined
 from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, truncated
 from micah_plan.errors import InputError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 Belief = TypeVar("Belief", HybridBelief, BeliefBatch)
 
 # A start whose mean lies in no mode is accepted down to this probability of one (3 sigma), as noise of a measurement.

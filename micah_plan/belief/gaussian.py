@@ -22,10 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Pin
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_])
 
 # As in the compiled functions: the smallest std that the arithmetic resolves [rad or m].

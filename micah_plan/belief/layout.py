@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # A half-space that many standard deviations away holds a share below 1e-15.
 FAR_STDS = 8.0

@@ -8,15 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.belief.gaussian import lower_factors, those
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.belief.layout import Layout
 from micah_plan.belief.pieces import Ends, side_by_side
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:

@@ -15,15 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr, ndtr
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.belief.gaussian import SMALLEST_STD, those
 from micah_plan.belief.wedges import MASS, WHOLE, half_planes, wedges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # A share of a belief below this is dropped.
 NEGLIGIBLE = 1e-10

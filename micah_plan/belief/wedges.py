@@ -11,10 +11,9 @@ theorem; Owen, "Tables for computing bivariate normal probabilities", Annals of 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, owens_t
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
 
 MASS, X, Y, XX, XY, YY = range(6)
 # Of the whole plane.

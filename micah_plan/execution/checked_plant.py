@@ -15,15 +15,13 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth
 from micah_plan.recording.checks import LARGEST, NORM_TOLERANCE
 from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 _METHODS = ("reset", "apply", "close")
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.tracks import read_by_sensors
@@ -30,8 +30,6 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 _SPARE_STEPS = 20
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.kinematics import placements
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.automaton.transition import step
@@ -22,8 +22,6 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.quantities import quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
-
-Floats = NDArray[np.float64]
 
 # How many standard deviations of the model's noise count as noise: a right plant has more once in 16,000 times.
 _SIGMAS = 4.0

@@ -7,15 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Measurement
 from micah_plan.execution.pose import chain, components, moving_joints
 from micah_plan.recording.value import DEFAULT_PART, Recording
-
-Floats = NDArray[np.float64]
 
 ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 

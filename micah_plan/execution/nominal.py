@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, memoised
 from micah_plan.automaton.input_memory import InputChannel
@@ -19,8 +19,6 @@ from micah_plan.execution.pose import carried, chain, components, matrices, movi
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start, sample_start
-
-Floats = NDArray[np.float64]
 
 # Std [rad] beyond which an orientation is not measured at all: of a slide that is seen to metres only.
 _MOST_ROTATION = 0.5

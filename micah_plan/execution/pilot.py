@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
@@ -22,7 +22,6 @@ from micah_plan.task.problem import Problem
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
 
-Floats = NDArray[np.float64]
 Fit = Literal["on_plan", "strayed", "lagging", "finished", "off_plan"]
 Replan = Callable[[HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]

@@ -13,10 +13,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import MicahError
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 class PlantError(MicahError):

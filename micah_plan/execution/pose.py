@@ -8,17 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, placements
 from micah_plan.automaton.tracks import in_base_frame, measuring_links
 from micah_plan.execution.plant import Command
-
-Floats = NDArray[np.float64]
 
 
 def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
@@ -22,7 +21,6 @@ from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 
-Floats = NDArray[np.float64]
 ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
 Progress = Callable[[str, float], None]

@@ -9,12 +9,11 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import COLUMNS, Recording
 
-Floats = NDArray[np.float64]
 Place = Callable[[int, str], str]
 """How a message names row i (0-based) and column c, e.g. "line 7, column 'x'"."""
 

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked, row_and_column
-from micah_plan.recording.value import DEFAULT_PART, Floats, Recording
+from micah_plan.recording.value import DEFAULT_PART, Recording
 from micah_plan.ros.log import NANOSECONDS, Logged, MessageType, header_at, read_log, stamp_ns, write_log
 
 _POSE: MessageType = "geometry_msgs/msg/PoseStamped"

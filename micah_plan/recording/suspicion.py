@@ -19,12 +19,10 @@ Rules, each of them with what it cannot see:
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
 
 LARGEST_EXTENT_M = 20.0
 FARTHEST_M = 50.0

@@ -12,15 +12,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DEFAULT_PART = "part"
 _ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known

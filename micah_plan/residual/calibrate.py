@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -30,7 +30,6 @@ from micah_plan.residual.simulation import GATES, Kind
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
-Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FEWEST_ROWS = 8

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.formulas import SMOOTH_BUMPS
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.simulation import GATES, Term
-
-Floats = NDArray[np.float64]
 
 # Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
 _ACROSS = 0.1

@@ -12,15 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.likelihood import Fitness, fitness, log_density
 from micah_plan.residual.simulation import Kind, Model, columns, simulate
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
 _SHARE_STEP = 1.0

@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
 from micah_plan.automaton.tracks import Track, measuring_links
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Evidence [nats] that a change of geometry must have, in all and per row; what wanders can look like one.
 _LEAST_EVIDENCE, _PER_ROW = 20.0, 0.01

@@ -15,11 +15,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.residual.fit import Fit, Problem, optimise
-
-Floats = NDArray[np.float64]
 
 # Probability inside, half of the rest on each side.
 CONFIDENCE = 0.95

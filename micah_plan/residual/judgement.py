@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.residual.leftover import UNLIKELY, Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.prediction import RunPrediction
-
-Floats = NDArray[np.float64]
 
 # Standard errors by which successive errors must be alike to say that they last.
 _CLEARLY = 4.0

@@ -14,10 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
 
 # Earlier commands that may still act, and places over the range.
 LAGS = 4

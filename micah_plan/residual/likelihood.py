@@ -8,13 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.residual.simulation import Prediction
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 _ROUNDS = 12
 SMALLEST_SCALE = 1e-9

@@ -15,18 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import Lane
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Rows that the recursion reads, evenly over the configuration; starts that it keeps.
 _MOST_ROWS = 800

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import forward
@@ -18,8 +18,6 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
 
 # Rows that a run needs to show its own noise.
 _ROWS_FOR_NOISE = 8

@@ -11,12 +11,10 @@ Walk, "A nearest neighbor estimate of the residual variance", Electronic Journal
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from micah_plan.arrays import Floats
 from micah_plan.residual.lane import Lane
-
-Floats = NDArray[np.float64]
 
 _FEWEST_ROWS = 60
 _NEIGHBOURS = 12

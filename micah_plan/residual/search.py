@@ -6,19 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.residual.candidates import Candidate, smooth
 from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
 from micah_plan.residual.interval import independent_share, intervals
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.simulation import GATES, Kind
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 FOLDS = 5
 _ROUNDS = 12

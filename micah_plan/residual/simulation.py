@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.tracks import commanded
 from micah_plan.residual.lane import Lane
 
-Floats = NDArray[np.float64]
 Kind = Literal["filter", "one_step", "rollout"]
 
 # Gating columns after a term's own parameters: since which place in the recording (0 to 1) and since when in a run [s].

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import Candidate, candidates, indistinguishable, smooth
 from micah_plan.residual.growth import (
@@ -32,8 +32,6 @@ from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.verdict import Verdict, verdict
-
-Floats = NDArray[np.float64]
 
 # Innovations that are correlated more than this, and less probably so by chance, have something left in them.
 _CORRELATED = 0.25

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
@@ -18,8 +18,6 @@ from micah_plan.task.contact_poses import settled_poses, touching_pairs
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 
 def arm_along(

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-
-Floats = NDArray[np.float64]
 
 
 def middle(lower: Floats, upper: Floats) -> Floats:

@@ -18,6 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Part
 from micah_plan.errors import InputError
@@ -26,7 +27,6 @@ from micah_plan.robot.load_arm import link_name
 from micah_plan.robot.solids import solid
 from micah_plan.scene.body import Body, Shape
 
-Floats = NDArray[np.float64]
 Pair = tuple[str, str]
 PartPoses = Mapping[str, RigidTransform]
 

@@ -12,9 +12,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.robot.arm import Arm
-
-Floats = NDArray[np.float64]
 
 POSE_TOLERANCE = 1e-8
 _DAMPING = 1e-2

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import ClearanceModel, Pair, PartPoses
-
-Floats = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4
 _UNLIMITED_HALF_RANGE = np.pi

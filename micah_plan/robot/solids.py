@@ -7,17 +7,15 @@ from typing import Any, NamedTuple
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.robot.arm import Arm
 from micah_plan.scene.body import Hull, Shape, vector3
-
-Floats = NDArray[np.float64]
 
 _DEFAULT_COLOR = "#c9d1d9"
 _DIRECTIONS = 12

@@ -15,10 +15,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair, PartPoses
-
-Floats = NDArray[np.float64]
 
 _RESOLUTION_M = 1e-3
 _RELATIVE_RESOLUTION = 0.2

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
 from micah_plan.quantities import plain, quantity
 from micah_plan.robot.arm import Arm
@@ -26,7 +26,6 @@ from micah_plan.robot.sweep import MotionBound, sweep
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory
 
-Floats = NDArray[np.float64]
 FailureKind = Literal["unreachable", "joint limit", "singularity", "collision", "jump"]
 
 _SUBSTEP_M, _SUBSTEP_RAD = 0.02, 0.08

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,12 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Vector3
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
 from micah_plan.scene.body import vector3
-
-Floats = NDArray[np.float64]
 
 LARGEST_MESH_BYTES = 64 * 1024 * 1024
 MOST_CORNERS = 2000

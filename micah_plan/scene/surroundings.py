@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Face, Solid, Surroundings
 from micah_plan.automaton.joint import Vector3
 from micah_plan.scene.body import Body, Shape, corners, vector3
-
-Floats = NDArray[np.float64]
 
 # Faces this close are one [m].
 _SAME = 1e-9

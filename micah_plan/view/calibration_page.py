@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.trace import LaneTrace
@@ -15,8 +15,6 @@ from micah_plan.view.learning_words import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, ORANGE
 from micah_plan.view.svg import Panel, Svg, drawing
-
-Floats = NDArray[np.float64]
 
 _BADGES: dict[Verdict, tuple[str, Status]] = {
     "none": ("nothing is missing", "good"),

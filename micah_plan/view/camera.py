@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from micah_plan.arrays import Floats
 
 if TYPE_CHECKING:
     from micah_plan.view.scene import Scene
 
-Floats = NDArray[np.float64]
 
 VIEW_ANGLE_DEG = 36.0
 _MARGIN = 1.08

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint, Quaternion
 from micah_plan.automaton.kinematics import origin
@@ -18,8 +18,6 @@ from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import arrow, merge, perpendicular, tube
 from micah_plan.view.svg import rounded_up
-
-Floats = NDArray[np.float64]
 
 _SMALLEST = 0.02
 

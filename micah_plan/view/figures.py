@@ -18,6 +18,7 @@ from matplotlib.patches import Ellipse, Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
@@ -29,8 +30,6 @@ from micah_plan.task.problem import Problem
 from micah_plan.view.motion import step_times, stretches
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK, mode_colors
 from micah_plan.view.placement import guards_of, thresholds
-
-Floats = NDArray[np.float64]
 
 _DPI = 150
 _MOST_BARS = 30

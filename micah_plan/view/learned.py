@@ -9,18 +9,15 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.certainty import ActionChannel, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.recording.value import Recording
 from micah_plan.view.palette import MISFIT, category
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FLOOR = -10.0
 """Where a model counts as ruled out [nats]: odds of 1 to 22,000 against the best single one."""

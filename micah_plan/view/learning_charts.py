@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
 from micah_plan.view import learning_words as words
@@ -17,8 +17,6 @@ from micah_plan.view.learned import LearnedRun, is_misfit
 from micah_plan.view.page import Bar, Bars, Chart
 from micah_plan.view.palette import MISFIT
 from micah_plan.view.svg import Panel, Svg, evenly, played, rectangle, text
-
-Floats = NDArray[np.float64]
 
 MOST_BLOCKS = 40
 

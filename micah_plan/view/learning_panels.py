@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
 from micah_plan.view import learning_words as words
@@ -16,8 +16,6 @@ from micah_plan.view.camera import viewing_direction
 from micah_plan.view.learned import FLOOR, LearnedRun, Stretch, is_misfit
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.placement import joint_axis, joint_curve
-
-Floats = NDArray[np.float64]
 
 PANEL_INK = "#3E4C59"
 

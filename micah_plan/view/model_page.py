@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import part_poses
@@ -37,8 +37,6 @@ from micah_plan.view.placement import (
 )
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import tube
-
-Floats = NDArray[np.float64]
 
 _SWEEP_S, _REST_S, _GAP_S = 4.0, 1.5, 0.05
 _SWEEP_FRAMES = 33

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.task.plan import Trajectory
 from micah_plan.view.placement import ellipsoid, handle_in_part, handle_jacobian
 
-Floats = NDArray[np.float64]
 Moved = Mapping[str, RigidTransform]
 """(k,) poses by part."""
 

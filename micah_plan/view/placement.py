@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, poses_of_states
-
-Floats = NDArray[np.float64]
 
 _RANGE_IF_UNSTATED = {"rad": 1.0, "m": 0.2}
 _DIFFERENCE = 1e-6

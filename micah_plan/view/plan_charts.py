@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import count, percent, plain
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
@@ -14,7 +14,6 @@ from micah_plan.view.palette import BELIEF, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
 from micah_plan.view.svg import Panel, Svg, played
 
-Floats = NDArray[np.float64]
 Drawn = tuple[list[Panel], list[Svg]]
 
 _WIDTH, _LEFT, _RIGHT = 420.0, 66.0, 8.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
@@ -38,8 +38,6 @@ from micah_plan.view.plan_charts import plan_charts
 from micah_plan.view.scene import Scene, slug, transforms
 from micah_plan.view.solids import straightened, tube
 from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
-
-Floats = NDArray[np.float64]
 
 # Relative to the size of the object: thickness of paths, and the smallest radius that an ellipsoid is drawn with.
 _PATH, _HELD_PATH, _FLOOR = 0.006, 0.014, 0.025

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.automaton.joint import radius
 from micah_plan.quantities import interval, percent, plain, quantity
@@ -27,8 +27,6 @@ from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import beads
 from micah_plan.view.svg import evenly
-
-Floats = NDArray[np.float64]
 
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400

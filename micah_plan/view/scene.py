@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
 from micah_plan.view.solids import Mesh
@@ -29,7 +29,6 @@ with warnings.catch_warnings():
     from meshcat import geometry
     from meshcat.animation import Animation
 
-Floats = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 30
 _SMALLEST_SPAN = 0.01

@@ -6,10 +6,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from micah_plan.arrays import Floats, Ints
 
 _SIDES = 10
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import plain, quantity
 from micah_plan.scene.body import Body, Hull, Shape, corners, transform
 from micah_plan.task.plan import ArmTrajectory, Plan
@@ -17,8 +17,6 @@ from micah_plan.view.page import LegendEntry
 from micah_plan.view.palette import MUTED
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import Mesh
-
-Floats = NDArray[np.float64]
 
 SCENE_LAYER, ROBOT_LAYER = "scene", "robot"
 _RESERVED_POSES = 4

@@ -14,7 +14,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
 
 _MOST_POINTS = 600
 _TICK_ROOM, _LABEL_ROOM, _AXIS_ROOM = 15.0, 31.0, 38.0

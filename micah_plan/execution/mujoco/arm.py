@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
@@ -23,8 +23,6 @@ from micah_plan.robot.solids import mesh_hulls
 from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 from micah_plan.task.problem import Problem
-
-Floats = NDArray[np.float64]
 
 # What all names of the robot begin with once it is in the world.
 _ROBOT = "robot/"

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import Latch, WorldBody, latch_name, sensor_name
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LONGEST_STEP = 0.001

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.product import FREE
 from micah_plan.automaton.contacts.values import AXES, COLLIDED
 from micah_plan.errors import InputError
@@ -25,8 +25,6 @@ from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import input_effect
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import sample_start
-
-Floats = NDArray[np.float64]
 
 
 class HeldPlant(PhysicalPlant):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
@@ -13,8 +13,6 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, Latch, WorldBody, WorldJoint, pose, rubbing
-
-Floats = NDArray[np.float64]
 
 OBJECT = "object/"
 """What all names of the object and its hand begin with, once they are in the world."""

@@ -6,14 +6,12 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.execution.mujoco.core import Flags, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.world import SCENE
-
-Floats = NDArray[np.float64]
 
 # Deeper than this into a body [m] counts as a collision, and so does any push against a fixed body that may not be
 # touched.

@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco.core import LONGEST_STEP, Flags, PhysicalPlant, import_mujoco
@@ -19,8 +19,6 @@ from micah_plan.execution.mujoco.standing_object import standing_bodies
 from micah_plan.execution.mujoco.world import Latch, WorldBody, lever_name, standing_mjcf
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.task.start import Start, sample_start
-
-Floats = NDArray[np.float64]
 
 _STEPS_PER_RADIAN = 5.0
 

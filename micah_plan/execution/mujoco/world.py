@@ -15,13 +15,13 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.scene.body import Body
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Attributes = dict[str, Any]
 """Of an element of MJCF: texts, numbers and arrays of numbers."""
