@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.errors import InputError, shown
-from micah_plan.robot.arm import Arm, Floats, middle
+from micah_plan.robot.arm import Arm, middle
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
 from micah_plan.robot.xml_text import parse_xml, read_xml
 from micah_plan.scene.robot_description import RobotDescription
