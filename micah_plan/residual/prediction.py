@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import Track, tracks
@@ -72,8 +72,8 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     """Predict every run of a recording with at least two rows.
 
     One step: from the measured pose of a row and its action to the next row, Δ̂_(t+1) = f(f^-1(y_t) + J^-1 a_t) (MICAH,
-    equation 2) through guards and resets, in the mode that the belief filter holds most likely. Roll-out: from the
-    first measured pose with all actions of the run, never looking at a measurement again.
+    equation 2) through guards and resets, in the mode that the belief filter holds most likely and from within its
+    range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement again.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -112,12 +112,12 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
     u = _inputs(track)
     belief = _first_belief(automaton, track)
-    names = automaton.mode_names
     predicted, modes = [], []
     channel = InputChannel(automaton)
     for k in range(len(u)):
-        passed = channel.pass_on(u[k], names[belief.most_likely])
-        reached = step(automaton, names[belief.most_likely], track.x[k], passed)
+        mode = automaton.modes[belief.most_likely]
+        passed = channel.pass_on(u[k], mode.name)
+        reached = step(automaton, mode.name, _within(mode, track.x[k]), passed)
         predicted.append(reached.x)
         modes.append(reached.mode)
         belief = update(automaton, predict(automaton, belief, passed), track.x[k + 1])
@@ -126,7 +126,8 @@ def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
 
 def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
     belief = _first_belief(automaton, track)
-    mode, x = automaton.modes[belief.most_likely].name, track.x[0]
+    first = automaton.modes[belief.most_likely]
+    mode, x = first.name, _within(first, track.x[0])
     predicted, modes = [], []
     channel = InputChannel(automaton)
     for u in _inputs(track):
@@ -135,6 +136,15 @@ def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
         predicted.append(x)
         modes.append(mode)
     return _error(automaton, track, np.array(predicted), tuple(modes))
+
+
+def _within(mode: Mode, x: Floats) -> Floats:
+    """A measured configuration (n,) in the range of its mode: what lies beyond an end is noise, not motion.
+
+    Beyond an end a step would begin with the end's reset, which stops the part: the whole command would be lost.
+    """
+    low, high = np.transpose([mode.interval(i) for i in range(x.size)])
+    return np.clip(x, low, high)
 
 
 def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
