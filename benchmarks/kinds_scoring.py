@@ -46,7 +46,9 @@ class Judged:
 
 
 def judged(graph: KinematicGraph, truth: Simulated) -> Judged:
-    """Compare what was learned with what is true."""
+    """Compare what was learned with what is true; a graph without edges is a crash."""
+    if not graph.edges:
+        return Judged("crashed", False, False, False, 0.0, None, False, (), ())
     edges = {edge.child: edge for edge in graph.edges}
     tree = all(edges[name].parent == one.parent for name, one in truth.edges.items())
     right = {name: kinds_of(edges[name].segments, one.rests) in one.answers for name, one in truth.edges.items()}

@@ -22,6 +22,7 @@ folder.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -46,9 +47,16 @@ Row = dict[str, Any]
 
 
 def learned(recording: Recording) -> tuple[KinematicGraph, float]:
-    """The graph and the seconds of processor time that it took."""
+    """The graph and the seconds of processor time that it took; a graph without edges where numbers ran out of range.
+
+    That is told, and counts as a wrong answer: one crash must not hide what becomes of all the other recordings.
+    """
     begin = process_time()
-    graph = learn_graph(recording)
+    try:
+        graph = learn_graph(recording)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        print(f"crashed: {error!r}", file=sys.stderr)
+        graph = KinematicGraph(())
     return graph, process_time() - begin
 
 
@@ -153,6 +161,8 @@ def _near(graphs: list[KinematicGraph], count: int) -> int:
 
 
 def _words(answer: tuple[tuple[str, str, int, tuple[str, ...]], ...]) -> str:
+    if not answer:
+        return "crashed"
     several = len({child for child, *_ in answer}) > 1
     return " / ".join((f"{parent}>{child} " if several else "") + ",".join(kinds) for child, parent, _, kinds in answer)
 
