@@ -7,6 +7,7 @@ import pytest
 
 from micah_plan.learn.joints.mixture import Sort, fit_mixtures
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learn.segmenting.noise_fit import correlated
 
 
 def uneven(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -90,3 +91,12 @@ def test_a_mixture_finds_its_spread_and_its_outliers() -> None:
     assert found.stds[0][0] == pytest.approx(0.01, rel=0.1)
     assert ((found.inlier[0] < 0.5) != wrong).mean() < 0.01
     assert found.log_likelihood[0] > found.log_likelihood[1]
+
+
+def test_errors_far_beyond_all_noise_leave_a_finite_correlation() -> None:
+    """What a joint of other rows leaves may be a metre, where noise is a tenth of a millimetre."""
+    innovation = 1e5 * np.random.default_rng(0).standard_normal((1, 40, 6))
+    matrix, dof = correlated(innovation, np.zeros((1, 40, 6)))
+    assert np.isfinite(matrix).all()
+    assert np.linalg.eigvalsh(matrix[0])[0] > 0
+    assert dof[0] > 0

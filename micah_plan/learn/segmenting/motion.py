@@ -1,11 +1,15 @@
 """How a part moves along its joint: the latent configuration's step, given the action.
 
-c_{t+1} = c_t + h·a_t + w_t, where w_t is 0 with probability ρ and N(μ, q) otherwise. Without actions (CHAMP) h = 0, μ
-is the typical step of the demonstration and ρ the prior share of rest; with them μ = 0, w_t is what the action leaves
-unexplained, and ρ is how often it explains all. The action channel h is linear in three numbers whatever frame, gain or
-side of the joint the actions were given at: in the part's frame every joint's direction of motion is constant, so
-J⁻¹ R g is one row vector (MICAH, equation for the predicted pose, with the measured configuration replaced by its
-filtered estimate).
+c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
+and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
+unexplained: nothing while the part follows exactly, N(0, q) while it does so loosely, two states that rarely change. So
+a part that is left alone is explained at no cost, however long it rests. A part may also wait for the hand, whatever
+that does, but the hand has it the sooner, the further it is commanded to move it: pushed in vain for longer, it is
+locked.
+
+The action channel h is linear in three numbers whatever frame, gain or side of the joint the actions were given at: in
+the part's frame every joint's direction of motion is constant, so J⁻¹ R g is one row vector (MICAH, equation for the
+predicted pose, with the measured configuration replaced by its filtered estimate).
 
 All hypotheses are filtered together over all rows; the parameters are fitted to each one's own rows.
 """
@@ -25,7 +29,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
-_EXPLAINED = 0.5  # ρ with actions
+_GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _EXPECTATION_STEPS = 6
 _FEWEST_ROWS = 12  # to tell an action channel
@@ -41,7 +45,10 @@ _SMOOTHED = 5
 
 @dataclass(frozen=True, eq=False)
 class _StepModel:
-    """One way to explain the steps of h hypotheses: ln densities (n - 1, h) while going forth, back, or not started."""
+    """One way to explain the steps of h hypotheses: ln densities (n - 1, h) in three states.
+
+    Going forth, going back, or not started; where actions lead: following exactly, loosely, or waiting for the hand.
+    """
 
     forth: Floats
     back: Floats
@@ -105,7 +112,9 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
         )
     ]
     if action is not None:
-        models += _led(innovations[0], innovations[2:], quiet, grid, weight, pool.lever[members], waiting, enough)
+        reach = np.maximum(np.ptp(c, axis=1), 1e-9)
+        given = grid, weight, pool.lever[members], waiting, enough, action, reach
+        models += _led(innovations[0], innovations[2:], quiet, *given)
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
     density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
@@ -211,7 +220,7 @@ def _freely(
 
 
 def _either(densities: list[Floats], begun: bool) -> Floats:
-    """ln density (n, ...) of rows given those before, with a hidden state: going forth, back, or not started yet.
+    """ln density (n, ...) of rows given those before, with the hidden states of `_StepModel`.
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
     """
@@ -264,11 +273,15 @@ def _led(
     lever: Floats,
     waiting: Floats,
     enough: Floats,
+    action: Floats,
+    reach: Floats,
 ) -> list[_StepModel]:
     """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
 
     Args:
         own, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
+        action: (n, 3) in the part's frame [m].
+        reach: (h,) how far the part moves along each joint [rad or m].
         enough: (h,) how many steps there are to tell from.
     """
     pushes = commanded.transpose(2, 3, 0, 1)
@@ -279,8 +292,8 @@ def _led(
     strength = np.einsum("hi,hgi->hg", lever, pull) / np.where(information > 0, information, 1.0)
     gains = np.stack([strength[..., None] * lever[:, None], least_norm(normal, pull, _LEAST_INFORMATION)])
     left = own - (gains[..., None, :] @ pushes)[..., 0, :].transpose(0, 3, 1, 2)
-    led = log_step_density(left, quiet, np.zeros(1), grid / (1 - _EXPLAINED), _EXPLAINED)
-    best = np.argmax((led * weight).sum(axis=1), axis=2)
+    exactly, loosely = _quiet_density(left, quiet), _quiet_density(left, quiet + grid)
+    best = np.argmax((np.maximum(exactly, loosely) * weight).sum(axis=1), axis=2)
     at = np.arange(len(lever))
     along, turned = (gains[i, at, one] for i, one in enumerate(best))
     # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
@@ -288,8 +301,10 @@ def _led(
     lengths = np.sqrt(np.sum(np.stack([lever, along, turned]) ** 2, axis=2))
     plausible = lengths[2] <= _MOST_AMPLIFIED * np.maximum(lengths[0], lengths[1])
     told = enough >= _FEWEST_ROWS
-    densities = [led[i][:, at, one] for i, one in enumerate(best)]
+    exact, loose = ([one[i][:, at, chosen] for i, chosen in enumerate(best)] for one in (exactly, loosely))
+    # A hand that is not there yet has the part the sooner, the further it is commanded to move it.
+    absent = [waiting - np.abs(action[:-1] @ gain.T) / (_GAP * reach) for gain in (along, turned)]
     return [
-        _StepModel(densities[0], densities[0], waiting, along, 3.0, told),
-        _StepModel(densities[1], densities[1], waiting, turned, 5.0, told & plausible),
+        _StepModel(exact[0], loose[0], absent[0], along, 3.0, told),
+        _StepModel(exact[1], loose[1], absent[1], turned, 5.0, told & plausible),
     ]

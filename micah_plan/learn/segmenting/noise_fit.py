@@ -25,10 +25,11 @@ _WHITE_SHARES = np.array([0.1, 0.3, 0.6, 1.0, 1.5])  # candidate stds, in those 
 _FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 # Candidate correlation times of the fast wander, in runs; the slow one is next, with more than a run.
 _FAST_DURATIONS = np.array([1 / 100, 1 / 30, 1 / 10])
-_FAST_MOST = 1.5  # stds of the slow wander; more is motion as well
+_FAST_MOST = 1.75  # stds of the slow wander; more is motion as well
 _CANDIDATES = np.array(list(product(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS))).T
 _DOFS = (8.0, 30.0)
 _ITERATIONS = 3
+_STILL = 1e-9  # stds of noise per rad or m; where a pose moves by less, it has no direction of motion
 
 
 def first_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
@@ -109,7 +110,10 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
     (m, n, d) nothing is known; expectation maximisation fills in what the matrix itself expects.
     """
     m, n, d = innovation.shape
-    moving = free.any(axis=2)
+    length = np.sqrt((free**2).sum(axis=2))
+    # The position of a part whose origin is on its axis says nothing of a direction.
+    moving = length > _STILL
+    free = moving[..., None] * free / np.maximum(length, _STILL)[..., None]
     size, turns = d - moving, moving.sum(axis=1)
     # Every candidate (k, 1) of the tails beside every answer (m,).
     dof = np.array(_DOFS)[:, None]
@@ -120,8 +124,8 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
         squares = ((innovation @ inverse) * innovation).sum(axis=3)
         weight = heavy / (heavy + squares)
         hidden = ((free @ inverse) * free).sum(axis=3)
-        level = np.sqrt(np.mean(squares / size, axis=2)[..., None] / np.maximum(hidden, 1e-300))
-        filled = free * (level * moving)[..., None]
+        level = np.sqrt(np.mean(squares / size, axis=2)[..., None] / np.maximum(hidden, _STILL))
+        filled = free * level[..., None]
         covariance = (innovation * weight[..., None]).swapaxes(2, 3) @ innovation + filled.swapaxes(2, 3) @ filled
         covariance += (d + 2) * np.eye(d)
         std = np.sqrt(np.einsum("kmii->kmi", covariance).reshape(len(dof), m, -1, 3).mean(axis=3)).repeat(3, axis=2)
