@@ -377,7 +377,9 @@ def test_an_interrupt_is_told_by_its_exit_code(stopped):
 
 
 def test_an_unexpected_exception_says_that_it_is_a_bug(stopped):
-    _, printed = stopped(RuntimeError("no such\nthing"), RuntimeError)
+    ended, printed = stopped(RuntimeError("no such\nthing"), SystemExit)
+    assert ended.code == 70
     assert "this is a bug" in json.loads(printed.out)["error"]
-    (line,) = printed.err.splitlines()  # Python adds the traceback
+    line, *trace = printed.err.splitlines()
+    assert trace[0].startswith("Traceback")
     assert line.startswith("error: RuntimeError: no such thing; this is a bug")

@@ -235,7 +235,7 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
         return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
     for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
         allowed = target.invariant.interval(index)
-        room = _ENTRY_ROOM * max(1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v)))
+        room = _ENTRY_ROOM * max([1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v))])
         room += sum(pin.std for mode in (source, target) for pin in mode.pins if pin.coordinate == index)
         if low > allowed[1] + room or high < allowed[0] - room:
             name = automaton.coordinates[index].name

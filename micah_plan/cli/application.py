@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+import traceback
 from typing import Annotated, Any, NoReturn
 
 import typer
 
 from micah_plan import __version__
 from micah_plan.cli.checking import check, diff, doctor
-from micah_plan.cli.console import BAD_INPUT, INTERRUPTED, NO_RESULT, Interrupted, err, out
+from micah_plan.cli.console import BAD_INPUT, INTERRUPTED, NO_RESULT, OUR_BUG, Interrupted, err, out
 from micah_plan.cli.files import convert, new, schema
 from micah_plan.cli.learning import learn
 from micah_plan.cli.pages import show
@@ -50,7 +51,8 @@ def main() -> None:
         code = INTERRUPTED
     except Exception as error:
         _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
-        raise
+        traceback.print_exception(error)
+        code = OUR_BUG
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
         _fail("interrupted; no file was left half-written", INTERRUPTED)
     sys.exit(code)

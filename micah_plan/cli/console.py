@@ -23,6 +23,8 @@ OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.
 NO_RESULT = 1
 """The command worked, and found nothing: no plan, no joint that fits, no effect that explains."""
 BAD_INPUT = 2
+OUR_BUG = 70
+"""What no command should end with: an error that no input should cause (EX_SOFTWARE of sysexits.h)."""
 INTERRUPTED = 130
 
 out = Console(soft_wrap=True, highlight=False)

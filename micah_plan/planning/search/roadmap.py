@@ -37,6 +37,8 @@ _MISS = 1e-7
 TRANSITION_COST = 1.0
 # Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
 _SHORTEST = 1e-9
+# Of a roadmap [steps]: OMPL refuses a space without extent, and states may differ by rounding only.
+_LEAST_EXTENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +212,8 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     """OMPL's PRM* roadmap over exactly these states (v, d): its vertices (v, d), in its order, and its edges."""
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     space = ob.RealVectorStateSpace(states.shape[1])
-    space.setBounds(box(states.min(axis=0), states.max(axis=0)))
+    lower = states.min(axis=0)
+    space.setBounds(box(lower, np.maximum(states.max(axis=0), lower + _LEAST_EXTENT)))
     information = ob.SpaceInformation(space)
     samplers: list[_GivenStates] = []
 
