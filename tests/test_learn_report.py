@@ -12,7 +12,7 @@ import pytest
 from micah_plan import cli, workflow
 from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import ParameterCovariance, revolute, rigid
+from micah_plan.automaton.joint import ParameterCovariance, axis_std, radius_std, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.cli import learning as report
 from micah_plan.documents.model import load_model
@@ -105,7 +105,10 @@ def test_several_parts_say_it_per_edge(repository):
     other = replace(edge, child="drawer", certainty=None)
     recording = read_recording(repository / DEMONSTRATION)
     result = workflow.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
-    first, second = report.learned(result, 0)["edges"]
+    found = report.learned(result, 0)
+    assert found["tree_probability"] is None
+    assert report.learned(replace(result, graph=replace(result.graph, probability=0.8)), 0)["tree_probability"] == 0.8
+    first, second = found["edges"]
     assert first["action_channel"]["gain"] == 0.94
     assert second["action_channel"] is second["changepoint_counts"] is None
 
@@ -116,6 +119,7 @@ def test_the_table_stays_readable(run):
     lines = [" ".join(line.split()) for line in printed.out.splitlines()]
     assert lines[lines.index("first row") + 1] == "joint rows configuration axis radius sure (95 %)"
     assert "revolute 0-99 0 → 1.2 rad 0.00 0.00 -1.00 310 mm 98 %" in lines
+    assert any(line.startswith("± 1.1° ±") for line in lines)
     assert "rigid 100-130 1.2 >99 % 99-102" in lines
     assert "actions explain 87 %: gain 0.94 ± 0.02, turned 11.5 ± 2.9°, delay 0.11 ± 0.03 s" in lines
     assert max(map(len, printed.out.splitlines()[:8])) <= 80
@@ -206,3 +210,15 @@ def test_the_table_says_where_a_part_turned_around(ends, reached, way) -> None:
     moving = sure_graph().edges[0].segments[0]
     there = replace(moving, configuration_start=ends[0], configuration_end=ends[1], configuration_range=reached)
     assert report.segment_row(there)[2] == way
+
+
+def test_axis_and_radius_have_their_spread() -> None:
+    names = ("axis_1", "axis_2", "center_1", "center_2", "position_1", "position_2", "position_3")
+    matrix = np.diag(np.square([0.01, 0.02, 0.003, 0.003, 0.004, 0.004, 0.004]))
+    covariance = ParameterCovariance(names, tuple(tuple(row) for row in matrix.tolist()))
+    door = replace(revolute((0, 0, 1), (0, 0, 0), (0.3, 0, 0)), covariance=covariance)
+    assert axis_std(door) == pytest.approx(0.02)
+    assert radius_std(door) == pytest.approx(0.005)
+    row = report.segment_row(replace(sure_graph().edges[0].segments[0], joint=door))
+    assert row[3] == "0.00 0.00 1.00\n± 1.1°"
+    assert row[4] == "300 mm\n± 5 mm"

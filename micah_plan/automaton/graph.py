@@ -68,6 +68,12 @@ class KinematicEdge:
 
 @dataclass(frozen=True)
 class KinematicGraph:
-    """A tree of parts; `edges` are ordered parents first."""
+    """A tree of parts.
+
+    Attributes:
+        edges: ordered parents first.
+        probability: of this tree among all trees of the same parts; None of one part, or where nobody asked.
+    """
 
     edges: tuple[KinematicEdge, ...]
+    probability: float | None = None

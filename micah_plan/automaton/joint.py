@@ -108,6 +108,31 @@ def radius(joint: Joint) -> float:
     return float(np.linalg.norm(np.subtract(joint.position, joint.center)))
 
 
+def axis_std(joint: Joint) -> float:
+    """Std of the tilt of the axis, in the direction in which it is known worst [rad]; 0 where nothing is said of it."""
+    number = _numbers(joint)
+    tilts = [number[name] for name in ("axis_1", "axis_2") if name in number]
+    if joint.covariance is None or not tilts:
+        return 0.0
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.array(joint.covariance.matrix)[np.ix_(tilts, tilts)])[-1], 0.0)))
+
+
+def radius_std(joint: Joint) -> float:
+    """Std of the radius [m]; 0 where nothing is said of it."""
+    if joint.covariance is None or radius(joint) == 0.0:
+        return 0.0
+    outwards = np.subtract(joint.position, joint.center) / radius(joint)
+    first, second = axis_basis(joint.axis)
+    slopes = {"center_1": -first @ outwards, "center_2": -second @ outwards}
+    slopes |= {f"position_{i + 1}": outwards[i] for i in range(3)}
+    slope = np.array([slopes.get(name, 0.0) for name in joint.covariance.names])
+    return float(np.sqrt(max(slope @ np.array(joint.covariance.matrix) @ slope, 0.0)))
+
+
+def _numbers(joint: Joint) -> dict[str, int]:
+    return {} if joint.covariance is None else {name: i for i, name in enumerate(joint.covariance.names)}
+
+
 def axis_basis(axis: ArrayLike) -> Floats:
     """(2, 3) unit vectors b1, b2 normal to an axis, with b1 x b2 = axis; the covariance of parameters refers to them.
 

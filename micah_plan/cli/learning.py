@@ -84,12 +84,15 @@ def learn(
 
 
 def learned(result: Learned, seed: int) -> dict[str, Any]:
-    """Keys of `learn`: segments, changepoints and actions of the part (in `edges` for several parts), seconds, seed.
+    """Keys of `learn`: segments, changepoints and actions of the part, seconds, seed.
+
+    For several parts the first three are in `edges`, and `tree_probability` says how sure it is which hangs on which.
 
     What was not estimated is null.
     """
     edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
-    found = {"edges": edges} if len(edges) > 1 else _edge(result.graph.edges[0])
+    tree = {"edges": edges, "tree_probability": result.graph.probability}
+    found = tree if len(edges) > 1 else _edge(result.graph.edges[0])
     modes = () if result.automaton is None else result.automaton.mode_names
     outcome = {"modes": modes, "reason": result.reason, "warnings": result.warnings}
     return {**found, **outcome, "seconds": result.seconds, "seed": seed}
@@ -184,6 +187,8 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
         out.print(shown)
         if edge.certainty is not None and edge.certainty.channel is not None:
             out.print(channel_line(edge.certainty.channel), markup=False)
+    if learned.graph.probability is not None:
+        out.print(f"this tree of parts: {percent(min(learned.graph.probability, _SUREST), 0)} sure")
     if learned.automaton is None:
         out.print(f"no model: {learned.reason}", markup=False, style="yellow")
     else:
@@ -194,7 +199,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
 
 def segment_row(segment: Segment) -> tuple[str, ...]:
     """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
-    from micah_plan.automaton.joint import radius
+    from micah_plan.automaton.joint import axis_std, radius, radius_std
 
     joint, rows, misfit, sure = segment.joint, f"{segment.start}-{segment.end}", segment.misfit, segment.certainty
     start = ""
@@ -205,6 +210,9 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
         return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", start)
     axis = "" if joint.kind == "rigid" else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
     arm = quantity(radius(joint), "m") if joint.kind in ("revolute", "screw") else ""
+    if joint.covariance is not None:
+        axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""
+        arm += f"\n± {quantity(radius_std(joint), 'm', digits=2)}" if arm else ""
     passed = plain(segment.configuration_end) if joint.kind == "rigid" else _passed(segment)
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
     return (joint.kind, rows, passed, axis, arm, percent(min(probability, _SUREST), 0), start)

@@ -25,7 +25,7 @@ from micah_plan.learn.run import LearnedRun, learn_run
 from micah_plan.learn.segmenting.coarsening import LEAST_TRUST, trust_in
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise
-from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of
+from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of, sweeps_of
 from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.short_runs import cut_into_runs, one_after_another
@@ -66,20 +66,24 @@ def learn_graph(
     if len(recording) == 0:
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
-    if len(recording.parts) > 1 and chosen.trust is None:
-        chosen = replace(chosen, trust=_common_trust(recording, chosen))
+    if len(recording.parts) > 1:
+        chosen = _in_common(recording, chosen)
     return learn_tree(recording, lambda one: learn_edge(one, method, chosen, seed), progress)
 
 
-def _common_trust(recording: Recording, settings: LearnSettings) -> float:
-    """One power for the likelihoods of all pairs of parts: a tree compares them."""
+def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
+    """One number of steps and one power of the likelihood for all pairs of parts: a tree compares their evidence."""
     first = {part: int(run) for part, run in reversed(list(zip(recording.part, recording.run, strict=True)))}
     tracks = [part_track(recording, first[part], part) for part in recording.parts]
     known = [track for track in tracks if len(track) >= FEWEST_ROWS]
     if not known:
-        return LEAST_TRUST
-    steps = [steps_of(track, find_inliers(track), settings.resolution) for track in known]
-    return float(np.mean([trust_in(first_noise(one.track, settings.of_steps(one.size)), settings) for one in steps]))
+        return replace(settings, trust=settings.trust or LEAST_TRUST)
+    inliers = [find_inliers(track) for track in known]
+    sweeps = [sweeps_of(track.take(np.flatnonzero(inlier))) for track, inlier in zip(known, inliers, strict=True)]
+    settings = replace(settings, sweeps=settings.sweeps or max(sweeps))
+    steps = [steps_of(track, inlier, settings) for track, inlier in zip(known, inliers, strict=True)]
+    trusts = [trust_in(first_noise(one.track, settings.of_steps(one.size)), settings) for one in steps]
+    return replace(settings, trust=float(np.mean(trusts)))
 
 
 def learn_edge(recording: Recording, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:

@@ -132,7 +132,7 @@ def learn_onward(
     """Segment a window that goes on from earlier ones."""
     track = rows.track
     inlier = find_inliers(track)
-    steps = steps_of(track, inlier, settings.resolution)
+    steps = steps_of(track, inlier, settings)
     first = -1 if state.first is None else state.known.index(state.first)
     known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
     found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), use_actions, rng)

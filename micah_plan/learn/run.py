@@ -115,7 +115,7 @@ def segment_run(
         known: what was found for the same poses with other actions, to start from.
     """
     inlier = find_inliers(track) if inlier is None else inlier
-    steps = steps_of(track, inlier, settings.resolution)
+    steps = steps_of(track, inlier, settings)
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, known)
     return SegmentedRun(track, inlier, steps, segmented, posterior_of(segmented, settings, use_actions))
 

@@ -34,6 +34,7 @@ class LearnSettings:
         window: most rows that are looked at again where rows are learned online.
         resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
             then found again to the row, and joints are fitted to all rows.
+        sweeps: how often the part moves there and back, for the number of steps; None: as the rows say it.
     """
 
     kinds: tuple[JointKind, ...] = JOINT_KINDS
@@ -53,6 +54,7 @@ class LearnSettings:
     particles: int = 100
     window: int = 4096
     resolution: int = 64
+    sweeps: float | None = None
 
     def __post_init__(self) -> None:
         if not self.kinds or any(kind not in JOINT_KINDS for kind in self.kinds):

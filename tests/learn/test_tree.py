@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.parts.branch_poses import branch_poses
 from micah_plan.learn.parts.comotion import carriers, moves_far
 from micah_plan.learn.parts.relative import relative_rows
-from micah_plan.learn.parts.tree import learn_tree
+from micah_plan.learn.parts.tree import _share, learn_tree
+from micah_plan.learn.segmenting.segmentation import LOG_ODDS_OVERSTATED
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
 
@@ -325,3 +327,33 @@ def test_relative_poses_have_the_density_of_the_childs_own() -> None:
         turned = (moved.rotation * seen.rotation.inv()).as_rotvec()
         columns.append(np.concatenate([turned, moved.translation - seen.translation]) / 1e-6)
     assert abs(np.linalg.det(np.array(columns))) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_probability_of_a_tree_is_its_share_among_all() -> None:
+    """Against the sum over every choice of parents that has no cycle."""
+    parts = ("a", "b", "c")
+    rng = np.random.default_rng(0)
+    evidence = {(parent, child): 6 * rng.standard_normal() for child in parts for parent in (BASE, *parts)}
+    evidence = {arc: one for arc, one in evidence.items() if arc[0] != arc[1]}
+
+    def ends_at_the_base(tree: dict[str, str]) -> bool:
+        for part in parts:
+            for _ in parts:
+                part = tree.get(part, BASE)
+            if part != BASE:
+                return False
+        return True
+
+    choices = [dict(zip(parts, one, strict=True)) for one in product((BASE, *parts), repeat=3)]
+    trees = [tree for tree in choices if all(a != b for a, b in tree.items()) and ends_at_the_base(tree)]
+    weights = np.exp([sum(evidence[p, c] for c, p in tree.items()) / LOG_ODDS_OVERSTATED for tree in trees])
+    assert len(trees) == 16
+    for tree, weight in zip(trees, weights / weights.sum(), strict=True):
+        assert _share(evidence, tree) == pytest.approx(weight)
+
+
+def test_parents_of_a_child_are_compared_on_as_many_steps() -> None:
+    graph = learn_graph(recorded_parts(cabinet(), 0))
+    assert graph.probability is not None
+    assert graph.probability > 0.6
+    assert learn_graph(recorded_parts({"door": cabinet()["door"]}, 0)).probability is None

@@ -91,7 +91,7 @@ def estimate_channel(
         The most probable channel. The rotational part of its covariance is that of a small turn e in the base frame,
         exp(e) R(frame_rotation); the gain's is that of ln g, times g². All are second moments of the posterior about
         the estimate. None if there are no actions, fewer than 10 steps, no motion, or if the evidence, integrated over
-        rotations, gains and delays, does not speak for a channel.
+        rotations, gains and delays, does not speak for a channel, or leaves its gain open.
     """
     if track.action is None or joint.kind == "rigid":
         return None
@@ -119,7 +119,9 @@ def estimate_channel(
     posterior = _integrated(steps, command, noises, mode, still.walk)
     if posterior.log_evidence - fit_noise(steps, steps.size, extra).log_density <= least_log_odds:
         return None
-    return _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
+    found = _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
+    # A gain that may as well be none is no estimate.
+    return found if found.covariance[3][3] < found.gain**2 else None
 
 
 def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:

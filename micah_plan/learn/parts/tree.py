@@ -47,6 +47,7 @@ from micah_plan.learn.parts.arborescence import Arc, Weight, maximum_arborescenc
 from micah_plan.learn.parts.branch_poses import branch_poses
 from micah_plan.learn.parts.comotion import carriers, moves_far
 from micah_plan.learn.parts.relative import RelativeRows, in_whole_recording, relative_rows
+from micah_plan.learn.segmenting.segmentation import LOG_ODDS_OVERSTATED
 from micah_plan.recording.value import Recording
 
 PairLearner = Callable[[Recording], KinematicEdge]
@@ -102,6 +103,7 @@ def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress
         raise InputError(problem, where="column 'part'", remedy="give the part another name or leave its rows out")
     pairs = _Pairs(recording, learn_pair, progress)
     found = dict.fromkeys(recording.parts, BASE)
+    probability = None
     if recording.has_orientation and len(recording.parts) > 1:
         still = {part for part in recording.parts if pairs.measured(BASE, part).is_rigid}
         able = {
@@ -115,11 +117,12 @@ def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress
             for child, parents in able.items()
             if child not in bodies
         }
-        found |= _searched(free, pairs)
+        parents, probability = _searched(free, pairs)
+        found |= parents
     edges = tuple(pairs.final(found[part], part) for part in _parents_first(found))
     if progress is not None:
         progress("learned", 1.0)
-    return KinematicGraph(edges)
+    return KinematicGraph(edges, probability)
 
 
 class _Pairs:
@@ -204,10 +207,13 @@ def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str
     return {part: body for part, body in first.items() if part != body}
 
 
-def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
-    """Parent of every body: the tree of greatest evidence, given branches along which parents' poses are found."""
+def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[str, str], float]:
+    """Parent of every body: the tree of greatest evidence, given branches along which parents' poses are found.
+
+    And its probability among all trees, with the poses found along it.
+    """
     found = dict.fromkeys(able, BASE)
-    best, best_weight = found, -np.inf
+    best, best_weight, probability = found, -np.inf, 1.0
     seen: list[dict[str, str]] = []
     while found not in seen and len(seen) < _MOST_ROUNDS:
         seen.append(found)
@@ -216,8 +222,27 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, s
         weight = sum(weights[parent, child][0] for child, parent in found.items() if (parent, child) in weights)
         if weight > best_weight:
             best, best_weight = found, weight
+            probability = _share({arc: one[0] for arc, one in weights.items()}, found)
         found = maximum_arborescence(weights, BASE)
-    return best
+    return best, probability
+
+
+def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
+    """Probability of a tree among all, whose weights a determinant sums (Tutte's matrix-tree theorem).
+
+    Log odds of parents are overstated as those of kinds are: noise and joints are fitted to the rows that judge them.
+    """
+    index = {child: i for i, child in enumerate(tree)}
+    laplacian, log_weight = np.zeros((len(tree), len(tree))), 0.0
+    for child, j in index.items():
+        own = {parent: one / LOG_ODDS_OVERSTATED for (parent, other), one in evidence.items() if other == child}
+        top = max(own.values())
+        log_weight += own[tree[child]] - top
+        for parent, one in own.items():
+            laplacian[j, j] += np.exp(one - top)
+            if parent != BASE:
+                laplacian[index[parent], j] -= np.exp(one - top)
+    return float(np.clip(np.exp(log_weight - np.linalg.slogdet(laplacian)[1]), 0.0, 1.0))
 
 
 def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs: _Pairs) -> dict[Arc, Weight]:

@@ -36,7 +36,7 @@ _SAME_ROWS = 0.6  # of the rows of either
 # be followed by any kind, and by a pause. And how many times too large the log odds of kinds are: joints and noise are
 # fitted to the rows that they are judged by. Both from simulations of short and noisy motions (reliability.py).
 _ENDS_AT_REST = 2.7  # nats
-_KINDS_OVERSTATED = 6.0
+LOG_ODDS_OVERSTATED = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +266,7 @@ def kind_probabilities(
     best = np.array(
         [max((sums[i] for i, name in enumerate(names) if name == kind and rival[i]), default=-np.inf) for kind in kinds]
     )
-    share = np.exp((best - best.max()) / _KINDS_OVERSTATED)
+    share = np.exp((best - best.max()) / LOG_ODDS_OVERSTATED)
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
 

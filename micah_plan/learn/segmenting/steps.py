@@ -13,6 +13,7 @@ from math import dist
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack
 
@@ -43,16 +44,16 @@ class Steps:
     size: float
 
 
-def steps_of(track: PartTrack, inlier: Bools, resolution: int) -> Steps:
-    """Average rows to about `resolution` steps per there and back of the part.
+def steps_of(track: PartTrack, inlier: Bools, settings: LearnSettings) -> Steps:
+    """Average rows to about `settings.resolution` steps per there and back of the part.
 
     Args:
         inlier: (n,) rows that count; a step without any is part of the one before.
-        resolution: steps while the part moves once through its range and back, or less far.
+        settings: with the number of sweeps, if they are not to be counted here.
     """
     used = np.flatnonzero(inlier)
-    sweeps = float(np.clip(sweeps_of(track.take(used)), 1.0, MOST_SWEEPS))
-    wanted = min(round(resolution * sweeps), len(used))
+    sweeps = sweeps_of(track.take(used)) if settings.sweeps is None else settings.sweeps
+    wanted = min(round(settings.resolution * float(np.clip(sweeps, 1.0, MOST_SWEEPS))), len(used))
     begins = np.unique(np.linspace(0, len(used), wanted, endpoint=False).astype(np.int64))
     first = np.append(used[begins], len(track))
     first[0] = 0
