@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _STDS = 7.0
 _FLOORS = (0.03, 0.3)  # m, rad; no row so close to its neighbours is an outlier
 _NEIGHBOURS = 7
 
 
-def find_inliers(track: PartTrack) -> Bools:
+def find_inliers(track: PartTrack) -> Booleans:
     """(n,) rows that are not far from the middle one of their neighbours, measured in such distances (Hampel)."""
     distances = [np.linalg.norm(track.position - _middle_ones(track.position), axis=1)]
     if track.quaternion is not None:

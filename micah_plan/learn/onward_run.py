@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint, JointKind
@@ -22,7 +22,6 @@ from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.segments import FittedPiece, chained, to_segment
 from micah_plan.learn.settings import LearnSettings
 
-Bools = NDArray[np.bool_]
 Kinds = tuple[tuple[JointKind, float], ...]
 
 
@@ -84,7 +83,7 @@ class LearnedWindow:
     """
 
     rows: WindowRows
-    inlier: Bools
+    inlier: Booleans
     before: tuple[FittedPiece, ...]
     pieces: tuple[FittedPiece, ...]
     certainties: tuple[SegmentCertainty, ...]

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Ints
 from micah_plan.learn.track import PartTrack
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

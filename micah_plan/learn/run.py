@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import EvidenceTrace, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.inliers import find_inliers
@@ -32,10 +32,6 @@ from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-
 _FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
 _BEYOND_NOISE = 2.0  # times the scatter of the rows
 _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
@@ -58,7 +54,7 @@ class LearnedRun:
     """
 
     track: PartTrack
-    inlier: Bools
+    inlier: Booleans
     noise: MeasurementNoise
     pieces: tuple[FittedPiece, ...]
     certainties: tuple[SegmentCertainty, ...]
@@ -80,7 +76,7 @@ class SegmentedRun:
     """
 
     track: PartTrack
-    inlier: Bools
+    inlier: Booleans
     steps: Steps
     segmented: Segmented
     posterior: ChangepointPosterior
@@ -91,7 +87,7 @@ def learn_run(
     settings: LearnSettings,
     use_actions: bool,
     rng: np.random.Generator,
-    inlier: Bools | None = None,
+    inlier: Booleans | None = None,
 ) -> LearnedRun:
     """Segment a track and fit the joints of its segments to all of their rows.
 
@@ -105,7 +101,7 @@ def segment_run(
     track: PartTrack,
     settings: LearnSettings,
     use_actions: bool,
-    inlier: Bools | None = None,
+    inlier: Booleans | None = None,
     known: Segmented | None = None,
 ) -> SegmentedRun:
     """Cut a track into segments.
@@ -143,7 +139,7 @@ def fitted_pieces(
     segmented: Segmented,
     steps: Steps,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     settings: LearnSettings,
     use_actions: bool,
     rng: np.random.Generator,
@@ -190,7 +186,7 @@ def _located(
     segmented: Segmented,
     steps: Steps,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     settings: LearnSettings,
     use_actions: bool,
 ) -> Located:
@@ -206,7 +202,7 @@ def _joints(
     spans: Sequence[tuple[int, int]],
     segmented: Segmented,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     settings: LearnSettings,
     rng: np.random.Generator,
     settled: Sequence[Joint],
@@ -233,7 +229,7 @@ def _joints(
 def unless_free(
     segmented: Segmented,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     noise: MeasurementNoise,
     settings: LearnSettings,
     use_actions: bool,
@@ -256,7 +252,7 @@ def unless_free(
 def _misfit(
     segmented: Segmented,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     noise: MeasurementNoise,
     settings: LearnSettings,
     log_odds: float,

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
@@ -15,10 +15,6 @@ from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed
 from micah_plan.learn.joints.comparison import compare_all
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _SMOOTHED_ROWS = 5
 _PROJECTIONS = 10
@@ -49,7 +45,7 @@ class FittedPiece:
     log_evidence: float
     settled: bool = False
 
-    def index(self, inlier: Bools) -> Ints:
+    def index(self, inlier: Booleans) -> Ints:
         """Its rows that count, or all of them where none does."""
         rows = np.arange(self.start, self.end + 1)
         return rows[inlier[rows]] if inlier[rows].any() else rows
@@ -58,7 +54,7 @@ class FittedPiece:
 def chained(
     fitted: Sequence[FittedPiece],
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     noise: MeasurementNoise,
     before: Sequence[FittedPiece] = (),
     reached: float = 0.0,
@@ -110,7 +106,7 @@ def to_segment(
     certainty: SegmentCertainty,
     run: int,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     noise: MeasurementNoise,
 ) -> Segment:
     """The segment of a chained piece, with its configurations and noise."""
@@ -174,7 +170,7 @@ def _configuration_of(rigid: Joint, moving: Joint, noise: MeasurementNoise) -> f
 
 
 def _directed(
-    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Bools, noise: MeasurementNoise
+    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> Joint:
     """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
     index = one.index(inlier)
@@ -191,7 +187,9 @@ def _directed(
     return one.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(one.joint)
 
 
-def _near(joint: Joint, row: int, one: FittedPiece, track: PartTrack, inlier: Bools, noise: MeasurementNoise) -> float:
+def _near(
+    joint: Joint, row: int, one: FittedPiece, track: PartTrack, inlier: Booleans, noise: MeasurementNoise
+) -> float:
     """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
     index = one.index(inlier)
     c = configurations(joint, index, track, noise)

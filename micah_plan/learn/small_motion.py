@@ -7,7 +7,6 @@ centimetre that forgives the motion: a stop, or the bend of a path, passes for w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.inliers import find_inliers
@@ -16,8 +15,6 @@ from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack, part_track
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
 
 _TELLING = 10.0  # wanders; a larger motion shows its joint
 _BLOCKS = 8  # in which rows are averaged to see whether anything moves

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
 
 _BEND_VARIANCE = 1.5  # of a row from the middle of its neighbours, for white noise of variance 1
 

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.learn.track import PartTrack
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
 _CALM = 64  # windows per run that configurations are averaged over
@@ -28,7 +27,7 @@ _NEAR = 4  # rows on each side that a direction is compared with
 
 
 def configurations(
-    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Bools
+    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> list[tuple[Rows, Floats, Floats]]:
     """Per piece its rows that count, their measured configurations, and these without most of their noise.
 
@@ -48,7 +47,7 @@ def configurations(
 
 
 def with_anchored_actions(
-    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Bools
+    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> PartTrack:
     """The track with the actions of the pieces' rows turned back by what follows the rows' own errors."""
     if joint.kind not in ("revolute", "screw") or track.action is None:

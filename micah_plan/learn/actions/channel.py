@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.actions.anchored import with_anchored_actions
@@ -26,9 +26,6 @@ from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb,
 from micah_plan.learn.actions.channel_steps import Command, StepNoise, Steps, command_of, fit_noise, noise_of, steps_of
 from micah_plan.learn.joints.quaternions import conjugate, rotation_matrix, rotation_vector, times
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 DELAY_STD = 0.08  # of the run's duration
 LEAST_LOG_ODDS = 5.0  # of the channel against none, 150 : 1
@@ -74,7 +71,7 @@ def estimate_channel(
     pieces: Sequence[tuple[int, int]],
     track: PartTrack,
     white_std: float,
-    inlier: Bools | None = None,
+    inlier: Booleans | None = None,
     least_log_odds: float = LEAST_LOG_ODDS,
 ) -> ActionChannel | None:
     """How the actions of a run move a part along its joint.

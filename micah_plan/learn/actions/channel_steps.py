@@ -11,17 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.spatial.transform import Rotation
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.learn.actions.anchored import configurations
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _WHITE_SPREAD = 0.4  # std of ln r about what the caller believes of the white variance r
 _WALK_DECADES = np.arange(-9.0, 1.1)  # ln-grid of the random walk's variance, of the mean squared step
@@ -71,7 +68,7 @@ class Steps:
     end: Floats
     size: Floats
     leverage: Floats
-    linked: Bools
+    linked: Booleans
     white: float
 
     def __len__(self) -> int:
@@ -125,7 +122,7 @@ def command_of(track: PartTrack) -> Command | None:
 
 
 def steps_of(
-    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Bools, white: float, most: int | None
+    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans, white: float, most: int | None
 ) -> Steps:
     """Steps of the rows of pieces that count; with `most`, about that many per run, between averages of rows.
 

@@ -10,15 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
 from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vectors, times_matrix
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _NEWTON_STEPS = 8
 _TINY = 1e-12
@@ -47,11 +43,11 @@ class Compared:
             np.take_along_axis(self.direction, wide, axis=2),
         )
 
-    def take(self, index: Ints | Bools | slice) -> Compared:
+    def take(self, index: Ints | Booleans | slice) -> Compared:
         """Some of the joints."""
         return Compared(self.configuration[index], self.error[index], self.direction[index])
 
-    def where(self, condition: Bools, other: Compared) -> Compared:
+    def where(self, condition: Booleans, other: Compared) -> Compared:
         """These joints where a condition (h,) holds, the other ones elsewhere."""
         narrow, wide = condition[:, None], condition[:, None, None]
         return Compared(

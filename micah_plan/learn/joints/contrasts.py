@@ -12,13 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.joint_frame import Seen
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
-
-Floats = NDArray[np.float64]
 
 _TINY = 1e-9
 # Columns of a design: tilt 0, 1; shift of the centre 2, 3; pitch 4; turn of the origin 5, 6, 7; its shift 8, 9, 10.

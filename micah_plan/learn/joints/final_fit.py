@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import reversed_direction
 from micah_plan.learn.joints.comparison import compare_all
@@ -23,8 +24,6 @@ from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.joints.quaternions import times
 from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, noise_of, white_noise
-
-Floats = NDArray[np.float64]
 
 OUTLIER_WEIGHT = 10.0
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m

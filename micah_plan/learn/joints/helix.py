@@ -12,14 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, screw
 from micah_plan.learn.joints.joint_frame import cross, frame_of
 from micah_plan.learn.joints.parametrization import Chart
 from micah_plan.learn.joints.quaternions import rotated, rotation_quaternion
-
-Floats = NDArray[np.float64]
 
 NUMBERS = 7  # turn of the frame (3) and shift across the path (2), both in the frame; curvature; lead angle
 _FLATTEST = 1e-3  # 1/m; a straighter path has no frame

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.linalg import block_diag
 from scipy.special import ndtr
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.helix import NUMBERS, Helix, chart_slopes, helix_of
 from micah_plan.learn.joints.joint_frame import cross, frame_of, seen_by
@@ -24,8 +24,6 @@ from micah_plan.learn.joints.likelihood import Fit, normal_equations, pull_covar
 from micah_plan.learn.joints.parametrization import Chart, chart_of
 from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, log_evidence, noise_of, wanders
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck
-
-Floats = NDArray[np.float64]
 
 _LEADS = np.radians(np.linspace(-84.0, 84.0, 9))
 _STDS = (-2.6, -1.5, -0.7, 0.0, 0.7, 1.5, 2.6)  # around the likeliest angle

@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid, screw
 from micah_plan.learn.joints.quaternions import rotated, rotation_quaternion, times
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +36,17 @@ class JointArrays:
         return len(self.kinds)
 
     @cached_property
-    def moving(self) -> Bools:
+    def moving(self) -> Booleans:
         """(h,) which are not rigid."""
         return np.array([kind != "rigid" for kind in self.kinds], dtype=bool)
 
     @cached_property
-    def turning(self) -> Bools:
+    def turning(self) -> Booleans:
         """(h,) which rotate."""
         return np.array([kind in ("revolute", "screw") for kind in self.kinds], dtype=bool)
 
     @cached_property
-    def twisting(self) -> Bools:
+    def twisting(self) -> Booleans:
         """(h,) which have a pitch."""
         return np.array([kind == "screw" for kind in self.kinds], dtype=bool)
 
@@ -86,7 +84,7 @@ class JointArrays:
         pitch = np.where(self.twisting, self.pitch + step[:, 12], 0.0)
         return JointArrays(self.kinds, axis, center, carried[2] + step[:, 3:6], quaternion, pitch)
 
-    def where(self, condition: Bools, other: JointArrays) -> JointArrays:
+    def where(self, condition: Booleans, other: JointArrays) -> JointArrays:
         """These joints where a condition (h,) holds, the other ones (of the same kinds) elsewhere."""
         wide = condition[:, None]
         return JointArrays(

@@ -10,12 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.learn.joints.quaternions import rotation_vector, times_matrix
-
-Floats = NDArray[np.float64]
 
 _ON_THE_AXIS = 1e-9  # m
 _TINY = 1e-18

@@ -10,15 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import TrackerNoise
-
-Floats = NDArray[np.float64]
 
 _STEPS = 25
 _UNKNOWN = 1.0  # rad, m, m/rad: std of what the rows say nothing about

@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_matrix, rotation_vector, times
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Line = tuple[Floats, Floats]
 """Directions (h, 3) of axes, and points (h, 3) on them."""
 
@@ -26,8 +24,8 @@ _STRAIGHTEST = 1e-4  # width of the rows in diameters of their circle
 
 
 def linear_fits(
-    kinds: Sequence[JointKind], used: Bools, position: Floats, quaternion: Floats | None
-) -> tuple[JointArrays, Bools]:
+    kinds: Sequence[JointKind], used: Booleans, position: Floats, quaternion: Floats | None
+) -> tuple[JointArrays, Booleans]:
     """h joints of given kinds, each fitted to its rows.
 
     Args:
@@ -87,7 +85,7 @@ def _squared(share: Floats, vectors: Floats) -> Floats:
 
 def _turning(
     share: Floats, centred: Floats, middle: Floats, position: Floats, quaternion: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+) -> tuple[Floats, Floats, Floats, Floats, Booleans]:
     """Axes (h, 3), points on them (h, 3), origins in the middle (h, 3), pitches (h,) and whether anything turned."""
     relative = times(np.broadcast_to(quaternion, (len(share), *quaternion.shape)), conjugate(middle)[:, None])
     turns = rotation_vector(relative)
@@ -115,7 +113,7 @@ def _turning(
     return axis, center, start, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
 
 
-def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats, Line, Floats, Bools]:
+def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats, Line, Floats, Booleans]:
     """Circles, starts (h, 3), helices through these, their pitches (h,), and whether there are any (h,).
 
     Points are relative to the mean of the rows. A helix leaves the plane of its circle with the cube of the angle, by a
@@ -139,7 +137,7 @@ def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats
     return (normal, center), start, (axis, start - radius[:, None] * away), pitch, fixed
 
 
-def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, Floats, Floats, Booleans]:
     """Normals (h, 3), centres and starts (h, 3) relative to the mean, and whether there is a circle (h,)."""
     plane = vectors[:, :, :0:-1]
     flat = np.einsum("hni,hij->hnj", centred, plane)

@@ -8,10 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import IDENTITY, Joint, JointKind
 from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
-
-Floats = NDArray[np.float64]
 
 _SHORTEST = 1e-9  # m
 _LEAST_TURN = 1e-6  # rad

@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, JointKind, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.learn.joints.joint_frame import cross, frame_of
 from micah_plan.learn.joints.quaternions import times
-
-Floats = NDArray[np.float64]
 
 # Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
 FRAME_NUMBERS = 11

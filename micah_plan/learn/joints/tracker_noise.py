@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.learn.joints.contrasts import Contrasts
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
 from micah_plan.learn.joints.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
-
-Floats = NDArray[np.float64]
 
 _UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 
-Floats = NDArray[np.float64]
+from micah_plan.arrays import Floats
 
 _TIMES = 5  # correlation times tried
 _LONGEST = 0.4  # of the duration; a slower wander looks like another joint

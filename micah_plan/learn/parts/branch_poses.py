@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.learn.parts.relative import RelativeRows
-
-Floats = NDArray[np.float64]
 
 _WINDOW = 7
 _FEWEST_ROWS = 8

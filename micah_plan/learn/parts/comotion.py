@@ -10,14 +10,11 @@ counts as motion, and then the pair is learned and judged by its evidence.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _WINDOWS = 24  # per run
 _MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
@@ -48,7 +45,7 @@ def moves_far(recording: Recording) -> bool:
     return False
 
 
-def moving_windows(recording: Recording, run: int, part: str) -> Bools:
+def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
     """In which of the windows of a run a part moves; windows are of equal duration over the whole run, all parts."""
     in_run = recording.run == run
     own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
@@ -67,7 +64,7 @@ def moving_windows(recording: Recording, run: int, part: str) -> Bools:
     return moves
 
 
-def _carries(parent: Bools, child: Bools) -> bool:
+def _carries(parent: Booleans, child: Booleans) -> bool:
     return bool(parent.any() and (parent & child).sum() >= _SHARE * parent.sum())
 
 

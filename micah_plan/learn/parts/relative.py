@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Slerp
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.settings import FEWEST_ROWS
 from micah_plan.recording.value import Recording
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _LONGEST_GAP = 4.0  # median intervals; across a longer one a straight line says nothing of how the parent moved
 

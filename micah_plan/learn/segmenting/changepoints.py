@@ -12,14 +12,11 @@ from math import log
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.resampling import resample
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Stream(Protocol):

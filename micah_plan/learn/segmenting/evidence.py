@@ -16,17 +16,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak, stacked
 from micah_plan.learn.segmenting.occam import held_costs, parameter_costs, parameter_counts
 from micah_plan.learn.segmenting.pool import Hypotheses, Pool, all_of, pool_of
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _HELD_FIRST = 4.6  # nats: a part that has not moved yet waits for the hand in 99 of 100 demonstrations
 _SLIP = 0.01  # probability that a row tells nothing of the next

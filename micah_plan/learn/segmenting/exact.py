@@ -10,13 +10,11 @@ from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
-
-Floats = NDArray[np.float64]
 
 
 def best_segmentation(

@@ -11,14 +11,12 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
 from micah_plan.learn.spread import extent
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
 
 _LOOKING_BACK = (1, 2, 3, 5)  # steps over which the velocity is averaged
 _STAYING = (3, 8)  # steps over which what stays is averaged

@@ -8,14 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammainc, gammaincc
 
+from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
 
 _SMALLEST = 1e-300
 

@@ -19,14 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.joints.least_norm import least_norm
 from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.pool import Pool
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
@@ -55,7 +52,7 @@ class _StepModel:
     waiting: Floats
     gain: Floats
     parameters: float
-    allowed: Bools
+    allowed: Booleans
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,9 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from micah_plan.arrays import Floats, Ints
 
 MEMORY = 8  # rows that a prediction looks back
 _UNMEASURED = 0.05  # rad

@@ -7,16 +7,14 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.spread import bends, white_std
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
 _FINEST_ROTATION = 1e-3  # rad

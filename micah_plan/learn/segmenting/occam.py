@@ -8,17 +8,14 @@ and a tracker good to millimetres that is most of it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.segmenting.pool_fits import parameter_design
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
@@ -102,7 +99,7 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     return np.asarray(_DENIED * denied)
 
 
-def _blocks(used: Bools) -> tuple[Floats, Floats]:
+def _blocks(used: Booleans) -> tuple[Floats, Floats]:
     """(h, n, b) which block of the used rows (h, n) a row is in, 0 or 1; and (h, 1, b) how many rows a block has."""
     rows = np.maximum(used.sum(axis=1, keepdims=True), 1)
     block = np.minimum(_BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, _BLOCKS - 1)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
@@ -31,10 +31,6 @@ from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, merged
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _ROUNDS = 2
 _DOF = 8.0
@@ -132,7 +128,7 @@ def _with_rests(
     return found
 
 
-def _where_known(known: KnownJoints, rows: int) -> tuple[Ints, Bools]:
+def _where_known(known: KnownJoints, rows: int) -> tuple[Ints, Booleans]:
     """Known joints, each once for every stretch of the window in which it may hold, and these rows.
 
     How fast a part moves, and what actions say of it, is learned where its joint holds and not where the part rests.

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.comparison import Compared, compare_arrays, levers
 from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
@@ -19,10 +19,6 @@ from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _LEVELS = 4
 _FEWEST_ROWS = 8
@@ -35,7 +31,7 @@ class Hypotheses:
     """h joints and the rows (h, n) of the track that each was fitted to."""
 
     joints: JointArrays
-    used: Bools
+    used: Booleans
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -73,7 +69,7 @@ class Pool:
     white: Floats
     renewed: Floats
     lever: Floats
-    moving: Bools
+    moving: Booleans
 
     def part(self, some: slice, hypotheses: Hypotheses) -> Pool:
         """As some of the hypotheses see the rows."""
@@ -129,13 +125,13 @@ def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: Noise
     return Hypotheses(joints, rows).take(np.flatnonzero(fixed))
 
 
-def refitted(kinds: Sequence[JointKind], used: Bools, track: PartTrack, noise: NoiseModel) -> Hypotheses:
+def refitted(kinds: Sequence[JointKind], used: Booleans, track: PartTrack, noise: NoiseModel) -> Hypotheses:
     """Joints of maximum likelihood of given kinds on given rows (h, n), those that the rows determine."""
     return all_refitted([(kinds, used)], track, noise)[0]
 
 
 def all_refitted(
-    wanted: Sequence[tuple[Sequence[JointKind], Bools]], track: PartTrack, noise: NoiseModel
+    wanted: Sequence[tuple[Sequence[JointKind], Booleans]], track: PartTrack, noise: NoiseModel
 ) -> list[Hypotheses]:
     """The same of several sets of kinds and rows at once, each under one of as many noises."""
     kinds = [kind for some, _ in wanted for kind in some]

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.joints.comparison import Compared, compare_arrays
 from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
 from micah_plan.learn.joints.quaternions import cross_matrix, cross_of_units
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 PARAMETERS = 13  # of `JointArrays.moved`'s step
 _VECTORS = np.array([0, 3, 6, 9, 12])  # its first numbers of turns, shifts and the pitch
@@ -28,7 +24,7 @@ _ORDER = 3  # rows that a prediction looks back while fitting; the evidence look
 
 
 def fit_likelihood(
-    joints: JointArrays, used: Bools, track: PartTrack, noise: NoiseModel, iterations: int
+    joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseModel, iterations: int
 ) -> JointArrays:
     """The joints that make the innovations of their rows most likely, from a start; kinds are kept.
 
@@ -140,7 +136,7 @@ class _Fits:
         )
 
 
-def _start(joints: JointArrays, used: Bools, track: PartTrack, noise: NoiseModel) -> _Fits:
+def _start(joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseModel) -> _Fits:
     """The joints as they are, and the rows (h, n) that each is fitted to."""
     index = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
     order = np.take_along_axis(_known_before(used, min(_ORDER, noise.left.shape[1] - 1)), index, axis=1)
@@ -204,7 +200,7 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     return design
 
 
-def _known_before(used: Bools, most: int) -> Ints:
+def _known_before(used: Booleans, most: int) -> Ints:
     """(h, n) how many rows directly before a row are used, up to `most`."""
     order = np.zeros(used.shape, dtype=np.int64)
     unbroken = np.ones(used.shape, dtype=bool)

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.length_prior import LengthPrior
-
-Floats = NDArray[np.float64]
 
 _MOST_SEGMENTS = 8
 _MORE_SEGMENTS = 3  # than there are in the most probable segmentation

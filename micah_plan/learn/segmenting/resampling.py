@@ -8,12 +8,9 @@ every expected weight is preserved and the Kolmogorov-Smirnov distance is small.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def resample(weights: Floats, count: int, rng: np.random.Generator) -> tuple[Ints, Floats]:

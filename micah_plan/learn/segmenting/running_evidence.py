@@ -8,13 +8,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.evidence import EvidenceColumn, EvidenceTable
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class RunningEvidence:

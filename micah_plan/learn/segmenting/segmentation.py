@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.coarsening import trust_in
@@ -22,10 +22,6 @@ from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, sha
 from micah_plan.learn.segmenting.stops import rests_in_the_end, stopped_in_the_end
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 3
@@ -191,7 +187,7 @@ def _renewed(
     ]
 
 
-def _rows_of_joints(found: Segmented) -> tuple[list[int], Bools]:
+def _rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:
     """Hypotheses in use, and the rows (u, n) that each explains."""
     pieces = found.segmentation.pieces
     used = list(dict.fromkeys(piece.hypothesis for piece in pieces))

@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from math import dist
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
 MOST_SWEEPS = 4.0
@@ -44,7 +40,7 @@ class Steps:
     size: float
 
 
-def steps_of(track: PartTrack, inlier: Bools, settings: LearnSettings) -> Steps:
+def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Steps:
     """Average rows to about `settings.resolution` steps per there and back of the part.
 
     Args:
@@ -60,7 +56,7 @@ def steps_of(track: PartTrack, inlier: Bools, settings: LearnSettings) -> Steps:
     return Steps(averaged(track, inlier, first), first, len(track) / len(begins))
 
 
-def averaged(track: PartTrack, inlier: Bools, first: Ints) -> PartTrack:
+def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:
     """Means of the rows that count from `first[i]` to before `first[i + 1]`; there is one in each of them.
 
     Actions are summed: each step's commands the way from its mean to the next one's.
@@ -90,7 +86,7 @@ def sweeps_of(track: PartTrack) -> float:
     return _clearest(track)[1]
 
 
-def is_long(track: PartTrack, inlier: Bools) -> bool:
+def is_long(track: PartTrack, inlier: Booleans) -> bool:
     """Whether a part moves to and fro more than `MOST_SWEEPS` times.
 
     Looked at from the start on, in stretches that double: in all rows, many motions would pass for noise. A stretch in

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
@@ -20,8 +21,6 @@ from micah_plan.learn.segmenting.pool import Hypotheses, refitted
 from micah_plan.learn.segmenting.selection import shared
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
 
 _GRAINS = 16
 _EARLIEST = 5  # of the grains

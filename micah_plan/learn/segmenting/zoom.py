@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.evidence import tabulated
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
@@ -14,10 +14,6 @@ from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
 from micah_plan.learn.segmenting.steps import averaged
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _REACH = 12  # steps looked at on either side
 # Times as many, for what they tell of noise and motion: of a time that does not shrink with the steps, as far as steps
@@ -50,7 +46,7 @@ def locate(
     size: float,
     limits: tuple[int, int],
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     settings: LearnSettings,
     use_actions: bool,
 ) -> Located:
@@ -97,7 +93,7 @@ def _scores(
     starts: Ints,
     end: int,
     track: PartTrack,
-    inlier: Bools,
+    inlier: Booleans,
     settings: LearnSettings,
     use_actions: bool,
 ) -> Floats:
