@@ -278,7 +278,8 @@ def test_very_many_rows() -> None:
     recording = recorded([(JOINTS["revolute"], c)], np.random.default_rng(0))
     segments = learned(recording, "champ")
     assert kinds_of(segments) == ["revolute", "rigid"]
-    assert abs(segments[1].start - 40_000) < 200
+    # Wander of a tenth of the run is assumed, and hides the last millimetres before the stop.
+    assert abs(segments[1].start - 40_000) < 0.01 * len(recording)
 
 
 @pytest.mark.parametrize("method", METHODS)
