@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
@@ -153,15 +153,9 @@ class Layout:
         return self.automaton.n
 
 
+@memoised
 def layout_of(automaton: HybridAutomaton) -> Layout:
     """The layout of an automaton, made once."""
-    known: Layout | None = automaton.derived.get("belief_layout")
-    if known is None:
-        known = automaton.derived["belief_layout"] = _layout(automaton)
-    return known
-
-
-def _layout(automaton: HybridAutomaton) -> Layout:
     whole = with_boundary_states(automaton)
     sensing = tuple(whole.sensing(mode) for mode in whole.modes)
     uniform = all(own.is_uniform for own in sensing)

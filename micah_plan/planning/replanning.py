@@ -41,18 +41,20 @@ def replan(
     Returns:
         None if there is no trajectory, or none that roll-outs confirm.
     """
-    here, confirm = believed_problem(with_input_memory(problem), belief), partial(verify, sequential=True)
+    here = believed_problem(with_input_memory(problem), belief)
+    # Both attempts share one time limit: the execution waits for them.
+    deadline, confirm = Deadline(here.settings.solve_time_limit_s), partial(verify, sequential=True)
+    confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)
 
     def planner(task: Problem, *, deadline: Deadline, found: SearchResult | None = None) -> Plan:
         return Attempt(task, seed, deadline).made_by(partial(planned, found=found), "search")
 
     rest = None if followed is None else rest_through(here, *followed)
     if rest is not None:
-        through = partial(planner, found=SearchResult((rest,)))
-        answer = verified_plan(here, through, seed, rounds=0, verifier=confirm)
+        answer = confirmed(partial(planner, found=SearchResult((rest,))), rounds=0)
         if answer.outcome == "solved":
             return answer.trajectory
-    answer = verified_plan(here, planner, seed, verifier=confirm)
+    answer = confirmed(planner)
     return answer.trajectory if answer.outcome == "solved" else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -59,7 +60,7 @@ def one_way_mirror() -> HybridAutomaton:
     return mirror(returns=False)
 
 
-class Particles:
+class Particles(ABC):
     """A bootstrap particle filter; mode 0 is the automaton's first, and subclasses move each particle by one step."""
 
     def __init__(self, automaton: HybridAutomaton, mean: float, std: float, seed: int, count: int = PARTICLES) -> None:
@@ -69,12 +70,13 @@ class Particles:
         self.limit = self.limits(automaton, count)
         self.x = np.minimum(self.rng.normal(mean, std, count), self.limit - 1e-12)
 
+    @abstractmethod
     def limits(self, automaton: HybridAutomaton, count: int) -> np.ndarray:
         """Where each particle leaves the first mode."""
-        raise NotImplementedError
 
+    @abstractmethod
     def predict(self, u: float) -> None:
-        raise NotImplementedError
+        """Move every particle by one step with an input."""
 
     def update(self, z: float) -> None:
         weights = np.exp(-0.5 * ((z - self.x) / self.observation) ** 2)

@@ -103,8 +103,16 @@ def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
         right.append(max(chances, key=lambda name, own=chances: own[name]) == kind)
     misses = len(right) - sum(right)
     assert misses <= binom.ppf(1 - RARELY, len(right), max(1 - float(np.mean(given)), 0.03))
-    # Hinges are stated with 70 to 80 %, the rest for a screw: that screws are rare counts as little as other evidence.
-    assert np.mean(given) > 0.85
+
+
+TOO_CAREFUL = pytest.mark.xfail(strict=True, reason="0.89: screws get 20 to 30 % beside a hinge, rare as they are")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [pytest.param(own, marks=TOO_CAREFUL if own == "champ" else ()) for own in METHODS])
+def test_kinds_are_stated_with_nine_tenths_on_average(many, method: Method) -> None:
+    given = [dict(edges[METHODS.index(method)].segments[0].certainty.kinds)[kind] for kind, _, *edges in many]
+    assert np.mean(given) > 0.9
 
 
 @pytest.mark.parametrize("method", METHODS)

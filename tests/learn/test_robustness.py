@@ -273,13 +273,13 @@ def test_a_part_that_opens_and_closes_again_keeps_one_joint(kind: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="530 rows late: the wander that is assumed hides the last millimetres")
 def test_very_many_rows() -> None:
     c = moving_then_held("revolute", 40_000, 24_000)
     recording = recorded([(JOINTS["revolute"], c)], np.random.default_rng(0))
     segments = learned(recording, "champ")
     assert kinds_of(segments) == ["revolute", "rigid"]
-    # Wander of a tenth of the run is assumed, and hides the last millimetres before the stop.
-    assert abs(segments[1].start - 40_000) < 0.01 * len(recording)
+    assert abs(segments[1].start - 40_000) < 200
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -27,9 +27,6 @@ Floats = NDArray[np.float64]
 
 # A share of the belief below this is dropped.
 NEGLIGIBLE = 1e-10
-# A start whose mean lies in no mode is accepted down to this probability of one (3 sigma), as noise of a measurement.
-_LEAST_CHANCE = 1e-3
-_EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
 MOST_EVENTS = 16
 
@@ -59,31 +56,9 @@ def belief_of(weights: Floats, means: Floats, factors: Floats, n: int) -> Hybrid
     return HybridBelief(*owned)
 
 
-def initial_belief(
-    automaton: HybridAutomaton, mean: ArrayLike, spread: ArrayLike, mode: str | None = None
-) -> HybridBelief:
-    """The belief at the start: all of it in one mode, whose pins are information.
-
-    Args:
-        mean: (n,) [rad or m].
-        spread: (n,) standard deviations or (n, n) covariance.
-        mode: where it is; None: the first mode whose invariant holds the mean, or, for a measured start that noise
-            put just outside all of them, the one whose invariant most probably holds the state.
-
-    Raises:
-        InputError: if shapes do not fit, the covariance is not positive semi-definite, or no invariant holds the mean.
-    """
-    center, width = np.array(mean, dtype=float), np.array(spread, dtype=float)
-    n = automaton.n
-    if center.shape != (n,) or width.shape not in ((n,), (n, n)):
-        raise InputError(
-            f"a start belief needs a mean of shape ({n},) and stds ({n},) or a covariance ({n}, {n}). "
-            f"Got {center.shape} and {width.shape}"
-        )
-    if not np.isfinite(center).all():
-        raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
-    factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
-    mode = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
+def initial_belief(automaton: HybridAutomaton, mean: ArrayLike, std: ArrayLike, mode: str) -> HybridBelief:
+    """The belief at the start, all of it in one mode, whose pins are information: mean (n,), std (n,) [rad or m]."""
+    center, factor, n = np.array(mean, dtype=float), np.diag(np.array(std, dtype=float)), automaton.n
     whole, stds = with_boundary_states(automaton), threshold_stds(automaton)
     center = np.concatenate([center, np.zeros(stds.size)])
     factor = np.block([[factor, np.zeros((n, stds.size))], [np.zeros((stds.size, n)), np.diag(stds)]])
@@ -195,31 +170,3 @@ def _assembled(
 def _merged(pieces: list[Piece]) -> tuple[Floats, Floats]:
     ends = [piece.end() for piece in pieces]
     return mixed([piece.probability for piece in pieces], np.stack([e[0] for e in ends]), [e[1] for e in ends])
-
-
-def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
-    holding = automaton.modes_at(mean, _EDGE_TOLERANCE)
-    if holding:
-        return holding[0]
-    u = np.zeros(automaton.m)
-    chances = [
-        np.prod([gaussian.half_space_probability(mean, factor, u, h) for h in mode.invariant.half_spaces])
-        for mode in automaton.modes
-    ]
-    if max(chances) < _LEAST_CHANCE:
-        raise InputError(f"the start {mean.tolist()} lies in no mode's invariant", remedy="move it or name a mode")
-    return automaton.modes[int(np.argmax(chances))].name
-
-
-def _valid_stds(stds: Floats) -> Floats:
-    if not (np.isfinite(stds).all() and (stds >= 0).all()):
-        raise InputError(f"standard deviations must be finite and not negative. Got {stds.tolist()}")
-    return stds
-
-
-def _root(covariance: Floats) -> Floats:
-    """Lower factor of a covariance, singular ones included."""
-    values, vectors = np.linalg.eigh(covariance)
-    if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):
-        raise InputError("a covariance must be symmetric and positive semi-definite", remedy="give (n,) stds instead")
-    return gaussian.lower_factor(vectors * np.sqrt(np.maximum(values, 0.0)))
