@@ -18,7 +18,7 @@ from statistics import median
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "micah_plan"
 RENAMED = {"spec": "documents"}
-# Packages that the redrawing of the house left alone.
+# Packages that the restructuring left alone.
 APART = ("learn", "residual")
 
 
