@@ -1,7 +1,7 @@
 """Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end.
 
-`Episode` decides and logs; it calls neither a plant nor the filter. `execute` joins it with both. So many episodes can
-share one batched step of the filter: what they need of each other is nothing.
+`Episode` decides and logs; it calls neither a plant nor the filter. `execute` joins it with both. Episodes are
+independent, so many can share one batched step of the filter.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import command, configuration
 from micah_plan.planning.input_memory import coasted, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
-from micah_plan.quantities import quantity
+from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import ArmTrajectory, Trajectory
@@ -131,7 +131,7 @@ class Episode:
         return self._log.recording(self._run) if len(self._log) else None
 
     def reading(self, belief: HybridBelief, measurement: Measurement) -> Floats:
-        """(n,) what the filter is told of a measurement [rad or m]; NaN for what it does not show.
+        """(n,) what the filter gets of a measurement [rad or m]; NaN for what it does not show.
 
         Args:
             belief: before it, to tell whole turns apart and for the joints of the most likely mode.
@@ -147,7 +147,7 @@ class Episode:
 
         Args:
             belief: after the measurement.
-            truth: only for the log and the score; None in every step: nobody knows it.
+            truth: only for the log and the score; None in every step if it is unknown.
         """
         self._beliefs.append(belief)
         self._truth = truth
@@ -221,17 +221,17 @@ class Episode:
         """Why the execution ended."""
         pilot, steps, refused = self._pilot, len(self._beliefs) - 1, ""
         if self._is_confident:
-            return f"stopped with probability {self._confidence:.3f} of the goal"
+            return f"stopped with {percent(self._confidence)} probability of the goal"
         if pilot.refusals:
             refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
         if pilot.is_lost:
             mode = self._problem.automaton.modes[self._beliefs[-1].most_likely].name
             asked = f"off the plan after asking {MOST_REPLANS} times for another"
             return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
-        return f"the {steps} allowed steps ended with probability {self._confidence:.3f} of the goal{refused}"
+        return f"the {steps} allowed steps ended with {percent(self._confidence)} probability of the goal{refused}"
 
     def _misses(self, mode: str, x: Floats) -> list[str]:
-        """In which respects a state is not in the goal set, the true one or the believed one; and what was broken."""
+        """In which respects the true or believed state is not in the goal set, and which constraints were broken."""
         automaton, goal = self._problem.automaton, self._problem.goal
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
         misses = []

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
+from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording
 
 LARGEST_EXTENT_M = 20.0
@@ -52,9 +53,9 @@ def _length(rows: Recording, part: str) -> str:
     extent = float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
     distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
     if extent > LARGEST_EXTENT_M:
-        seen = f"part '{part}' moves over {extent:.4g} m"
+        seen = f"part '{part}' moves over {quantity(extent, 'm')}"
     elif distance > FARTHEST_M:
-        seen = f"part '{part}' is {distance:.4g} m from the origin of the base frame"
+        seen = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
     else:
         return ""
     return f"{seen}; positions and actions are in m: are these millimetres? then divide x,y,z (and ax,ay,az) by 1000"
@@ -69,7 +70,7 @@ def _time(recording: Recording) -> str:
     if step <= LONGEST_STEP_S:
         return ""
     clock = next((name for name, ticks in _CLOCKS if step / ticks <= _SLOWEST_S), "nanoseconds")
-    return f"rows are {step:.4g} s apart; times are in s: are these {clock}? then convert the column t"
+    return f"rows are {quantity(step, 's')} apart; times are in s: are these {clock}? then convert the column t"
 
 
 def _quaternion(rows: Recording, part: str) -> str:
@@ -86,8 +87,8 @@ def _quaternion(rows: Recording, part: str) -> str:
         return ""
     return (
         f"part '{part}' turns about a fixed axis only if its quaternions have the scalar first (they then leave "
-        f"{as_reordered:.0%} of the motion unexplained, as they are {as_given:.0%}); they are read scalar last: are "
-        "the columns qx,qy,qz,qw in this order?"
+        f"{percent(as_reordered, 0)} of the motion unexplained, as they are {percent(as_given, 0)}); they are read "
+        "scalar last: are the columns qx,qy,qz,qw in this order?"
     )
 
 

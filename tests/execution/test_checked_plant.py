@@ -166,7 +166,7 @@ def test_without_a_referee_the_belief_says_how_it_ended():
 def test_a_believed_miss_says_that_it_is_believed():
     found, _, _ = trials(Blind, max_steps=3)
     (_, reason), _ = found.failures
-    assert "the 3 allowed steps ended with probability 0.000 of the goal, but drawer is believed " in reason
+    assert "the 3 allowed steps ended with 0 % probability of the goal, but drawer is believed " in reason
 
 
 def test_a_machine_that_fails_ends_the_trial_with_its_sentence_and_its_log():

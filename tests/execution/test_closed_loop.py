@@ -73,7 +73,7 @@ def test_it_stops_where_the_steps_end_and_says_how_sure_it_was():
     result = run(PULL, pulling(), max_steps=3)
     assert result.steps == 3
     assert not result.success
-    assert "the 3 allowed steps ended with probability 0.000 of the goal, but drawer is" in result.reason
+    assert "the 3 allowed steps ended with 0 % probability of the goal, but drawer is" in result.reason
 
 
 def test_a_tolerance_below_the_noise_is_never_believed_reached():

@@ -161,7 +161,7 @@ def test_a_touch_that_is_too_deep_is_noticed_though_the_body_may_be_touched():
     plant = HeldPlant(replace(tool(), start=Start((-0.2, 0.0), (0.0, 0.0))))
     plant.reset(np.random.default_rng(2))
     plant.apply(Command(np.zeros(2), None, None))
-    assert "it hit 'table' at 0.0 s" in plant.truth().incident
+    assert "it hit 'table' at " in plant.truth().incident
     plant.close()
 
 

@@ -1,4 +1,4 @@
-"""An execution that stops "with probability p of the goal" is in the goal that often."""
+"""An execution that stops "with p % probability of the goal" is in the goal that often."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
+from micah_plan.quantities import quantity
 from micah_plan.robot.along_plan import start_posture
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.inverse_kinematics import next_pose
@@ -111,8 +112,8 @@ class ArmCarrier(Carrier):
         if np.abs(reached.error).max() > _NOT_REACHED and not self.complaint:
             stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
             limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
-            away = 1e3 * float(np.linalg.norm(reached.error[3:]))
-            told = f"the arm's tool could not come nearer than {away:.0f} mm to where it was told to be"
+            away = quantity(float(np.linalg.norm(reached.error[3:])), "m")
+            told = f"the arm's tool could not come nearer than {away} to where it was told to be"
             self.complaint = told + limit
         return reached.q
 

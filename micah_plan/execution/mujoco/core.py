@@ -1,4 +1,4 @@
-"""What both plants do alike: a world in MuJoCo is stepped, latches catch and open, and a tracker sees the parts.
+"""What both plants share: a world in MuJoCo is stepped, latches catch and open, and a tracker sees the parts.
 
 MuJoCo is imported here alone.
 """
@@ -19,11 +19,12 @@ from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import Latch, WorldBody, latch_name, sensor_name
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
+from micah_plan.quantities import quantity
 
 Flags = NDArray[np.bool_]
 
 LONGEST_STEP = 0.001
-# So many steps in which nothing happened, and the engine leaps again: by so many steps first, then by twice as many.
+# After `_CALM` steps without an event the engine leaps again: by `_SHORTEST_LEAP` steps, then by twice as many.
 _CALM, _SHORTEST_LEAP = 20, 32
 _SCALAR_LAST = [1, 2, 3, 0]
 
@@ -54,7 +55,7 @@ def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
     kinds = mujoco.mjtWarning
     if any(data.warning[int(k)].number for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)):
         raise InputError(
-            f"the physics became unstable {float(data.time):.3g} s after its start",
+            f"the physics became unstable {quantity(data.time, 's')} after its start",
             remedy="make the plant softer, heavier or better damped, or the model's parts larger",
         )
 
@@ -64,8 +65,8 @@ class PhysicalPlant:
 
     Most of the time nothing happens that the engine does not know of, and it can take many steps alone: it leaps. What
     its sensors showed in every one of them is looked at afterwards, so nothing is missed. Where something happened it
-    goes back, leaps up to there only, and takes careful steps until nothing has happened for a while. Alone or with
-    care, the engine takes the same steps: how far it leaps changes nothing but the time that it takes.
+    goes back, leaps up to there only, and takes careful steps until nothing has happened for a while. Both ways the
+    engine takes the same steps: how far it leaps changes only the computing time.
 
     Attributes:
         automaton, parameters: the model, and the physics.

@@ -12,6 +12,7 @@ from micah_plan.automaton.contacts.values import Grip
 from micah_plan.execution.mujoco.core import Flags, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.world import SCENE
+from micah_plan.quantities import quantity
 
 # Deeper than this into a body [m] counts as a collision, and so does any push against a fixed body that may not be
 # touched.
@@ -124,8 +125,8 @@ class Watch:
             self._plant.mujoco.mj_contactForce(self._plant.model, data, number, push)
             if contact.dist < -LARGEST_PENETRATION or (not allowed and push[0] > _LARGEST_PUSH_N):
                 what = "it" if is_object else f"the arm's {self._name[by]}"
-                depth = max(0.0, -1e3 * contact.dist)
-                return f"{what} hit '{name}' at {data.time:.1f} s with {push[0]:.0f} N, {depth:.1f} mm deep"
+                how = f"with {quantity(push[0], 'N')}, {quantity(max(0.0, -contact.dist), 'm')} deep"
+                return f"{what} hit '{name}' at {quantity(data.time, 's')} {how}"
         return ""
 
     def _knocked_over(self) -> str:
@@ -135,6 +136,6 @@ class Watch:
             shift = float(np.linalg.norm(data.xpos[number] - before[:3]))
             tilt = float(np.arccos(np.clip(data.xmat[number][6:] @ before[3:], -1.0, 1.0)))
             if shift > LARGEST_SHIFT or tilt > LARGEST_TILT:
-                how = f"it had moved by {1e3 * shift:.0f} mm and tilted by {tilt:.2f} rad"
-                return f"'{name}' was knocked over: at {data.time:.1f} s {how}"
+                how = f"it had moved by {quantity(shift, 'm')} and tilted by {quantity(tilt, 'rad')}"
+                return f"'{name}' was knocked over: at {quantity(data.time, 's')} {how}"
         return ""

@@ -93,11 +93,11 @@ class PhysicalParameters:
         Raises:
             InputError: for a name that this kind of object does not know, or an impossible value.
         """
-        known = defaults(held=held)
+        allowed = defaults(held=held)
         for name in values:
-            if name not in known:
-                raise InputError(f"unknown plant parameter {shown(name)}", remedy=f"choose among {', '.join(known)}")
-        return cls(**known | {name: float(value) for name, value in values.items()})
+            if name not in allowed:
+                raise InputError(f"unknown plant parameter {shown(name)}", remedy=f"choose among {', '.join(allowed)}")
+        return cls(**allowed | {name: float(value) for name, value in values.items()})
 
 
 def defaults(*, held: bool) -> dict[str, float]:

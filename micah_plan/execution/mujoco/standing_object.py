@@ -11,6 +11,7 @@ from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import STOPS, Latch, WorldBody, WorldJoint, pose
+from micah_plan.quantities import quantity
 from micah_plan.scene.body import vector3
 
 _SHORTEST_ARM = 0.005
@@ -103,7 +104,7 @@ def _arm(name: str, joint: Joint, handle: Vector3) -> float:
     arm = float(np.linalg.norm(translation + np.cross(rotation, offset)))
     if arm < _SHORTEST_ARM:
         raise InputError(
-            f"the handle of part '{name}' lies on its axis (distance {1000 * arm:.1f} mm), so no hand can turn it",
+            f"the handle of part '{name}' lies on its axis (distance {quantity(arm, 'm')}), so no hand can turn it",
             remedy="give the part a handle away from the axis",
         )
     return arm
