@@ -112,11 +112,11 @@ def learn(
 
 
 def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, ...]:
-    known = {name for edge in graph.edges for name in (edge.parent, edge.child)}
+    names = {name for edge in graph.edges for name in (edge.parent, edge.child)}
     for part in parts:
-        if part.name not in known:
+        if part.name not in names:
             raise InputError(
-                f"the shapes are of a part '{part.name}', the recording has {', '.join(sorted(known))}",
+                f"the shapes are of a part '{part.name}', the recording has {', '.join(sorted(names))}",
                 remedy="rename the part in the shapes file",
             )
     return tuple(parts)

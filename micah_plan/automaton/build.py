@@ -14,15 +14,15 @@ transitions, resets are the identity. Where it differs, and why:
   pinned x would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
 - **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
   exactly (`transition`), so a state can be on the boundary in either model. A rigid model's invariant is what a
-  measurement cannot tell from it: ``local_models.RESOLUTION`` std around its configuration.
+  measurement does not distinguish from it: ``local_models.RESOLUTION`` std around its configuration.
 - **Thresholds have a std** (`Edge.threshold_std`) where learning gave a posterior of the changepoint's row. A rigid
   model that is entered at such a threshold is pinned no better than that.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
-An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part
-that is fixed to another part, a handle on a door, has nothing of its own to tell: it takes no part in the product, and
-its link follows the coordinate of what carries it, through a rigid joint. Neighbours are connected both ways, so every
-mode of the product can be reached from every other. `Init` is left to the task, as there.
+An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part that is fixed
+to another part, such as a handle on a door, adds no local model to the product: its link follows the coordinate of its
+parent, through a rigid joint. Neighbours are connected both ways, so every mode of the product can be reached from
+every other. `Init` is left to the task, as there.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
 
 SMALLEST_STD = 1e-6
-# Digits of a stored probability: less says nothing, more only makes files long.
+# Decimals of a stored probability.
 _PROBABILITY_DIGITS = 6
 _MISFIT_REMEDY = (
     "check that the part is stiff, moves in one way at a time and is tracked relative to what it is mounted on, or "
@@ -118,7 +118,7 @@ def _is_fixed(edge: KinematicEdge) -> bool:
 
 
 def _links(graph: KinematicGraph, moving: Sequence[KinematicEdge]) -> tuple[Link, ...]:
-    """One per edge; a fixed part's follows the coordinate of what carries it."""
+    """One per edge; a fixed part's follows the coordinate of its parent."""
     numbers = {edge.child: i for i, edge in enumerate(moving)}
     links: list[Link] = []
     for edge in graph.edges:
@@ -199,7 +199,7 @@ def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]
 
 
 def _pin_std(model: LocalModel) -> float:
-    """That of one measurement: errors of a tracker wander, so averaging over the rows would promise too much."""
+    """That of one measurement: a tracker's error wanders, so averaging over the rows would be overconfident."""
     return max(model.observation_std, model.lower_std, model.upper_std, SMALLEST_STD)
 
 
@@ -223,8 +223,8 @@ def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
 
 def _parts(graph: KinematicGraph, given: Sequence[Part]) -> tuple[Part, ...]:
     names = dict.fromkeys(name for edge in graph.edges for name in (edge.parent, edge.child))
-    known = {part.name: part for part in given}
-    found = tuple(known.get(name, Part(name)) for name in names if name != BASE or name in known)
+    by_name = {part.name: part for part in given}
+    found = tuple(by_name.get(name, Part(name)) for name in names if name != BASE or name in by_name)
     return found + tuple(part for part in given if part.name not in names)
 
 

@@ -62,7 +62,7 @@ class Part:
     """A rigid body of the object.
 
     Attributes:
-        handle: where a hand takes it, in the part's frame [m]; None: the part's origin.
+        handle: where a hand holds it, in the part's frame [m]; None: the part's origin.
     """
 
     name: str
@@ -252,11 +252,11 @@ class HybridAutomaton:
         noise: process and observation noise.
         init: Init, regions of x per mode name; empty: wherever an invariant allows.
         provenance: where the model came from (recording digest, method, seed, versions), as text.
-        learned: what learning was sure of; empty for a model that was not learned.
+        learned: how certain learning was; empty for a model that was not learned.
         effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
             `modes` and `edges`, the others act in every step.
         input_memories: what effects remember of inputs, where that is part of the state (`input_memory`); empty: steps
-            leave these effects out.
+            ignore these effects.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -284,7 +284,7 @@ class HybridAutomaton:
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What algorithms computed of the automaton, by a name or key of theirs (`memoised`); no part of the value."""
+        """Cache of `memoised` functions; no part of the value."""
         return {}
 
     @cached_property
@@ -379,13 +379,13 @@ def memoised(function: _Function) -> _Function:
     """A function of an automaton and perhaps of a mode that computes only once what it is asked for again."""
 
     @wraps(function)
-    def known(automaton: HybridAutomaton, *mode: Mode | str) -> Any:
+    def cached(automaton: HybridAutomaton, *mode: Mode | str) -> Any:
         key = (function, getattr(mode[0], "name", mode[0]) if mode else "")
         if key not in automaton.derived:
             automaton.derived[key] = function(automaton, *mode)
         return automaton.derived[key]
 
-    return cast(_Function, known)
+    return cast(_Function, cached)
 
 
 def _number(name: str, names: tuple[str, ...], what: str) -> int:

@@ -69,18 +69,18 @@ def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAut
 def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) -> HybridAutomaton:
     """The automaton with its uncertain boundaries moved by (b,) amounts, and known to (b,) stds instead of its own.
 
-    A pin at a boundary is known better by what its boundary is.
+    The variance of a pin at a boundary falls by as much as that of its boundary.
     """
     before = boundary_stds(automaton)
-    known = dict(zip(before, map(float, stds), strict=True))
+    now = dict(zip(before, map(float, stds), strict=True))
     moved = with_shifted_thresholds(automaton, by)
 
     def edge_std(edge: Edge) -> float:
         at = [boundary_of(h)[0] for h in edge.guard.half_spaces]
-        return edge.threshold_std * max((known[b] / before[b] for b in at if b in before), default=1.0)
+        return edge.threshold_std * max((now[b] / before[b] for b in at if b in before), default=1.0)
 
     def pin_std(pin: Pin, at: Boundary | None) -> float:
-        gained = 0.0 if at is None else before[at] ** 2 - known[at] ** 2
+        gained = 0.0 if at is None else before[at] ** 2 - now[at] ** 2
         return float(max(pin.std**2 - gained, _SMALLEST_STD**2) ** 0.5)
 
     def better_mode(old: Mode, new: Mode) -> Mode:

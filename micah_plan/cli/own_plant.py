@@ -37,8 +37,8 @@ def named_plant(text: str) -> str | PlantMaker:
         raise InputError(f"expected FILE.py:CLASS, found {shown(text)}", remedy="name the class after a colon")
     registered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
     if text not in registered:
-        known = ", ".join([*BUILT_IN, *sorted(registered.keys() - BUILT_IN.keys())])
-        raise InputError(f"there is no plant {shown(text)}", remedy=f"choose among {known}, or give FILE.py:CLASS")
+        names = ", ".join([*BUILT_IN, *sorted(registered.keys() - BUILT_IN.keys())])
+        raise InputError(f"there is no plant {shown(text)}", remedy=f"choose among {names}, or give FILE.py:CLASS")
     return _registered(registered[text])
 
 

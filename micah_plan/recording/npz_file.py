@@ -88,9 +88,9 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
         for member in members:
             name = member.filename.removesuffix(".npy")
             if name not in _DIMENSIONS or name in arrays:
-                known = ", ".join(_DIMENSIONS)
+                allowed = ", ".join(_DIMENSIONS)
                 found = f"the array {shown(name)}" + (" twice" if name in arrays else "")
-                raise InputError(f"expected arrays among {known}, found {found}", remedy="rename or remove it")
+                raise InputError(f"expected arrays among {allowed}, found {found}", remedy="rename or remove it")
             arrays[name] = _array(archive.read(member), name)
     _check_arrays(arrays)
     return arrays

@@ -69,12 +69,12 @@ def problem_clearance(problem: Problem) -> ClearanceModel:
     if problem.robot is None or problem.grasp is None:
         raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
     parts = [part for part in problem.automaton.parts if part.shapes]
-    known = {part.name for part in parts}
-    held = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in known]
+    with_shapes = {part.name for part in parts}
+    held = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in with_shapes]
     if problem.hold is not None:
         # The tool follows the hand; what it has between its fingers is the held part, which may turn there.
         held = [problem.hold.grip.held.name, problem.hold.grip.moving.name]
-    elif problem.grasp.part not in known:
+    elif problem.grasp.part not in with_shapes:
         parts, held = [*parts, Part(problem.grasp.part)], [problem.grasp.part, *held]
     return clearance_model(load_arm(problem.robot), problem.scene, parts, held)
 

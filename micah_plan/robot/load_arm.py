@@ -115,8 +115,8 @@ def _tool(model: Any, description: RobotDescription) -> int:
     """The tool's frame; a body or site before a joint of the same name, the first of several."""
     named = [i for i, frame in enumerate(model.frames) if frame.name == description.tool]
     if not named:
-        known = [frame.name for frame in model.frames if frame.type != pin.FrameType.JOINT and frame.name != "universe"]
-        listed = ", ".join(known[-_MOST_LISTED:])
+        names = [frame.name for frame in model.frames if frame.type != pin.FrameType.JOINT and frame.name != "universe"]
+        listed = ", ".join(names[-_MOST_LISTED:])
         problem = f"the robot has no frame {shown(description.tool)} to hold with"
         raise InputError(problem, source=description.path, remedy=f"choose one, for instance of {listed}")
     joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)

@@ -125,10 +125,10 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
         automaton.mode(mode)
     function, said = _function(constraint.name), f"path constraint {shown(constraint.name)}"
     keywords = list(inspect.signature(function).parameters.values())[2:]
-    known, given = [keyword.name for keyword in keywords], [name for name, _ in constraint.arguments]
+    allowed, given = [keyword.name for keyword in keywords], [name for name, _ in constraint.arguments]
     needed = [keyword.name for keyword in keywords if keyword.default is keyword.empty]
-    if len(set(given)) < len(given) or set(given) - set(known) or set(needed) - set(given):
-        raise InputError(f"{said} takes {', '.join(known) or 'no arguments'}. Got {', '.join(given) or 'none'}")
+    if len(set(given)) < len(given) or set(given) - set(allowed) or set(needed) - set(given):
+        raise InputError(f"{said} takes {', '.join(allowed) or 'no arguments'}. Got {', '.join(given) or 'none'}")
     if any(not isinstance(value, str) and not np.isfinite(value) for _, value in constraint.arguments):
         raise InputError(f"{said}: arguments must be finite. Got {shown(dict(constraint.arguments))}")
     points = np.zeros((automaton.n, 2)), np.zeros((automaton.m, 2)), np.zeros((automaton.n, 2))

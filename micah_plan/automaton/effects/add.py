@@ -36,11 +36,11 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
     automaton.index(effect.coordinate)
     for name in effect.modes:
         automaton.mode(name)
-    names, known = [name for name, _ in effect.parameters], [p.name for p in own.parameters]
-    if names != known:
-        raise InputError(f"effect {effect.name} must have the parameters {', '.join(known)}. Got {shown(names)}")
-    if effect.std and len(effect.std) != len(known):
-        raise InputError(f"effect {effect.name} must have {len(known)} stds or none. Got {len(effect.std)}")
+    names, expected = [name for name, _ in effect.parameters], [p.name for p in own.parameters]
+    if names != expected:
+        raise InputError(f"effect {effect.name} must have the parameters {', '.join(expected)}. Got {shown(names)}")
+    if effect.std and len(effect.std) != len(expected):
+        raise InputError(f"effect {effect.name} must have {len(expected)} stds or none. Got {len(effect.std)}")
     for value, parameter in zip(effect.values, own.parameters, strict=True):
         if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper):
             bounds = f"{parameter.lower:g} to {parameter.upper:g}"
@@ -55,7 +55,7 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
     have it, and prediction takes it only where it is asked to.
 
     Args:
-        automaton: with what learning was sure of.
+        automaton: with the action channel that learning found.
         period: time from row to row [s] of such a recording.
 
     Raises:
