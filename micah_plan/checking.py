@@ -15,9 +15,9 @@ class FileCheck:
 
     Attributes:
         file: as it was named.
-        kind: None if it is of none that is known.
+        kind: None if unknown.
         faults: why it cannot be used, first in the file first; empty if it can. Values of a YAML file are looked at
-            together, what they mean one after the other, so that mending these may bring up others.
+            together, what they mean one after the other, so that correcting these may reveal others.
         warnings: what looks like a mistake but can be used, one line each.
     """
 

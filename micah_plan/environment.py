@@ -1,6 +1,6 @@
-"""What this installation can do: libraries and their versions, solvers, a browser, and what to install for the rest.
+"""What this installation can do: libraries and their versions, solvers, a browser; and what to install for more.
 
-Everything is tried in a process of its own, so that a library that crashes is found and not suffered.
+Everything is tried in a process of its own, so that a library that crashes does not end the check.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Found:
 
     Attributes:
         version: None if it is not installed.
-        message: the last line of what it said when it was imported in vain.
+        message: the last line of the error when its import failed.
     """
 
     library: Library
@@ -97,7 +97,7 @@ class Environment:
     Attributes:
         linear_solvers: those that IPOPT can use; it uses MUMPS unless it is told otherwise.
         browser: path of a browser that can render pages without a screen; None if there is none.
-        advice: what to install for what, one line each; empty if nothing is missing.
+        advice: which package to install for which purpose, one line each; empty if nothing is missing.
     """
 
     micah_plan: str

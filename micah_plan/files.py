@@ -68,7 +68,7 @@ def contained(name: str, folder: str | Path) -> Path:
 
 
 def require_directory(path: str | Path) -> None:
-    """Check before long work that a file can be put where its result shall go.
+    """Check before long work that its result can be written there.
 
     Raises:
         InputError: if its directory does not exist, or the path is a directory.

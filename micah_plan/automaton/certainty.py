@@ -66,7 +66,7 @@ class ActionChannel:
         gain: displacement made per displacement recorded.
         delay: time from the recorded action to the motion [s]; negative if the motion comes first.
         covariance: (5, 5) of CHANNEL_NAMES, in the units above; a rotation's is that of a small turn of the base frame
-            after it. What the recording cannot tell (a rotation about the joint's direction of motion) keeps its
+            after it. What the recording does not determine (a rotation about the joint's direction of motion) keeps its
             prior spread.
         explained: share of the variance of the part's steps that the actions explain, 0 to 1.
     """
@@ -102,7 +102,7 @@ class EdgeCertainty:
     Attributes:
         log_evidence: ln probability of the edge's rows, summed over segmentations of all runs [nats].
         changepoint_counts: per run, probabilities of 0, 1, 2, ... changepoints; each sums to 1.
-        channel: how the recorded actions move the part; None if there are none, or they say nothing.
+        channel: how the recorded actions move the part; None if there are none, or they do not explain it.
         trace: evidence over time; not saved with a model.
     """
 
@@ -135,7 +135,7 @@ class LearnedSegment:
         kind: of the joint that governs it.
         run: run that the rows belong to.
         start, end: first and last row (inclusive), counted within the whole recording.
-        certainty: how sure its start and its kind are; None if that was not asked.
+        certainty: how sure its start and its kind are; None if not estimated.
     """
 
     kind: JointKind
@@ -151,7 +151,7 @@ class LearnedEdge:
 
     Attributes:
         segments: in time order.
-        certainty: of the edge as a whole, without the trace; None if that was not asked.
+        certainty: of the edge as a whole, without the trace; None if not estimated.
     """
 
     parent: str

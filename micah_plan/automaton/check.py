@@ -1,8 +1,8 @@
 """Validation of hybrid automata: what a model file or Python code can get wrong, each with one line that says where.
 
-Each part is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. There only what
-is certainly wrong is refused: sets are boxes (half-spaces that couple coordinates are left out, which makes the sets
-larger), and a std that the model states itself is granted.
+Each element is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. That refuses
+only what is certainly wrong: it compares bounding boxes (half-spaces that couple coordinates are ignored), and accepts
+deviations up to the model's own std.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def check_automaton(automaton: HybridAutomaton) -> None:
 def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
     """The checks of `check_automaton` in their order, each with the place in the automaton that it is about.
 
-    Each must pass before the next is asked for. Places are (field,), (field, name or index) or further keys of it.
+    Each must pass before the next is run. Places are (field,), (field, name or index) or further keys of it.
     """
     yield (), partial(_check_names, automaton)
     yield ("links",), partial(_check_links, automaton)

@@ -27,9 +27,9 @@ class Segment:
         configuration_range: (smallest, largest) configuration within the segment.
         process_std: std of the configuration's step that the model leaves unexplained [rad or m, per step].
         observation_std: std of one pose measurement expressed as configuration [rad or m].
-        log_evidence: BIC-penalised log evidence of the chosen model (paper, equation for ln L).
+        log_evidence: of the chosen model for these rows [nats].
         probability: posterior probability of the joint kind among the candidates for these rows.
-        certainty: how sure its start and its kind are; None where nobody asked.
+        certainty: how sure its start and its kind are; None if not estimated.
     """
 
     joint: Joint
@@ -72,7 +72,7 @@ class KinematicGraph:
 
     Attributes:
         edges: ordered parents first.
-        probability: of this tree among all trees of the same parts; None of one part, or where nobody asked.
+        probability: of this tree among all trees of the same parts; None of one part, or if not estimated.
     """
 
     edges: tuple[KinematicEdge, ...]

@@ -119,7 +119,7 @@ class InputChannel:
 
 
 def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...]:
-    """One line per effect that prediction and calibration know, and planner, filter and nominal plant do not.
+    """One line per effect that prediction and calibration use, and planner, filter and nominal plant ignore.
 
     Args:
         memory: whether those that remember are left out even where their memory can be a state.

@@ -1,7 +1,7 @@
 """From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
 
 Source: MICAH, section IV-B. The paper takes the segments of one sweep as they come; a recording may also stop on the
-way, return, or pass through a region several times, and all these segments tell about the same models. What is done:
+way, return, or pass through a region several times, and all these segments show the same models. Rules:
 
 1. Moving segments that cover the same configurations (more than half of the shorter range) are one model, with the
    joint of the longest of them; rigid segments at the same configuration (within ``RESOLUTION`` std) are one model.
@@ -112,7 +112,7 @@ def _merged(groups: list[_Group]) -> list[_Group]:
             i += 1
             continue
         groups[i] = _joined(groups[i], groups.pop(same))
-        # What it has become may be the model of one that it was not before.
+        # The larger group may match one that it did not match before.
         before = next((j for j in range(i) if _is_same_model(groups[j], groups[i])), None)
         while before is not None:
             groups[before], i = _joined(groups[before], groups.pop(i)), before

@@ -21,9 +21,9 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
 from micah_plan.automaton.lifted import mapped
 
-# A handle nearer to its axis [m] moves nothing that a hand could measure by.
+# A handle nearer to its axis than this [m] has no lever.
 _SHORTEST_LEVER = 1e-6
-# A gain is drawn no further from 1 than that: nothing moves backwards.
+# A gain is drawn no further from 1 than this, so that nothing moves backwards.
 _MOST = 0.9
 
 

@@ -46,7 +46,8 @@ class Track:
 def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
     """(number, link) that measures each coordinate: the first of those whose joint moves in most modes.
 
-    A part that is fixed to it shows nothing, and one that follows it in some modes only shows it in those only.
+    A part that is fixed to its parent measures nothing, and one that follows the coordinate in some modes measures it
+    there only.
     """
     found: dict[int, tuple[int, Link]] = {}
     moves = [sum(mode.joints[n].kind != "rigid" for mode in automaton.modes) for n in range(len(automaton.links))]
@@ -146,9 +147,9 @@ def _relative_actions(
 ) -> Floats:
     """(T-1, l, 3) commanded displacements of the parts' origins relative to their parents [m].
 
-    A part on a moving parent is carried along, and its action contains that: what remains for its own joint is counted
-    from where its parent was commanded to go, f(c + u) of the links before it. This is the inverse of how a command of
-    the model is written as displacements; where the parent really went is not looked at.
+    The action of a part on a moving parent includes the parent's commanded motion: what remains for its own joint is
+    counted from where its parent was commanded to go, f(c + u) of the links before it. This inverts how a command of
+    the model is written as displacements; where the parent really went does not count.
     """
     ahead: dict[str, RigidTransform] = {}
     actions = []

@@ -19,7 +19,7 @@ or not at all. A margin, or its change over a step, counts as 0 within ``guard_t
 thresholds above 1), after a half-space has been scaled to weights of length 1.
 
 **Order.** Earlier events first. Of several guards that hold at one instant, mode changes go before self transitions
-(clamps), then the first listed edge goes first. After each event guards are asked again, those of the new mode, at the
+(clamps), then the first listed edge goes first. After each event guards are tested again, those of the new mode, at the
 same instant and from where the reset put the state; so one step can run through a chain of modes.
 
 **What an event does.** The reset is applied with the full u. After a mode change d is computed anew from the new mode's

@@ -103,8 +103,8 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
     The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
 
     Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit, and
-    the mean must be inside the guard or move towards it. And what was just held lies where it was held: how well that
-    place is known does not put it behind a guard that begins there.
+    the mean must be inside the guard or move towards it. And a coordinate that was just pinned lies at its pin: the
+    pin's std does not put it behind a guard that begins there.
     """
     offset = doors.rows.offsets(pieces.u)
     margin = doors.rows.a @ pieces.mean - offset

@@ -1,5 +1,5 @@
 """What a transition makes of Gaussians that cross a guard: the reset where their paths meet it, the rest of the step in
-the new mode, and what is known of a state because that mode holds it.
+the new mode, and the information of that mode's pins.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
     motion = end - start
     behind_mean = share * motion
     np.subtract(end, behind_mean, out=mean[0])
-    # Where the path meets the guard nothing is uncertain across it: what was so before moves the event along the path.
+    # On the guard nothing is uncertain across it: the uncertainty before moves the event along the path.
     np.multiply(before - after, share, out=met)
     met += after
     ahead[:] = after
@@ -95,7 +95,7 @@ def _motion(automaton: HybridAutomaton, mode: ModeLayout, mean: Floats, u: Float
 
 
 def _held(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Floats:
-    """(n, p) where pieces that take an exit of a mode at once were held before; a reset moves them elsewhere."""
+    """(n, p) where pieces that take an exit of a mode at once were pinned before; a reset moves them elsewhere."""
     if way.reset is not None or not np.count_nonzero(at_once):
         return np.full(pieces.held.shape, np.nan)
     held = np.where(at_once, pieces.held, np.nan)
@@ -117,7 +117,7 @@ def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, way: Exit) -> tup
 
 
 def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tuple[Ints, Floats]) -> Pieces:
-    """The pieces in their new mode: held coordinates stand still and are known, freed ones get their process noise.
+    """The pieces in their new mode: pinned coordinates stand still and are known, freed ones get their process noise.
 
     A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
 

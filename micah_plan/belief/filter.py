@@ -165,7 +165,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
 
 
 def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
-    """The beliefs with Gaussians for modes without weight too: the mixture's, held at the pins of the mode."""
+    """The beliefs with Gaussians for modes without weight too: the mixture's, put at the pins of the mode."""
     weights, means, factors = beliefs.side_by_side()
     lacking = weights == 0
     if not np.count_nonzero(lacking):

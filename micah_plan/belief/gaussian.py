@@ -122,7 +122,7 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
 
 
 def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Means and factors given that a mode holds its pins: each pin is one measurement of its coordinate.
+    """Means and factors given that a mode's pins hold: each pin is one measurement of its coordinate.
 
     A pin that follows another coordinate is one of the difference of the two. Factors may be any square roots.
     """
@@ -139,9 +139,9 @@ def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tu
 
 
 def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Means and factors (n, k + pins, p) once a mode holds its pins at places that its guard defines.
+    """Means and factors (n, k + pins, p) once a mode pins coordinates at places that its guard defines.
 
-    Where the state was before tells nothing of where exactly it is held, so the pin replaces what was known of the
+    Where the state was before tells nothing of where exactly it is pinned, so the pin replaces what was known of the
     coordinate, whereas `condition_on_pins` adds to it. A place that follows another coordinate varies with that one.
     """
     n, k, count = factors.shape

@@ -12,7 +12,7 @@ from micah_plan.arrays import Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class BeliefBatch:
-    """t hybrid beliefs of one automaton. A mode without weight has no Gaussian: its numbers say nothing.
+    """t hybrid beliefs of one automaton. A mode without weight has no Gaussian: its numbers are meaningless.
 
     Where thresholds are uncertain the Gaussians are over states and boundaries together: what passes a boundary, or
     does not, tells where it lies. The states x come first.
@@ -70,7 +70,7 @@ class BeliefBatch:
 class HybridBelief:
     """A mixture with one Gaussian per mode of the automaton, in the automaton's order of modes.
 
-    A mode without weight has the mixture's Gaussian held at its pins: what would be believed if it were entered.
+    A mode without weight has the mixture's Gaussian put at its pins: the belief if it were entered.
 
     Attributes:
         weights: (q,) probabilities of the modes, summing to 1.

@@ -61,7 +61,7 @@ class Exit:
         target: number of its mode; is_self: whether that is the mode itself.
         on_state, on_input: the guard's half-spaces, those on the input alone apart.
         reset: A (n, n), B (n, m), c (n,); None: the identity.
-        located, met: the target's pins that the guard locates, and others that are news.
+        located, met: the target's pins that the guard locates, and others that add information.
         freed: coordinates (c,) that have process noise in the target only, and (c, 1) its std; None: an uncertain gain
             adds to the noise in one of the modes.
     """
@@ -110,7 +110,7 @@ class ModeLayout:
 
     Attributes:
         mode: itself; index: its number.
-        pinned: coordinates that it holds.
+        pinned: coordinates that it pins.
         process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
         noisy: coordinates that noise moves.
         exits: in the order in which they are tried, self transitions last.

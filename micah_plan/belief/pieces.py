@@ -46,7 +46,7 @@ class Pieces:
         u: (m, p) inputs that reach the mode.
         fraction: (p,) expected share of the step that is left.
         displacement: (n, p) nominal motion from start to end, without noise.
-        held: (n, p) where the modes left at the present instant held the coordinates; NaN: they did not.
+        held: (n, p) where the modes left at the present instant pinned the coordinates; NaN: they did not.
         entered: (q, p) modes that it was in at the present instant; none is entered twice at one instant (no
             chattering).
     """

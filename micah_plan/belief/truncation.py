@@ -27,7 +27,7 @@ NEGLIGIBLE = 1e-10
 REACH = 9.0
 # What is this many standard deviations short of a half-space does not reach it (mass 2e-11, less than filters keep).
 _NEAR = 6.6
-# Nothing of a Gaussian is as many standard deviations away, not even as a number.
+# At this many standard deviations a Gaussian underflows to 0.
 _SURELY = 40.0
 _NOTHING = 1e-30
 # Closed forms are exact to 1e-16 times what lies beyond the wedge's lines: for shares above this part of it they are as

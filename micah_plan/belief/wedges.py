@@ -45,7 +45,7 @@ def wedges(place: Floats, slope: Floats, spread: Floats, offset: Floats) -> tupl
         moments (6, 2, p), and (2, p) the probabilities that lie beyond the two lines of each wedge, seen from the
         origin: masses are exact to 1e-16 times them.
     """
-    # Owen's T wants to know on which side of the origin a line runs: the point is moved by next to nothing, along a
+    # Owen's T wants to know on which side of the origin a line runs: the point is moved by a negligible amount, along a
     # direction that no line has.
     place, offset = place + _TINY, offset - (slope + _ASIDE * spread) * _TINY
     squared = slope**2 + spread**2

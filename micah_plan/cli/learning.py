@@ -86,7 +86,7 @@ def learn(
 def learned(result: Learned, seed: int) -> dict[str, Any]:
     """Keys of `learn`: segments, changepoints and actions of the part, seconds, seed.
 
-    For several parts the first three are in `edges`, and `tree_probability` says how sure it is which hangs on which.
+    For several parts the first three are in `edges`, and `tree_probability` is that of this tree of parts.
 
     What was not estimated is null.
     """

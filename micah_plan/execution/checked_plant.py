@@ -1,7 +1,7 @@
 """Plants as an execution meets them: made by `make_plant`, and every answer `checked`.
 
-What the code of a plant raises becomes one line about that code, so that a mistake in somebody's driver does not look
-like one of the planner.
+An exception in a plant's code becomes one line about that code, so that a mistake in a user's driver does not look like
+one of the planner.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class CheckedPlant:
         if error is None:
             self._ask("close")
         else:
-            with suppress(Exception):  # what went wrong first is what is told
+            with suppress(Exception):  # the first error is the one to report
                 self._plant.close()
 
     def _ask(self, method: str, *arguments: object) -> object:
@@ -154,10 +154,10 @@ def _array(value: object, name: str, shape: tuple[int, ...] | None, column: str)
 
 
 def fault(error: BaseException, file: str | None, what: str) -> InputError:
-    """An exception from somebody's code as one line: what raised it, and the line of their file in which it did.
+    """An exception from a user's code as one line: what raised it, and the line of their file in which it did.
 
     Args:
-        file: theirs; None: not known.
+        file: theirs; None: unknown.
         what: what was being called.
     """
     frames = traceback.extract_tb(error.__traceback__)

@@ -1,4 +1,4 @@
-"""What every plant must do; run `check_plant` on your own before you execute plans on it."""
+"""What every plant must do; run `check_plant` on yours before you execute plans on it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from micah_plan.task.start import start_mode
 
 # How many standard deviations of the model's noise count as noise: a right plant has more once in 16,000 times.
 _SIGMAS = 4.0
-# What a tracker may be off beyond that [m], [rad], and a start in its coordinates [rad or m].
+# Errors granted beyond that: of a tracker [m], [rad], and of a start in its coordinates [rad or m].
 _PLACE, _TURN, _START = 0.05, 0.3, 0.05
-# A motion may differ by this share of what was asked: friction and compliance take their part.
+# A motion may differ by this share of the command: friction and compliance.
 _SHARE = 0.5
 # A motion of so many standard deviations can be told from none; it is made in at most so many steps.
 _TELLING, _MOST_STEPS = 10.0, 8

@@ -1,4 +1,4 @@
-"""The log of a run: a Recording with what was believed and, if somebody knows, what was true beside the poses."""
+"""The log of a run: a Recording with the belief and, where it is known, the true state beside the poses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class RunLog:
 
         Args:
             belief: after the measurement: what the action was chosen with.
-            true_x: (n,) [rad or m]; None in every sample of a run: nobody knows.
+            true_x: (n,) [rad or m]; None in every sample of a run if it is unknown.
             action: (l, 3) [m]; None in the run's last sample.
         """
         self._measurements.append(measurement)

@@ -25,7 +25,7 @@ _MOST_ROTATION = 0.5
 
 
 class NominalPlant:
-    """What the planner believes in: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
+    """The planner's model: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
 
     Thresholds and gains are drawn at every reset, as well as the model knows them.
 

@@ -55,7 +55,7 @@ class PlanFollower:
 
     A belief in another mode than the knot's may still be on its way: transitions come a little earlier or later than
     planned, and that a plan passes a guard by more than once is what makes them sure. So the plan goes on as long as
-    its rest takes the estimate to the goal; where it does not, the last transition is worked towards again.
+    its rest takes the estimate to the goal; where it does not, the last transition is tried again.
     """
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
@@ -144,7 +144,7 @@ class PlanFollower:
         return self._towards(mode, estimate, knot)
 
     def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
-        """The smallest input that brings what the mode moves closest to a knot; what it holds is not pulled at."""
+        """The smallest input that brings what the mode moves closest to a knot; it does not pull at pins."""
         effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
         ahead = coasted(self._automaton, mode, estimate)  # what is on its way need not be commanded again
         away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]

@@ -1,7 +1,7 @@
 """What a plan is executed on: `Plant`, what it is told and what it answers; and, apart from it, `Referee`.
 
-A plant is a machine with an object: a robot, a simulation, the model itself. It needs to know no truth. Who can also
-say what is true is a referee; only scores and logs may ask it.
+A plant is a machine with an object: a robot, a simulation, the model itself. It need not know the true state. One that
+does is a referee; only scores and logs may ask it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Truth:
     """The true state, for scores and logs only: nothing that decides on inputs may read it.
 
     Attributes:
-        mode: the true mode; None if the plant does not think in modes (physics), then `held` says what is latched.
+        mode: the true mode; None if the plant has no modes (physics), then `held` says what is latched.
         x: (n,) true configuration [rad or m], in the coordinates of the plant's own automaton.
         position, quaternion: (l, 3) [m] and (l, 4), the true poses of the parts in the base frame.
         held: (n,) whether each coordinate is held by a latch.
@@ -118,7 +118,7 @@ PlantMaker = Callable[[Problem], Plant]
 
 @runtime_checkable
 class Referee(Protocol):
-    """Somebody who knows the truth: a simulation. A plant that has this method too is its own referee."""
+    """What knows the true state: a simulation. A plant that has this method too is its own referee."""
 
     def truth(self) -> Truth:
         """The true state now."""

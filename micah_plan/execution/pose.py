@@ -22,7 +22,7 @@ from micah_plan.execution.plant import Command
 def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
     """The mode whose joint and inputs move a coordinate, as seen from `mode`.
 
-    That is the mode itself; if it holds the coordinate still, the next mode that its edges lead to, else the first of
+    That is the mode itself; if it does not move the coordinate, the next mode that its edges lead to, else the first of
     the automaton that moves it, else (nothing ever does) the mode itself.
     """
     here = automaton.mode(mode)
@@ -33,7 +33,7 @@ def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
 
 @memoised
 def moving_joints(automaton: HybridAutomaton, mode: str) -> tuple[Joint, ...]:
-    """Per link, the joint that relates poses to its coordinate even while `mode` holds it still."""
+    """Per link, the joint that relates poses to its coordinate even while `mode` does not move it."""
     links = enumerate(automaton.links)
     return tuple(moving_mode(automaton, mode, link.coordinate).joints[number] for number, link in links)
 
@@ -80,7 +80,7 @@ def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quate
     """The configuration that measured poses show, by each link's inverse kinematics.
 
     Args:
-        mode: whose joints are used; a rigid joint says nothing of the configuration, so a moving one stands in.
+        mode: whose joints are used; a rigid joint does not show the configuration, so a moving one replaces it.
         position, quaternion: (l, 3) [m] and (l, 4), base frame.
         near: (n,) estimate, to tell whole turns apart.
 
@@ -96,7 +96,7 @@ def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quate
 
 
 def input_effect(automaton: HybridAutomaton, mode: str) -> Floats:
-    """(n, m) change of configuration per input, also where `mode` holds a coordinate and only feels the pull."""
+    """(n, m) change of configuration per input, also where `mode` fixes a coordinate and the input only pulls at it."""
     rows = [moving_mode(automaton, mode, coordinate).B[coordinate] for coordinate in range(automaton.n)]
     return np.array(rows).reshape(automaton.n, automaton.m)
 
@@ -114,7 +114,7 @@ def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Comm
     given = [(after - before)[:, :3, 3], ((after - before) @ points)[:, :3, 0]]
     for number, link in enumerate(automaton.links if automaton.effects else ()):
         if link.parent == BASE:
-            turned = in_base_frame(automaton, link.coordinate, np.eye(3))  # rows: what becomes of each unit vector
+            turned = in_base_frame(automaton, link.coordinate, np.eye(3))  # rows: the image of each unit vector
             for moved in given:
                 moved[number] = np.linalg.solve(turned.T, moved[number])
     return Command(np.asarray(u, dtype=float), *given)

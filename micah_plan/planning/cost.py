@@ -1,11 +1,11 @@
-"""What a plan costs: one formula for all that plans, optimises or compares.
+"""What a plan costs: one formula for planning, optimisation and comparison.
 
     weight_effort · Σ |u / max_step|²                                                    over all steps
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
       + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
 
-Read with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates are
-asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
+Evaluated with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates
+are asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from micah_plan.task.problem import Problem
 Value = Any
 """A float, an array or a CasADi expression."""
 
-# Where effort is all but free, search and feedback still count steps.
+# Where effort costs hardly anything, search and feedback still count steps.
 _SMALLEST_WEIGHT = 1e-3
 
 

@@ -1,6 +1,6 @@
 """A problem whose model remembers inputs: with the memory in its state, and without.
 
-Goals, starts and pages are about the model's own coordinates x. Planner, feedback and filter work on (x, m), see
+Goals, starts and pages refer to the model's own coordinates x. Planner, feedback and filter work on (x, m), see
 `automaton.input_memory`; a start is at rest. The search for mode sequences needs x only: how far the inputs of a mode
 lead does not depend on when they arrive.
 """

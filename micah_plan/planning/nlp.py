@@ -88,7 +88,7 @@ class Solution:
         w: (d,) variables; cost: there; rows: (r,) there.
         is_feasible: whether all rows hold to within `FEASIBLE` and nothing is NaN.
         has_converged: whether the solver says that it is a local optimum.
-        is_out_of_time: whether it was stopped by its time limit, so that the result tells nothing of what is possible.
+        is_out_of_time: whether it was stopped by its time limit, so that the result does not say what is possible.
         said: how it ended, in words.
         iterations: of the solver.
         multipliers: of bounds and rows, for a warm start.
@@ -176,7 +176,7 @@ class Solver:
 
 
 def _options(time_limit_s: float, expand: bool, warm_start: bool) -> dict[str, Any]:
-    """IPOPT without a word on the terminal, and never longer than the time limit."""
+    """IPOPT without output on the terminal, and never longer than the time limit."""
     own = {"print_level": 0, "sb": "yes", "max_iter": _MAX_ITERATIONS, "max_wall_time": time_limit_s}
     own |= _WARM_START if warm_start else {"mu_strategy": "adaptive"}
     silent = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
@@ -186,7 +186,7 @@ def _options(time_limit_s: float, expand: bool, warm_start: bool) -> dict[str, A
 def can_solve(linear_solver: str) -> bool:
     """Whether IPOPT solves a small programme with a linear solver.
 
-    To be asked in a process of its own: one that is not there ends in an error, a crash or a long wait, as it likes.
+    To be called in a process of its own: a solver that is missing ends in an error, a crash or a long wait.
     """
     x = ca.MX.sym("x", 2)
     programme: Any = {"x": x, "f": ca.sumsqr(x - 1), "g": x[0] * x[1]}

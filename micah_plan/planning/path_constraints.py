@@ -1,6 +1,7 @@
-"""Constraints and costs on the path (`task.path`), read with arrays: on roll-outs, executions, trajectories and states.
+"""Constraints and costs on the path (`task.path`), evaluated with arrays: on roll-outs, executions, trajectories and
+states.
 
-Where a step ends is where it counts: a step that ends with a transition counts behind it.
+A step counts where it ends: one that ends with a transition, behind it.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 
-# How much longer than its length asks for a path may take, tried in turn: slow inputs, more measurements at a guard.
+# Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
 _INPUT_ROUNDING = 1e-6
@@ -128,7 +128,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
         if path.feasible:
             return _Tried(sequence, path, path.message)
         deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
-    if path.is_out_of_time:  # what it had reached by then says nothing of what is possible
+    if path.is_out_of_time:  # its state then does not say what is possible
         return _Tried(sequence, path, path.message, (finding_of_status(sequence.modes, path.message),))
     with clock.stage("optimise"):
         missed = unmet(nlp, _time_limit(attempt))

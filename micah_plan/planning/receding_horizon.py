@@ -1,8 +1,7 @@
 """What is left of a plan, optimised again and again from the beliefs of an execution.
 
-The plan's programme is built once. Of what has been done since, variables are fixed by their bounds and rows are left
-open; the state of the knot where the plan is left is the belief there. The solver starts from the plan and its
-multipliers.
+The plan's programme is built once. Variables of past steps are fixed by their bounds, their rows are released; the
+state of the knot where the plan is left is the belief there. The solver starts from the plan and its multipliers.
 """
 
 from __future__ import annotations

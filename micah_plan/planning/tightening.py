@@ -28,7 +28,7 @@ class Planner(Protocol):
 
 
 class Verifier(Protocol):
-    """What rolls a plan out and judges it, as `verification.verify` does."""
+    """What judges a plan by roll-outs, as `verification.verify` does."""
 
     def __call__(self, problem: Problem, plan: Plan, *, seed: int, deadline: Deadline) -> Plan:
         """The plan with its success probability, or refused."""

@@ -22,7 +22,7 @@ from micah_plan.task.problem import Problem
 _STANDARD_ERRORS = 2.0
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
-# A sequential verification decides after these shares of its roll-outs: few take nearly as long as some more, so the
+# A sequential verification decides after these shares of its roll-outs: a few take nearly as long as more, so the
 # second share is all of them. Where it ends early it errs with at most this probability.
 _LOOKS = (0.125, 1.0)
 _ERRORS = 0.01

@@ -96,7 +96,7 @@ class Arm:
     def manipulability(self, q: ArrayLike) -> Floats:
         """(k,) Yoshikawa's sqrt(det(J J')) at q (k, n): product of the singular values, 0 at singularities.
 
-        Rotations count in rad and translations in m, so it compares postures of one arm, not arms.
+        Rotations count in rad and translations in m, so it compares postures of one arm, not different arms.
         """
         jacobians = np.stack([self.jacobian(row) for row in self.checked(q)])
         return np.asarray(np.prod(np.linalg.svd(jacobians, compute_uv=False), axis=1))

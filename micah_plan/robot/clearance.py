@@ -71,7 +71,7 @@ class ClearanceModel:
 
     @cached_property
     def _room(self) -> Any:
-        """For Coal's results, reused with every question."""
+        """For Coal's results, reused in every call."""
         return _room(self.geometry)
 
     @cached_property
@@ -79,7 +79,7 @@ class ClearanceModel:
         return tuple(self._room.distanceResults[i] for i in range(len(self.names)))
 
     def fresh(self) -> ClearanceModel:
-        """The same model without memory: Coal starts from its last answers, which decide the last digits (1e-8 m)."""
+        """The same model without a cache: Coal starts from its last answers, which affect the last digits (1e-8 m)."""
         return replace(self)
 
     def distances(self, q: Floats, parts: PartPoses) -> Floats:
@@ -160,8 +160,8 @@ def clearance_model(
 
     Args:
         scene: bodies that do not move.
-        parts: of the object, with their shapes; their poses are given with every question. The one called `base`
-            stands still.
+        parts: of the object, with their shapes; their poses are given in every call. The one called `base` stands
+            still.
         held: names of the parts that move with the tool; the first is the grasped one.
 
     Raises:

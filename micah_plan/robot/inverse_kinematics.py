@@ -76,7 +76,7 @@ def null_step(arm: Arm, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) 
     """The part of a wished step (n,) that leaves the tool where it is, to first order; joints at a limit stay."""
     free = ((q > limits[0]) | (wish > 0)) & ((q < limits[1]) | (wish < 0))
     jacobian = arm.jacobian(q)[:, free]
-    # Directions that the tool hardly feels count as free of it only where it feels nothing.
+    # Directions that hardly move the tool count as null space only where they do not move it at all.
     _, values, directions = np.linalg.svd(jacobian, full_matrices=True)
     rank = int((values > 1e-6).sum())
     step = np.zeros(arm.n)

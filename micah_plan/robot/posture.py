@@ -1,4 +1,4 @@
-"""Which postures are good: far from joint limits, from singularities and from what must not be met."""
+"""Which postures are good: far from joint limits, singularities and obstacles."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What surrounds an object: bodies that do not move, and the arm that holds it, as values."""
+"""What surrounds an object: bodies, and the arm that holds it, as values."""

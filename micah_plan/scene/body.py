@@ -39,7 +39,7 @@ class Body:
     """A solid of the scene.
 
     Attributes:
-        name: as messages and plans call it.
+        name: in messages and plans.
         shapes: its solids in its own frame.
         position, quaternion: pose of its frame in the base frame.
         mass: of a loose body, which can be pushed over [kg]; None: it is fixed. Planning takes both as fixed.

@@ -116,10 +116,10 @@ def _tell(progress: Progress | None, outcomes: Counter[str], total: int) -> None
 
 
 def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[Case, CaseRun], None, None]:
-    """Every case with its run, in the order in which they end; closed early, it takes back what has not begun.
+    """Every case with its run, in the order in which they end; closed early, it cancels what has not begun.
 
     When a process of a pool dies, all cases handed over are lost and nobody knows which one killed it. They are tried
-    again one at a time, so that it is only the guilty one that in the end becomes a failure.
+    again one at a time, so that only the one that kills becomes a failure.
 
     Raises:
         SweepStoppedError: if the executor broke and cannot be renewed, was closed, or cannot run cases at all.

@@ -1,1 +1,1 @@
-"""What is asked and what is answered: problems, starts, goals, settings and plans, as values, with their verbs."""
+"""Problems and their solutions: problems, starts, goals, settings and plans as values, with their functions."""

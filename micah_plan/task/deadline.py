@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from math import inf
 from time import perf_counter
 
-# What a solver is given at least, so that it can say that the time is over [s].
+# The least time that a solver is given, so that it can say that the time is over [s].
 _SHORTEST_S = 1e-3
 
 
@@ -30,7 +30,7 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Time left [s], never quite none: for solvers that take a limit."""
+        """Time left [s], always above 0: for solvers that take a limit."""
         return max(_SHORTEST_S, self._end - self._clock())
 
     def is_over(self) -> bool:

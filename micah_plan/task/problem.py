@@ -42,7 +42,7 @@ class Problem:
         plant: physical parameters for execution in MuJoCo, passed to the plant as they are.
         source: path of the problem file as given, for messages; empty if made in Python.
         digests: SHA-256 of the problem, model and robot files, by role.
-        scene: bodies that do not move.
+        scene: bodies around the object.
         robot: the arm that holds the object; None: none is planned for.
         grasp: what it holds.
         hold: how a hand holds the object by one part; None: it stands, and its joints are moved.

@@ -47,7 +47,7 @@ def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
 
 
 def capital(words: str) -> str:
-    """The words as the begin of a sentence."""
+    """The words as the beginning of a sentence."""
     return words[:1].upper() + words[1:]
 
 

@@ -1,7 +1,7 @@
 """Pages as values, and the HTML that templates make of them: single files that fetch nothing. The only user of jinja2.
 
-`templates/base.html.j2` is the page that all others extend. What is put into a template is escaped there, except for
-`Svg` and the assets. The same value gives the same bytes.
+`templates/base.html.j2` is the page that all others extend. Values are escaped in the template, except for `Svg` and
+the assets. The same value gives the same bytes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""What a form of effect is: parameters, units, a sentence, a source, and one formula that NumPy and CasADi both read.
+"""What a form of effect is: parameters, units, a sentence, a source, and one formula that NumPy and CasADi both
+evaluate.
 
 A formula is written with the functions of an `Operations` namespace. `numpy` is one; `symbolic.effects` has the one for
 CasADi expressions. So the identification, the transition of the automaton and the compiled functions cannot disagree.

@@ -1,4 +1,4 @@
-"""The forms by name. `register` adds one's own; what it takes is a class with a formula, see `form.EffectForm`."""
+"""The forms by name. `register` adds your own, a class with one formula: see `form.EffectForm`."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ class Effect:
         parameters: (name, value) in the form's order and units.
         std: of each parameter, from the fit; empty if they were not estimated.
         modes: in which it acts; empty: in all.
-        note: what a person should know, such as since which run it was seen.
+        note: a remark for people, such as since which run it was seen.
     """
 
     name: str

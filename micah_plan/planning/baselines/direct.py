@@ -44,7 +44,7 @@ _STARTS = 4
 _DISTURBANCE = 0.5
 # Steps to spare on the straight line.
 _SPARE_STEPS = 5
-# Elementary rotations in the moment matching of a step, from which building the programme would take minutes.
+# From this many elementary rotations in the moment matching of a step, building the programme would take minutes.
 _LARGEST = 20_000
 # Softness of a guard, in steps across it.
 _SOFTNESS = 0.25
@@ -259,7 +259,7 @@ def log_ndtr(t: ca.SX) -> ca.SX:
 
     Source: Abramowitz and Stegun, "Handbook of Mathematical Functions", 26.2.14. NumPy twin: `scipy.special.log_ndtr`.
     """
-    # Both branches are evaluated, so each sees only what it can bear; fmin would halve the slope at the seam.
+    # Both branches are evaluated, so each gets only arguments of its own range; fmin would halve the slope at the seam.
     x, near = ca.if_else(t < _TAIL, -t, -_TAIL), ca.if_else(t < _TAIL, _TAIL, t)
     fraction = x
     for level in range(_LEVELS, 0, -1):

@@ -1,7 +1,7 @@
 """A plan from open-loop inputs: what the baselines share, so that they are judged as POMDP-HD is.
 
-A baseline finds inputs; what comes before and after is here. The means are those of the real transitions without noise,
-the covariances those of the hybrid filter with the most likely measurements, and the feedback is the same belief-LQR.
+A baseline finds inputs; the rest is here. The means are those of the real transitions without noise, the covariances
+those of the hybrid filter with the most likely measurements, and the feedback is the same belief-LQR.
 """
 
 from __future__ import annotations

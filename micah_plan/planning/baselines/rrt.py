@@ -30,7 +30,7 @@ from micah_plan.task.problem import Problem
 _MOST_EXTENSIONS = 20_000
 # The mean must end within this share of the tolerance: the rest is for the belief's spread.
 _GOAL_SHARE = 0.5
-# Distance between different modes, in widths of the range: other modes come after the same mode, but not never.
+# Distance between different modes, in widths of the range: neighbours in other modes are rarer, but exist.
 _MODE_DISTANCE = 0.1
 _LONGEST_CONTROL = 5
 _TOLERANCE = 1e-9

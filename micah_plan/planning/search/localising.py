@@ -1,9 +1,9 @@
 """Paths that localise: a detour costs steps, but may leave a belief narrow enough for the goal.
 
-The cheapest path passes by nothing that it does not have to. So paths are also laid through a vertex on the way, any
-one of the roadmaps' (a wall to touch, a place in the light), then through a second one, and compared by what they cost
-together with the uncertainty that they leave. With v vertices a round is two shortest-path trees and one filter over v
-beliefs; it visits no combination of modes that its paths do not lead through.
+The cheapest path makes no detour. So paths are also routed through any one vertex of the roadmaps (a wall to touch, a
+place in the light), then through a second one, and compared by cost and remaining uncertainty. With v vertices a round
+is two shortest-path trees and one filter over v beliefs; it visits no combination of modes that its paths do not lead
+through.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class ModeSequence:
         edges: (P-1,) indices into the automaton's edges.
         waypoints: per mode (w, n) corners of the path, w >= 1, from entering to leaving the mode [rad or m].
         cost: length of the path in steps of the largest input, one per transition, and the goal error left, in steps.
-        uncertainty: what the uncertainty that it is predicted to leave costs, in steps; the sum ranks sequences.
+        uncertainty: cost of the predicted uncertainty, in steps; the sum of both ranks sequences.
     """
 
     modes: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What a path through the roadmaps would leave of the belief: a cheap filter along many paths at once.
+"""The belief that a path through the roadmaps would lead to: a cheap filter along many paths at once.
 
 Variances are per coordinate, without correlations. Process and measurement noise are diagonal, so this is the
 filter of the transcription where resets do not couple coordinates, and an estimate where they do. As there, every
@@ -53,7 +53,7 @@ class PathBeliefs:
         self._k = problem.settings.sigmas
 
     def start(self, vertex: int) -> Floats:
-        """(n,) variance once feedback had the time to make up for a start that is k standard deviations off."""
+        """(n,) variance once feedback had time to correct a start that is k standard deviations off."""
         mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
         variance = np.square(np.array([self.problem.start.std], dtype=float))
         for pin in mode.pins:
@@ -147,7 +147,7 @@ class PathBeliefs:
 
 
 def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
-    """Steps that the feedback needs in a mode to make up for a start that is k standard deviations off."""
+    """Steps that the feedback needs in a mode to correct a start that is k standard deviations off."""
     off = problem.settings.sigmas * np.array(problem.start.std) / limits.speed
     return int(np.max(off, where=mode.driven, initial=0.0))
 

@@ -1,7 +1,7 @@
 """What a phase must keep to between its ends: boundaries of the model on x, and constraints of the user on the path.
 
-Of a constraint on the path (`task.path`), a margin g(x, u) >= 0 is planned to hold with the confidence by its
-linearisation at the mean μ: with a = ∂g/∂x and b = ∂g/∂u there,
+A margin g(x, u) >= 0 of a constraint on the path (`task.path`) is planned to hold with the confidence, linearised at
+the mean μ: with a = ∂g/∂x and b = ∂g/∂u there,
 
     g(μ, u) >= k sqrt(||L'a||² + (a, b)' Σ (a, b)),
 

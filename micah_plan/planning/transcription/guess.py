@@ -97,7 +97,7 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
         wanted[p] = max(wanted[p], _FEWEST_STEPS if moves else int(by_input))
         least[p] = max(least[p], int(by_input or (moves and wanted[p] > 0)))
         wanted[p] = int(np.ceil(stretch * wanted[p])) if moves else wanted[p]
-        # Commands take their time: until the object is released, and until the last one has arrived.
+        # Inputs are delayed: until the object is released, and until the last one has arrived.
         waits = felt * (p < len(sequence.edges) and automaton.edges[sequence.edges[p]].guard.on_input)
         least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:

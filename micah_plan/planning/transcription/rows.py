@@ -48,7 +48,7 @@ class Row:
 
     @property
     def label(self) -> str:
-        """The name with the confidence, e.g. ``"'door <= 1.2' at 95%"``."""
+        """The name with the confidence, e.g. ``"'door <= 1.2' at 95 %"``."""
         return self.name if self.confidence is None else f"{self.name} at {percent(self.confidence)}"
 
     def violation(self, value: float) -> float:

@@ -1,4 +1,4 @@
-"""Solving a transcription: the belief path that comes of it, or the constraints that stand in the way."""
+"""Solving a transcription: the resulting belief path, or the constraints that stand in the way."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _held_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
 
 
 def _shortfall(nlp: Transcription, w: Floats, number: int, amount: float) -> Shortfall:
-    """The row of a number with what the belief of its knot makes of it."""
+    """The row of a number as a shortfall, with its std under the belief of its knot."""
     row = nlp.rows[number]
     if row.confidence is None:
         return Shortfall(row, amount)
