@@ -87,7 +87,7 @@ def _short(line: str) -> str:
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Test libraries, solvers and browser, and say what to install for what; exit code 1 if planning cannot work."""
+    """Test libraries, solvers and browser, and say what to install; exit code 1 if planning cannot work."""
     from micah_plan.environment import examine
 
     with progress_bar(as_json) as progress:

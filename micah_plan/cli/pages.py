@@ -24,7 +24,7 @@ def show(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0: any free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a self-contained page of a recording, a model or a plan; or serve it, made again when the file changes."""
+    """Write a self-contained page of a recording, model or plan; or serve it, and remake it when the file changes."""
     from micah_plan.files import replace_file
     from micah_plan.view.live import PageServer, remade_on_change
 

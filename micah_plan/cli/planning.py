@@ -48,7 +48,7 @@ def solve(
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
-    planner: Annotated[Method | None, typer.Option(help="Planner, if not as in the problem.")] = None,
+    planner: Annotated[Method | None, typer.Option(help="Planner to use instead of the problem's.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -144,7 +144,7 @@ def explain(
     plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote, with any outcome.")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Say what a plan ran into: level, mode sequence, knot, constraint, amount and remedy; exit code 1 if it failed."""
+    """Explain a plan: level, mode sequence, knot, constraint, amount, remedy; exit code 1 if it failed."""
     from micah_plan.documents.plan import load_plan
     from micah_plan.planning.explain import explain as explanation_of
 
@@ -160,12 +160,14 @@ def execute(
     output: OutputPath,
     plant: Annotated[str, typer.Option(metavar="NAME|FILE.py:CLASS", help=f"{SENTENCES}; or yours.")] = DEFAULT_PLANT,
     trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
-    replan_every: Annotated[int | None, typer.Option(min=0, help="Plan anew every so many steps; 0: never.")] = None,
+    replan_every: Annotated[
+        int | None, typer.Option(min=0, help="Optimise the rest of the plan every so many steps; 0: never.")
+    ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Execute a plan in closed loop and write the runs as a recording, also what there is when it is broken off.
+    """Execute a plan in closed loop and write the runs as a recording, also when it is interrupted.
 
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
     close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.

@@ -39,7 +39,7 @@ def predict(
     model: Annotated[Path, typer.Argument(help="Model, or the problem or plan that was executed (YAML, JSON).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions.")],
     as_learned: Annotated[
-        bool, typer.Option("--actions-as-learned", help="Read actions as in the demonstration of the model.")
+        bool, typer.Option("--actions-as-learned", help="Apply the action channel that the model was learned with.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -158,7 +158,7 @@ def calibrate(
     report: Annotated[Path | None, typer.Option(help="Write the comparison and the effects as a page.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find what a model lacks and write it with that added; exit code 1 if something is missing that has no name."""
+    """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
     from micah_plan import workflow
     from micah_plan.documents.model import dump_model, load_model
     from micah_plan.documents.model_difference import differences

@@ -32,7 +32,7 @@ def sweep(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only check the sweep and count its cases.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Solve problems with many values and seeds; after an interruption, the same command goes on where it was."""
+    """Solve problems with many values and seeds; after an interruption, the same command resumes."""
     from micah_plan.documents.sweep import load_sweep
     from micah_plan.sweep.journal import journal_path
     from micah_plan.sweep.run import check_sweep_outputs, run_on

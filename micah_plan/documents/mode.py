@@ -17,7 +17,7 @@ from micah_plan.errors import InputError
 
 
 class PinDocument(Document):
-    value: float = doc("Configuration at which the mode holds the coordinate [rad or m].")
+    value: float = doc("Configuration at which the mode pins the coordinate [rad or m].")
     std: NonNegative = doc("Standard deviation of that value [rad or m].")
 
 
@@ -31,7 +31,7 @@ class ModeDocument(Document):
     )
     invariant: RegionEntries = doc("Half-spaces in all of which the mode's dynamics hold.")
     inputs: RegionEntries = doc("Half-spaces that admissible inputs lie in.", list)
-    pins: dict[CoordinateName, PinDocument] = doc("Coordinates that the mode holds fixed, e.g. by a latch.", dict)
+    pins: dict[CoordinateName, PinDocument] = doc("Coordinates that the mode fixes, e.g. by a latch.", dict)
     ties: dict[CoordinateName, Expression] = doc(
         "Coordinates that follow others, as an affine expression of them, e.g. `theta: 0.9 - 6.8*z`: an angle that "
         "follows a height while an edge touches a table.",

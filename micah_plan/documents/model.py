@@ -80,7 +80,7 @@ class EffectDocument(Document):
     parameters: Annotated[dict[Name, float], ITEMS] = doc("All parameters of the form, in its units.")
     std: dict[Name, NonNegative] = doc("Their standard deviations, if estimated.", dict)
     modes: ModeNames = doc("Modes in which it acts; absent: in all.", tuple)
-    note: Line = doc("What a person should know of it.", "")
+    note: Line = doc("A remark for people.", "")
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         own = super().meanings(at, scope)
@@ -115,7 +115,7 @@ class ModelDocument(Document):
         "Edges between modes; of several whose guards hold at once the first listed is taken."
     )
     init: list[InitialDocument] = doc("Initial states; empty: wherever an invariant holds.", list)
-    learned: list[LearnedEdgeDocument] = doc("What learning was sure of, by edge of the kinematic graph.", list)
+    learned: list[LearnedEdgeDocument] = doc("How certain learning was, by edge of the kinematic graph.", list)
     effects: list[EffectDocument] = doc(
         "What calibration added. Those on guards and joints are already in modes and transitions; the others act in "
         "every step.",

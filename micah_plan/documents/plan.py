@@ -45,22 +45,22 @@ class CandidateDocument(Document):
     modes: Names = doc("Mode sequence.")
     search_cost: float = doc("Cost of its cheapest roadmap path.")
     cost: float | None = doc("Optimised cost; null if the optimisation failed.")
-    message: str = doc("What became of it.")
+    message: str = doc("Result of its optimisation.")
 
 
 class FindingDocument(Document):
     makes = Finding
 
-    level: Level = doc("Where it was found.")
+    level: Level = doc("Level at which it was found.")
     sentence: str = doc("What is wrong.")
     remedy: str = doc("The nearest change that could help.")
     modes: Names = doc("The mode sequence that it is about; empty: all.")
     mode: str = doc("The mode in it; may be empty.")
     knot: Count | None = doc("The knot in it.")
-    constraint: str = doc("What does not hold.")
+    constraint: str = doc("Name of the constraint that does not hold.")
     amount: float | None = doc("By how much [unit].")
-    room: float | None = doc("What there is [unit].")
-    need: float | None = doc("What is needed [unit].")
+    room: float | None = doc("Available room [unit].")
+    need: float | None = doc("Required room [unit].")
     unit: str = doc("Of the three.")
 
 
@@ -92,7 +92,7 @@ class ArmDocument(Document):
     least_clearance: float | None = doc("Smallest distance at and between all knots [m].")
     closest_pair: Lines = doc("The two that come so close.")
     closest_knot: Count = doc("The knot at or after which they do.")
-    deviation: NonNegative = doc("How far the tool strays between knots from a straight line [m].")
+    deviation: NonNegative = doc("Largest deviation of the tool from a straight line between knots [m].")
 
     def check(self, at: Located) -> None:
         for i, row in enumerate(self.positions):
@@ -124,7 +124,7 @@ class PlanDocument(Document):
         list,
         validation_alias=AliasChoices("findings", "obstacles"),
     )
-    warnings: Lines = doc("What of the model the plan leaves out.", tuple)
+    warnings: Lines = doc("What of the model the plan ignores.", tuple)
     trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
     problem_file: Line = doc("Name of the problem file that was solved; empty if made in Python.")

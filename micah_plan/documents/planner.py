@@ -49,10 +49,11 @@ class PlannerDocument(Document):
     )
     verification_trials: Count = doc("Roll-outs that check a plan.", PlannerSettings.verification_trials)
     tightening_rounds: Annotated[int, Field(ge=0, le=100)] = doc(
-        "How often a plan that roll-outs fail too often is made anew with more room.", PlannerSettings.tightening_rounds
+        "How often planning is repeated with more room after too many roll-outs failed.",
+        PlannerSettings.tightening_rounds,
     )
     replan_every: Annotated[int, Field(ge=0, le=100_000)] = doc(
-        "Steps after which execution plans anew from its belief; 0: only where the belief leaves the plan.",
+        "Steps after which execution optimises the rest of the plan again; 0: never.",
         PlannerSettings.replan_every,
     )
 

@@ -122,7 +122,7 @@ class ProblemDocument(Document):
     goal: GoalDocument = doc("Goal set.")
     noise: ProblemNoiseDocument = doc("Noise instead of the model's, for the named coordinates.", ProblemNoiseDocument)
     confidence: Confidence = doc(
-        "Probability that guards and invariants are planned to hold with and roll-outs must reach.",
+        "Probability with which guards and invariants must hold, and roll-outs reach the goal.",
         PlannerSettings.confidence,
     )
     path: list[PathDocument] = doc("What is asked of the path, beyond the boundaries of the model.", list)

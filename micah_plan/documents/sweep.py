@@ -22,8 +22,6 @@ from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES, PlantName
 from micah_plan.task.problem import Problem
 from micah_plan.task.sweep import MOST_CASES, Digests, Sweep, SweptProblem
 
-SWEEP_FORMAT = "micah-plan/sweep/1"
-
 
 class ExecuteDocument(Document):
     plant: PlantName = doc(f"Where plans are executed; {SENTENCES}.", DEFAULT_PLANT)

@@ -226,7 +226,7 @@ class Episode:
             refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
         if pilot.is_lost:
             mode = self._problem.automaton.modes[self._beliefs[-1].most_likely].name
-            asked = f"off the plan after asking {MOST_REPLANS} times for another"
+            asked = f"off the plan after {MOST_REPLANS} requests for a new one"
             return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
         return f"the {steps} allowed steps ended with {percent(self._confidence)} probability of the goal{refused}"
 

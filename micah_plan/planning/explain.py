@@ -33,7 +33,7 @@ class Explanation:
 
 
 def explain(problem: Problem, plan: Plan) -> Explanation:
-    """What a plan (of any outcome, also one read from a file) ran into.
+    """What stands in the way of a plan (of any outcome, also one read from a file).
 
     A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
     """

@@ -37,7 +37,7 @@ _STATUS = {
     "Search_Direction_Becomes_Too_Small": "no further progress was possible",
     "Diverging_Iterates": "the iterates diverged: the cost has no lower limit",
     "Invalid_Number_Detected": "a constraint or the cost became not a number",
-    "Not_Enough_Degrees_Of_Freedom": "there are more conditions than inputs to meet them with",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equality constraints than variables",
 }
 # For a start that is nearly right: how far from the bounds the barrier begins, and starts are pushed away from them.
 _BARRIER, _PUSH = 1e-4, 1e-8

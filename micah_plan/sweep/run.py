@@ -53,7 +53,7 @@ def run_sweep(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> SweepResults:
-    """Solve all cases of a sweep and write its table, or go on where this was broken off.
+    """Solve all cases of a sweep and write its table, or resume an interrupted one.
 
     Args:
         output: CSV or Parquet file; its timings (`*.timings.*`) and journal (`*.journal`) lie beside it.

@@ -21,9 +21,9 @@ class Finding:
         remedy: the nearest change that could help.
         modes: the mode sequence that it is about; empty if it is about all.
         mode, knot: the place in it.
-        constraint: the name of what does not hold.
+        constraint: the name of the one that does not hold.
         amount: by how much [unit].
-        room, need: what there is and what is needed, where the belief's spread is the cause [unit].
+        room, need: available and required room, where the belief's spread is the cause [unit].
         unit: of the three.
     """
 
@@ -48,7 +48,7 @@ class Candidate:
         modes: the sequence.
         search_cost: of its best roadmap path, predicted uncertainty included, in steps.
         cost: optimised cost; None if the optimisation failed.
-        message: what the optimisation said, in words a user understands (the failed constraint by name).
+        message: how the optimisation ended, in plain words (the failed constraint by name).
     """
 
     modes: tuple[str, ...]

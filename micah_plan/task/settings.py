@@ -15,8 +15,7 @@ class PlannerSettings:
     Attributes:
         method: ``"pomdp-hd"``, or a baseline: ``"direct"`` (one optimisation over the soft mixture of all modes) or
             ``"rrt"`` (kinodynamic RRT on the means). What each finds is verified alike.
-        confidence: probability that guards and invariants are planned to hold with, and that roll-outs must confirm for
-            the goal.
+        confidence: probability with which guards and invariants must hold, and roll-outs reach the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
         candidates: how many of the cheapest mode sequences are optimised.
         revisits: how many times a mode sequence may come back to a mode that it has been in.
@@ -28,9 +27,8 @@ class PlannerSettings:
         time_limit_s: wall-clock limit of each optimisation [s].
         solve_time_limit_s: wall-clock limit of search, optimisations, verification and the arm together [s].
         verification_trials: roll-outs that check a plan.
-        tightening_rounds: how often a plan that roll-outs fail too often is made anew with more room.
-        replan_every: steps after which execution plans anew from its belief (receding horizon); 0: only where the
-            belief leaves the plan.
+        tightening_rounds: how often planning is repeated with more room after too many roll-outs failed.
+        replan_every: steps after which execution optimises the rest of the plan again (receding horizon); 0: never.
     """
 
     method: Method = "pomdp-hd"

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from sweep_examples import ROOT, Inline
 
-from micah_plan.documents.sweep import SWEEP_FORMAT, load_sweep, sweep_of
+from micah_plan.documents.sweep import load_sweep, sweep_of
 from micah_plan.sweep.result import results_table
 from micah_plan.sweep.run import run_sweep
 from micah_plan.sweep.solve_case import solve_case
@@ -191,7 +191,7 @@ def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: 
     names = [f"problems/{name}.yaml" for name in ("drawer_open", "microwave_close_by_arm", "drawer_behind_door")]
     grid = {"planner.method": ["rrt", "pomdp-hd"], "planner.verification_trials": [100]}
     execute = {"plant": "mujoco", "trials": 1}
-    sweep = sweep_of({"format": SWEEP_FORMAT, "problems": names, "grid": grid, "execute": execute}, ROOT)
+    sweep = sweep_of({"format": "micah-plan/sweep/1", "problems": names, "grid": grid, "execute": execute}, ROOT)
     run_sweep(sweep, tmp_path / "r.csv", workers=2)
     cases = list(sweep.cases())
     backwards = {case.key: solve_case(case).result for case in reversed(cases)}

@@ -73,10 +73,10 @@ class StandingPlant(PhysicalPlant):
             if not joint.follows:
                 x[joint.coordinate] = np.clip(x[joint.coordinate], *joint.attributes["range"])
         self._place(x)
-        pinned = {pin.coordinate for pin in self.automaton.mode(mode).pins}
+        free = self.automaton.mode(mode).free
         for latch in self.latches:
             position = x[latch.coordinate]
-            closed = latch.coordinate in pinned and abs(position - latch.position) < 1e-9
+            closed = not free[latch.coordinate] and abs(position - latch.position) < 1e-9
             latch.armed = closed or not latch.is_near(position)
             self.data.eq_active[latch.equality] = closed
         # The hands take hold of the handles where they are, without a force.
