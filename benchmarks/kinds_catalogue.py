@@ -104,7 +104,7 @@ def parts(fewest: int, most: int, white: tuple[float, float], wander: tuple[floa
 
 
 def _in_turn(turn: int, count: int, rows: int, rng: np.random.Generator) -> Floats:
-    """(rows,) share of the way of the part that is moved as so manieth, a little while others still or already move."""
+    """(rows,) share of the way of the part whose turn this is; others may still move, or already."""
     begin, end = (np.array([turn, turn + 1]) + rng.uniform(-0.2, 0.2, 2)) / count
     phase = np.clip((np.arange(rows) / rows - begin) / (end - begin), 0.0, 1.0)
     return np.asarray(phase + 0.04 * np.sin(2 * np.pi * phase))

@@ -39,7 +39,7 @@ class EdgeTruth:
 
     Attributes:
         answers: kinds of its segments; the first is what was simulated, the others are right as well.
-        parent: that it hangs on.
+        parent: that it is attached to.
         joints: per segment of the first answer, None where it is rigid or no joint.
         changepoints: last rows that are on the joint before; the row after is the first one that need not be.
         tolerance: rows by which a changepoint may be missed, each.

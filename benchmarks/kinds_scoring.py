@@ -26,7 +26,7 @@ class Judged:
         answer: what was learned, in words.
         kinds: whether the kinds in their order are right, and of several parts the tree.
         changepoints: whether also every changepoint is within its tolerance.
-        tree: whether every part hangs where it does.
+        tree: whether every part has its true parent.
         sure: probability stated for the kinds: of all segments, the lowest.
         count: probability stated for the number of changepoints in the answer; None if not stated.
         counted: whether that number is right.

@@ -25,7 +25,7 @@ _NO_UNIT = ("", "1")
 
 
 def plain(value: float, digits: int = _DIGITS) -> str:
-    """A plain number with so many significant digits; digits before the decimal point are all kept."""
+    """A plain number with `digits` significant digits; digits before the decimal point are all kept."""
     if value == 0 or not math.isfinite(value):
         return f"{value + 0.0:g}".removeprefix("-") if value == 0 else f"{value:g}"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
@@ -94,7 +94,7 @@ def percent_interval(low: float, high: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time that somebody waited: ``"0.35 s"``, ``"2 min 5 s"``, ``"1 h 4 min"``."""
+    """A waiting time: ``"0.35 s"``, ``"2 min 5 s"``, ``"1 h 4 min"``."""
     whole = round(seconds)
     if whole < 60:
         return quantity(seconds, "s")
@@ -104,7 +104,7 @@ def duration(seconds: float) -> str:
 
 
 def count(amount: int, noun: str, plural: str | None = None) -> str:
-    """So many things: ``"1 run"``, ``"1,200 rows"``."""
+    """A number of things: ``"1 run"``, ``"1,200 rows"``."""
     return f"{amount:,} {noun if amount == 1 else plural or noun + 's'}"
 
 
@@ -145,7 +145,7 @@ def _pair(value: float, spread: float) -> str:
 
 
 def _ends(low: float, high: float) -> str:
-    """Both ends with so many digits that they do not read alike."""
+    """Both ends with as many digits as they need to differ."""
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
         texts = plain(low, digits), plain(high, digits)
         if texts[0] != texts[1]:

@@ -376,7 +376,7 @@ class HybridAutomaton:
 
 
 def memoised(function: _Function) -> _Function:
-    """A function of an automaton and perhaps of a mode that computes only once what it is asked for again."""
+    """A function of an automaton and perhaps of a mode whose results are computed once."""
 
     @wraps(function)
     def cached(automaton: HybridAutomaton, *mode: Mode | str) -> Any:

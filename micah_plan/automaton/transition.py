@@ -214,7 +214,7 @@ class Travel:
         entered, taken = {self.table.name}, set[int]()
         walls: list[Floats] = []
         while True:
-            # Where rounding left the state a hair short of the guard it arrived at, asking the guard would miss it.
+            # Where rounding left the state slightly short of the guard it arrived at, testing the guard would miss it.
             holding = [
                 e
                 for e in self.table.exits

@@ -29,7 +29,7 @@ Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bo
 
 # As in the compiled functions: the smallest std that the arithmetic resolves [rad or m].
 SMALLEST_STD = 1e-9
-# Up to so many matrices a call for each costs less than the operations on all of them.
+# Up to this many matrices, one call for each costs less than operations on all of them.
 _FEW = 8
 
 

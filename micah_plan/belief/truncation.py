@@ -277,7 +277,7 @@ def _fitted(moments: Floats) -> tuple[Floats, Floats]:
     """Means (2, ...) and lower factors of the covariances (3, ...: 00, 10, 11) of Gaussians with these moments."""
     x, y, xx, xy, yy = center = moments[1:] / moments[MASS]
     root = np.empty((3, *x.shape))
-    # Rounding may leave a covariance a hair short of positive.
+    # Rounding may leave a covariance slightly indefinite.
     root[0] = np.sqrt(np.maximum(xx - x * x, 0.0))
     root[1] = (xy - x * y) / np.where(root[0] > 0, root[0], np.inf)
     root[2] = np.sqrt(np.maximum(yy - y * y - root[1] ** 2, 0.0))

@@ -1,4 +1,4 @@
-"""A machine of one's own, named on the command line: ``FILE.py:CLASS``, or a name that an installed package registered.
+"""A user's machine, named on the command line: ``FILE.py:CLASS``, or a name that an installed package registered.
 
 This is the only place that loads code which is not the package's. It is above everything that reads files, so no
 problem, sweep or plan can have code loaded.

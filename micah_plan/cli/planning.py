@@ -203,7 +203,7 @@ def execute(
 
 
 def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
-    """Keys of `execute`. `believed`: nobody knows the truth, so successes and errors are what the belief says."""
+    """Keys of `execute`. `believed`: the truth is unknown, so successes and errors are what the belief says."""
     return {
         "trials": statistics.trials,
         "successes": statistics.successes,

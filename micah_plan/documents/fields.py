@@ -34,7 +34,7 @@ def checked_name(value: str) -> str:
 
 @dataclass(frozen=True)
 class Listed:
-    """Marks a tuple of any length that is a list in the file, of at least and at most so many entries."""
+    """Marks a tuple of any length that is a list in the file, of at least and at most these numbers of entries."""
 
     least: int | None = None
     most: int | None = None

@@ -55,7 +55,7 @@ class Document(BaseModel):
         """Raise an InputError if the entry contradicts itself, whatever names there are."""
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
-        """What the entry says, by key, of all but the format: with what marks mean and inner entries as values."""
+        """What the entry says, by key, without the format: marks interpreted, inner entries as values."""
         self.check(at)
         meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
         own = {key: value for key, value in self if key != "format"}
@@ -81,10 +81,10 @@ def doc(description: str, default: Any = ..., **further: Any) -> Any:
 
 @dataclass(frozen=True)
 class Mark:
-    """What an entry means, where its value has something else than the file; put into `Annotated`.
+    """Converts an entry whose value differs from what the file has; put into `Annotated`.
 
     Attributes:
-        read: what an entry at a place means; raises an InputError if that is nothing.
+        read: what an entry at a place means; raises an InputError if it has no meaning.
         written: what a file says of it again.
     """
 
@@ -109,7 +109,7 @@ class _Kind:
 
     @cached_property
     def says_more(self) -> bool:
-        """Whether the value of such an entry has something else than the file."""
+        """Whether the value of such an entry differs from what the file has."""
         inner = any(kind is not None and kind.says_more for kind in (self.keys, self.entries))
         return inner or bool(self.marks) or is_document(self.type)
 

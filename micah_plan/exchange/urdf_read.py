@@ -23,7 +23,7 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.robot.xml_text import Element, parse_xml, read_xml
 
-# A URDF says nothing of noise: a good tracker's, per step and per measurement, by unit.
+# A URDF has no noise; this is that of a good tracker, per step and per measurement, by unit.
 PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
 OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
 MODE = "moves"

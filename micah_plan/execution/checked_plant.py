@@ -98,7 +98,7 @@ class CheckedPlant:
 
 
 def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
-    """What a plant answered, if it is a usable measurement, with arrays of its own that nobody else writes to.
+    """What a plant answered, if it is a usable measurement, with copies of its arrays.
 
     Args:
         answer: what `reset` or `apply` returned.

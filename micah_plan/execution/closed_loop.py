@@ -201,7 +201,7 @@ class Episode:
         )
 
     def _state(self, belief: HybridBelief) -> tuple[str, Floats]:
-        """Mode and x (n,) in the model's terms: the true ones or, where nobody knows them, the believed ones."""
+        """Mode and x (n,) in the model's terms: the true ones or, where they are unknown, the believed ones."""
         plain, likely = self._problem.automaton, belief.most_likely
         if self._truth is not None:
             return true_state(plain, self._truth)

@@ -29,7 +29,7 @@ _SIGMAS = 4.0
 _PLACE, _TURN, _START = 0.05, 0.3, 0.05
 # A motion may differ by this share of the command: friction and compliance.
 _SHARE = 0.5
-# A motion of so many standard deviations can be told from none; it is made in at most so many steps.
+# A motion of this many standard deviations differs from none; it is made in at most this many steps.
 _TELLING, _MOST_STEPS = 10.0, 8
 _FIRST_SECONDS = 60.0
 
@@ -89,7 +89,7 @@ class _Trial:
         misplaced = list(self._misplaced(first))
         yield from misplaced
         if misplaced:
-            return  # motions would say nothing
+            return  # motions would show nothing
         yield from self._off_start(first)
         truth = self._plant.truth()
         if truth is not None:

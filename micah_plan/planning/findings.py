@@ -170,7 +170,7 @@ def sentence_of(shortfall: Shortfall) -> str:
 
 
 def partly_held(shortfall: Shortfall) -> str:
-    """Which boundary a plan holds less surely than it was asked to, and where most."""
+    """Which boundary a plan keeps with less than its confidence, and where most."""
     row = shortfall.row
     return (
         f"{row.name} holds with less than {percent(row.confidence or 0.0)} around knot {row.knot} in mode '{row.mode}'"

@@ -112,7 +112,7 @@ def path_cost(problem: Problem, trajectory: Trajectory) -> float:
 
 
 def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans:
-    """(k,) whether exactly known states (k, n) of a mode meet what is asked, after some step: none or a largest one."""
+    """(k,) whether exactly known states (k, n) of a mode meet the constraints after no step or some largest one."""
     m, margins = problem.automaton.m, []
     for u in np.vstack([np.zeros(m), np.diag(limits.max_step), -np.diag(limits.max_step)]):
         terms = _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x))

@@ -28,7 +28,7 @@ from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
-# A threshold counts as learned once its estimate has moved by so many of its stds, or its std shrunk by this share.
+# A threshold counts as learned once its estimate has moved by this many of its stds, or its std shrunk by this share.
 _LEARNED = 0.1
 
 

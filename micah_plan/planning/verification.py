@@ -37,7 +37,7 @@ def verify(
     *,
     sequential: bool = False,
 ) -> Plan:
-    """The plan with its success probability; ``"not_verified"`` if that is clearly below the asked confidence.
+    """The plan with its success probability; ``"not_verified"`` if that is clearly below the confidence.
 
     Args:
         problem: what the plan is for.
@@ -102,7 +102,7 @@ def _ends(
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
-    """Whether so many successes tell that a plan has the confidence (True) or fails twice as often (False).
+    """Whether the successes show that a plan has the confidence (True) or fails twice as often (False).
 
     None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
     of one in a hundred. Source: Wald, "Sequential analysis", 1947.
@@ -115,7 +115,7 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
 
 
 def least_share(confidence: float, trials: int) -> float:
-    """The smallest share of successes, of so many roll-outs, with which a plan is accepted.
+    """The smallest share of successes among the roll-outs with which a plan is accepted.
 
     It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
     standard error of the observed share would vanish where nothing succeeds.

@@ -41,7 +41,7 @@ def read_journal(path: Path) -> dict[str, CaseRun]:
 
 
 class Journal:
-    """An open journal; nobody else can write into it meanwhile.
+    """An open journal, locked against other writers.
 
     Attributes:
         finished: every run in it, by the case's key.

@@ -24,7 +24,7 @@ _CONNECT_S = 10.0
 
 
 class Workers:
-    """The workers of an executor that somebody else made and will close."""
+    """The workers of an executor that the caller made and will close."""
 
     def __init__(self, executor: Executor, in_flight: int) -> None:
         """Args: the executor, and how many cases to hand over at a time."""
@@ -106,7 +106,7 @@ def process_workers(count: int | None = None) -> Iterator[ProcessWorkers]:
 
 
 def _live_with_parent(watched: Connection) -> None:
-    """End this process as soon as nobody holds the other end of the pipe."""
+    """End this process as soon as the other end of the pipe is closed."""
 
     def watch() -> None:
         watched.poll(None)  # nothing is ever sent, so this returns at the end of the pipe only

@@ -86,11 +86,11 @@ def draw_states(
         shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
     """
     n, whole = automaton.n, with_boundary_states(automaton)
-    rows, places = whole.mode(mode.name).invariant.half_spaces, whole.mode(mode.name).pins
+    rows, held = whole.mode(mode.name).invariant.half_spaces, whole.mode(mode.name).pins
     normals, growth = np.split(np.array([h.a for h in rows]).reshape(-1, whole.n), [n], axis=1)
     thresholds = np.array([h.c for h in rows]) - shifts @ growth.T
-    pins = np.zeros((len(shifts), len(places)))
-    for k, pin in enumerate(places):
+    pins = np.zeros((len(shifts), len(held)))
+    for k, pin in enumerate(held):
         pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
     mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
     pinned = [pin.coordinate for pin in mode.pins]

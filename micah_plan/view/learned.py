@@ -24,7 +24,7 @@ FLOOR = -10.0
 
 _IMPOSSIBLE = -1e6
 _REPLACED = 2.0
-"""Around a start with a posterior over single rows, traced rows up to so many of their distances away are left out."""
+"""Around a start with a posterior over single rows, traced rows within this many of their distances are left out."""
 _NEARLY_A_TURN = 0.9 * np.pi
 
 

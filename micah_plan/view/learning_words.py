@@ -201,7 +201,7 @@ def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float,
 
 
 def wrapped(text: str, most: int) -> list[str]:
-    """Lines of at most so many letters, broken where spaces are not no-break ones, which become plain."""
+    """Lines of at most `most` letters, broken where spaces are not no-break ones, which become plain."""
     return [line.replace(NO_BREAK, " ") for line in textwrap.wrap(text, most)]
 
 
@@ -226,7 +226,7 @@ def kind_words(segment: Segment) -> tuple[str, str]:
 
 
 def shown_counts(learned: LearnedRun, least: int = 3) -> tuple[float, ...]:
-    """Probabilities of 0, 1, 2, ... changepoints, as far as they matter, and at least so many."""
+    """Probabilities of 0, 1, 2, ... changepoints, as far as they matter, and at least `least`."""
     counts = learned.counts + (0.0,) * (least - len(learned.counts))
     matter = [number for number, probability in enumerate(counts) if probability >= 0.005]
     return counts[: max(least, max(matter, default=0) + 1)]

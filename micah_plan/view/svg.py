@@ -153,7 +153,7 @@ def played(width: float, panels: Sequence[Panel], parts: Sequence[Svg], x_label:
 
 
 def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of the numbers below `count`, evenly spread, the first and the last among them."""
+    """At most `most` of the numbers below `count`, evenly spread, the first and the last among them."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.int64))
 
 
@@ -166,7 +166,7 @@ def text(x: float, y: float, words: str, kind: str) -> Svg:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round numbers (1, 2 or 5 times a power of ten apart) within a range, at most about so many."""
+    """Round numbers (1, 2 or 5 times a power of ten apart) within a range, at most about `most`."""
     if not high > low:
         return [low]
     step = rounded_up((high - low) / most)

@@ -47,7 +47,7 @@ def import_mujoco() -> ModuleType | Any:
 
 
 def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
-    """Refuse to go on after a step that diverged: MuJoCo begins again from its initial state then.
+    """Refuse to go on after a step that diverged: MuJoCo then resets to its initial state.
 
     Raises:
         InputError: if positions, velocities or accelerations became huge.

@@ -79,7 +79,7 @@ class HeldPlant(PhysicalPlant):
         model.body_inertia[parts] = inertia[parts] * heavier
         self._place(x)
         self._carrier.put(self._object.places(x[self._object.hand])[-1])
-        # As arms do, the hand bears the load that it expects; what the trial's mass differs by pulls it down.
+        # As arms do, the hand bears the expected load; the difference to the trial's mass pulls it down.
         model.body_gravcomp[parts[0]] = 1 / heavier
         data.xfrc_applied[self._hand, 2] = mass[parts[1]] * -model.opt.gravity[2]
         self._begin(rng)

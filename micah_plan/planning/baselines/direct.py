@@ -38,7 +38,7 @@ from micah_plan.task.problem import Problem
 
 Expression = TypeVar("Expression", ca.MX, ca.SX)
 
-# The straight line and so many disturbed ones are tried.
+# Starts that are tried: the straight line and disturbed ones.
 _STARTS = 4
 # Std of the disturbance, in largest steps.
 _DISTURBANCE = 0.5

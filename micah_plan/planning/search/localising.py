@@ -23,7 +23,7 @@ from micah_plan.task.deadline import NEVER, Deadline
 # Stops on the way, and how many of the best beginnings get one more.
 _MOST_STOPS = 2
 _BEAM = 2
-# Only so many of the cheapest paths of a round are looked at in full; most differ by a corner that is cut anyway.
+# Only this many of the cheapest paths of a round are evaluated in full; most differ by a corner that is cut anyway.
 _MOST_TRACED = 200
 # Less than this share of a step is no reason for a detour [steps].
 WORTH_A_DETOUR = 0.1

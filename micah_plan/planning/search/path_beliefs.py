@@ -21,7 +21,8 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.roadmap import PACE, JoinedRoadmap
 from micah_plan.task.problem import Problem
 
-# Steps added at the end for measurements only: at most so many, and only while each narrows the belief by at least 2 %.
+# Steps added at the end for measurements only: at most this many, and only while each narrows the belief by at least 2
+# %.
 MOST_LOCALISING_STEPS = 20
 WORTH_A_STEP = 0.98
 

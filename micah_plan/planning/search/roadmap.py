@@ -71,7 +71,7 @@ class ModeMotion:
             steps[_blocked(obstacle, x, y)] = np.inf
         possible = np.flatnonzero(np.isfinite(steps))
         if self.admits is not None and possible.size:
-            # Asked where steps of a motion end, as in a plan: not where it begins.
+            # Tested where steps of a motion end, as in a plan: not where it begins.
             for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(max(1.0, steps[possible].max()))))[1:]:
                 passed = self.admits(x[possible] + share * delta[possible])
                 steps[possible[~passed]] = np.inf
@@ -89,7 +89,7 @@ class ModeMotion:
 
 
 def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
-    """The motions of each mode, within what is asked of the path."""
+    """The motions of each mode, within the constraints on the path."""
     automaton, motions = problem.automaton, {}
     for mode in automaton.modes:
         admits = partial(admitted, problem, limits, mode.name) if problem.constraints else None

@@ -149,7 +149,7 @@ def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess, step: int) -> Hal
 
 @dataclass(frozen=True, eq=False)
 class PathTerms:
-    """What a problem asks of every step in a mode.
+    """Constraints and costs on the path, for every step in a mode.
 
     Attributes:
         requirements: (r,) name and unit.
@@ -165,7 +165,7 @@ class PathTerms:
 
 @dataclass(frozen=True, eq=False)
 class PathRows:
-    """The steps of a phase of which something is asked.
+    """The steps of a phase to which constraints on the path apply.
 
     Attributes:
         terms: what.
@@ -185,7 +185,7 @@ class PathRows:
 
 
 def path_terms_of(problem: Problem, limits: Limits, mode: str, pattern: ca.Sparsity) -> PathTerms:
-    """What a problem asks in a mode, over states packed with a pattern of the factor (`layout.pack`)."""
+    """Constraints and costs on the path in a mode, over states packed with a pattern of the factor (`layout.pack`)."""
     automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
     state, u, covariance = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("u", m), ca.SX.sym("s", (n + m) ** 2)
     x, factor = state[:n], factor_of(state, pattern)
@@ -208,7 +208,7 @@ def path_terms_of(problem: Problem, limits: Limits, mode: str, pattern: ca.Spars
 def path_rows(
     problem: Problem, limits: Limits, guess: Sequence[PhaseGuess], pattern: ca.Sparsity
 ) -> list[PathRows | None]:
-    """What is asked of each phase; None where that is nothing.
+    """The constraints on the path of each phase; None where there are none.
 
     A guard on the state is crossed within the step that reaches it, so that step ends behind the reset.
     """

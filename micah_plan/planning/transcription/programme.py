@@ -125,7 +125,7 @@ def transcribe(problem: Problem, limits: Limits, guess: tuple[PhaseGuess, ...]) 
 
 
 def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> None:
-    """Variables, dynamics, effort, inputs, the corridor and what is asked of the path, of one phase."""
+    """Variables, dynamics, effort, inputs, the corridor and constraints on the path of one phase."""
     automaton, steps = nlp.problem.automaton, guess.steps
     mode = compiled_mode(automaton, guess.mode)
     start = pack(guess.means, guess.factors, nlp.pattern)
@@ -214,7 +214,7 @@ def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: lis
 
 
 def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows) -> None:
-    """What is asked of the steps of a phase, and their cost."""
+    """The constraints on the path for the steps of a phase, and their cost."""
     terms, count = path.terms, len(path.terms.requirements)
     inputs = ca.horzcat(*(nlp.phases[p].inputs[:, i] for p, i in path.inputs))
     at = phase.states[:, path.knots]
