@@ -261,8 +261,7 @@ def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], fi
             shown.add_row(name, ", ".join(values), plain(effect["evidence"]), ", ".join(effect["tied_with"]))
         out.print(shown)
     residual = summary["residual"]
-    units = {one["unit"] for one in summary["coordinates"]}
-    unit = "m" if units == {"m"} else ""
+    unit = common_unit(one["unit"] for one in summary["coordinates"])
     for name, text in (("one_step_rmse", "one step"), ("rollout_rmse", "roll-out")):
         before, after = (quantity(residual[when][name], unit) for when in ("before", "after"))
         out.print(f"  {text:9} {before} before, {after} after")

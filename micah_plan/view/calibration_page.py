@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
+from micah_plan.quantities import common_unit, count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
@@ -79,9 +79,8 @@ def _effect(found: FoundEffect) -> dict[str, str]:
 
 
 def _errors(found: Calibration) -> Table:
-    """Over all coordinates; where all are lengths, so are the errors."""
-    unit = "m" if {one.lane.unit for one in found.traces} == {"m"} else ""
-    head = f"root mean square on rows held out from the fit{'' if unit else ' [rad or m]'}"
+    """Over all coordinates."""
+    unit, head = common_unit(one.lane.unit for one in found.traces), "root mean square on rows held out from the fit"
     before, after = found.before, found.after
     rows = (
         ("one step ahead", *(quantity(e, unit) for e in (before.one_step, after.one_step, found.noise_floor))),
