@@ -68,5 +68,5 @@ def _outcome_line(plan: Plan, level: Level | None) -> str:
         share = plan.success_probability
         verified = "" if share is None else f", {percent(share)} of the roll-outs succeed"
         return f"solved through {' -> '.join(plan.mode_sequence)}{verified}"
-    failed = "there is no plan" if plan.outcome == "no_plan" else "a plan was found but does not hold"
+    failed = "there is no plan" if plan.outcome == "no_plan" else "a plan was found but not verified"
     return f"{failed}: {plan.reason if level is None else f'the {level} stands in the way'}"

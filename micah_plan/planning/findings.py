@@ -63,7 +63,7 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
 
 
 def _goal_findings(problem: Problem) -> Iterator[Finding]:
-    """Targets that no mode (of those that the goal names) holds."""
+    """Targets that no mode (of those that the goal names) allows."""
     modes = [mode for mode in problem.automaton.modes if problem.goal.admits(mode.name)]
     for index, value, tolerance in problem.goal.target:
         coordinate, ranges = problem.automaton.coordinates[index], problem.automaton.ranges(index, modes)
@@ -92,7 +92,7 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> str:
     if not set(samples.goals) & _reachable(samples.start[0], (edge for _, edge in edges)):
         goals = ", ".join(f"'{name}'" for name in samples.goals)
         return (
-            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode that holds the goal ({goals}); "
+            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode with the goal ({goals}); "
             f"change the goal or add the missing transition to the model"
         )
     reached = _reachable(samples.start[0], (edge for i, edge in edges if i in samples.exits))
@@ -119,12 +119,9 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
             )
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
-        others = f" (as is {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
+        others = f" (or without {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
         remedy = "relax it" if is_asked else "make room there, or let the object change its mode first"
-        return (
-            f"no motion of the modes that can be reached leads to the goal without '{in_the_way[0]}', which alone is "
-            f"in the way{others}; {remedy}"
-        )
+        return f"the modes that can be reached lead to the goal only without '{in_the_way[0]}'{others}; {remedy}"
     return (
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
         f"guards of other transitions are in the way, or there are too few states; raise samples_per_mode"
@@ -139,7 +136,7 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
     for name in goal.modes or automaton.mode_names:
         states = mode_states(automaton.mode(name), limits)
         texts = [f"{c.name} in [{states.lower[i]:g}, {states.upper[i]:g}] {c.unit}" for c, i, _, _ in items]
-        ranges.append(f"'{name}' holds {', '.join(texts)}")
+        ranges.append(f"'{name}' allows {', '.join(texts)}")
     among = "the goal's modes" if goal.modes else "the modes"
     return f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)}); move the goal into a range"
 
