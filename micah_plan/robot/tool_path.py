@@ -279,7 +279,7 @@ class _Follower:
         measure = float(self.arm.manipulability(q)[0])
         if measure < self._least:
             sentence = f"the arm is near a singularity at knot {knot}: manipulability {plain(measure, 2)}"
-            return ArmFailure(knot, "singularity", (), measure, sentence, "move the robot's base or the grasp")
+            return ArmFailure(knot, "singularity", (), measure, sentence, "move the robot's root or the grasp")
         clearance = self.model.at(q, path.at(knot), path.allowed(knot))
         return self._collision(knot, clearance) if clearance.distance < self.settings.margin else None
 
@@ -289,7 +289,7 @@ class _Follower:
         if moved.max() > self.settings.longest_step:
             name = self.arm.joints[int(np.argmax(moved))]
             sentence = f"joint '{name}' would jump by {plain(float(moved.max()))} at knot {knot}"
-            remedy = "take smaller steps (planner.max_step), or move the robot's base"
+            remedy = "take smaller steps (planner.max_step), or move the robot's root"
             return ArmFailure(knot, "jump", (name,), float(moved.max()), sentence, remedy)
         closest = self._sweep(path, knot - 1, before, after, self.settings.margin)
         return self._collision(knot, closest) if closest.distance < self.settings.margin else None
@@ -303,7 +303,7 @@ class _Follower:
         first, second = clearance.pair
         apart = quantity(abs(clearance.distance), "m")
         says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
-        sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's base, the grasp or the scene"
+        sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's root, the grasp or the scene"
         return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy)
 
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
@@ -315,10 +315,10 @@ class _Follower:
             lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]
             names = tuple(self.arm.joints[i] for i in stopped)
             ends = [f"'{name}' ({'lower' if low else 'upper'})" for name, low in zip(names, lower, strict=True)]
-            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the robot's base or the grasp"
+            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the robot's root or the grasp"
             return ArmFailure(knot, "joint limit", names, max(away, turned), sentence, remedy)
         sentence = f"{misses}: it is out of reach"
-        return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, "move the robot's base nearer")
+        return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, "move the robot's root nearer")
 
 
 def _deviation(arm: Arm, rows: Floats) -> float:
