@@ -14,6 +14,7 @@ from pathlib import Path
 from micah_plan import workflow
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import TrialStatistics, run_trials
+from micah_plan.quantities import quantity, with_spread
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 
@@ -28,23 +29,24 @@ def executed(problem: Problem, plan: Plan, trials: int) -> TrialStatistics:
     return run_trials(rough, plan, plant="mujoco", trials=trials)
 
 
-def report(name: str, statistics: TrialStatistics) -> None:
+def report(name: str, problem: Problem, statistics: TrialStatistics) -> None:
     """One line on the trials."""
-    print(f"{name}: {statistics.successes} of {statistics.trials} reach the goal, ", end="")
-    print(f"final error {statistics.final_error.mean:.4f} +- {statistics.final_error.std:.4f}")
+    error = with_spread(statistics.final_error.mean, statistics.final_error.std, problem.goal_unit)
+    print(f"{name}: {statistics.successes} of {statistics.trials} reach the goal, final error {error}")
 
 
 def main(name: str = "drawer_open", trials: int = 8) -> None:
     problem = load_problem(PROBLEMS / f"{name}.yaml")
     first = executed(problem, workflow.solve(problem), trials)
-    report("nominal model", first)
+    report("nominal model", problem, first)
     found = workflow.calibrate(problem.automaton, first.recording)
     print(f"calibration: {found.verdict}")
     for effect in found.effects:
-        values = ", ".join(f"{key} {value:.4g}" for key, value in effect.effect.parameters)
+        pairs = zip(effect.effect.parameters, effect.units, strict=True)
+        values = ", ".join(f"{key} {quantity(value, unit)}" for (key, value), unit in pairs)
         print(f"  {effect.effect.name}: {values}" + (f" (or {', '.join(effect.tied)})" if effect.tied else ""))
     improved = replace(problem, automaton=found.automaton)
-    report("calibrated model", executed(improved, workflow.solve(improved), trials))
+    report("calibrated model", improved, executed(improved, workflow.solve(improved), trials))
 
 
 if __name__ == "__main__":
