@@ -15,7 +15,7 @@ NOTEBOOKS = sorted(file.stem for file in FOLDER.glob("*.ipynb"))
 # What the outputs must tell, in this order, for the prose around them to be true.
 TOLD = {
     "learn": r"revolute .*\srigid .*revolute -> rigid: door >= 1\.2.*10 mm more: revolute -> rigid.*micah-plan/model/1",
-    "plan": r"solved.*revolute -> rigid.*asked 99%.*no_plan - the goal .* lies in the range of none.*solved",
+    "plan": r"solved.*revolute -> rigid.*asked 99 %.*no_plan - the goal .* lies in the range of none.*solved",
     "close_the_loop": r"[01] of 4 reach.*verdict: (explained|partly).*[34] of 4 reach",
 }
 FIGURES = {"learn": 2, "plan": 2, "close_the_loop": 2}
