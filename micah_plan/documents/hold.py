@@ -19,7 +19,7 @@ from micah_plan.task.problem import Hold
 class HeldPartDocument(Document):
     makes = Part
 
-    name: Name = doc("Of the part.")
+    name: Name = doc("Name of the part.")
     shapes: Annotated[list[ShapeDocument], Field(min_length=1)] = doc(
         "Its solids in the hinge frame, with the joint at the datum: y along the hinge, the moving part turns from x "
         "towards z as the joint's coordinate grows."
@@ -33,7 +33,7 @@ class ReachDocument(Document):
 
 class ContactDocument(Document):
     body: Annotated[Name, named("body")] = doc("Body of the scene.")
-    face: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = doc("Which side of it, by where it looks.")
+    face: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = doc("Side of it, by its outward direction.")
 
     def read(self, at: Located, scope: Scope) -> tuple[str, int, int]:
         """(body, axis, sign) of the face."""

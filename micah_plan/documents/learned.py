@@ -54,7 +54,7 @@ class LearnedSegmentDocument(Document):
         "First and last row (inclusive), counted within the whole recording."
     )
     probabilities: Annotated[dict[JointKind, Probability], ITEMS] | None = doc(
-        "Probability of every kind of joint; what they leave of 1 is that of free motion.", None
+        "Probability of every kind of joint; the rest to 1 is that of free motion.", None
     )
     start: StartDocument | None = doc("Where it starts; absent for the first of a run.", None)
 
@@ -110,7 +110,9 @@ class LearnedEdgeDocument(Document):
     changepoint_counts: Annotated[tuple[Probabilities, ...], Listed()] = doc(
         "Per run, the probabilities of 0, 1, 2, ... changepoints.", tuple
     )
-    actions: ActionsDocument | None = doc("How the recorded actions moved the part; absent if they said nothing.", None)
+    actions: ActionsDocument | None = doc(
+        "How the recorded actions moved the part; absent if they explain nothing.", None
+    )
     segments: list[LearnedSegmentDocument] = doc("The segments of the recording, in time order.")
 
     def check(self, at: Located) -> None:

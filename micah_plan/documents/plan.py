@@ -55,20 +55,20 @@ class FindingDocument(Document):
     sentence: str = doc("What is wrong.")
     remedy: str = doc("The nearest change that could help.")
     modes: Names = doc("The mode sequence that it is about; empty: all.")
-    mode: str = doc("The mode in it; may be empty.")
-    knot: Count | None = doc("The knot in it.")
+    mode: str = doc("Mode of the place; may be empty.")
+    knot: Count | None = doc("Knot of the place.")
     constraint: str = doc("Name of the constraint that does not hold.")
-    amount: float | None = doc("By how much [unit].")
+    amount: float | None = doc("By how much it does not hold [unit].")
     room: float | None = doc("Available room [unit].")
     need: float | None = doc("Required room [unit].")
-    unit: str = doc("Of the three.")
+    unit: str = doc("Unit of amount, room and need.")
 
 
 class TrajectoryDocument(Document):
     modes: Annotated[tuple[ModeName, ...], Listed(1)] = doc("(K) mode at each knot.")
-    means: list[list[float]] = doc("(K, n) of the belief [rad or m].")
+    means: list[list[float]] = doc("(K, n) means of the belief [rad or m].")
     factors: list[list[list[float]]] = doc("(K, n, n) lower Cholesky factors of its covariance.")
-    inputs: list[list[float]] = doc("(K-1, m) from knot to knot [rad or m].")
+    inputs: list[list[float]] = doc("(K-1, m) inputs from knot to knot [rad or m].")
     gains: list[list[list[float]]] = doc("(K-1, m, n) feedback gains.")
     is_transition: list[bool] = doc("(K-1) whether the step is a transition.")
 
@@ -83,8 +83,10 @@ class TrajectoryDocument(Document):
 class ArmDocument(Document):
     makes = ArmTrajectory
 
-    joints: Annotated[tuple[Name, ...], Listed(1)] = doc("(J) names, from the root to the tool.")
-    positions: Annotated[list[list[float]], _ARRAY] = doc("(K, J) at the knots, straight lines in between [rad or m].")
+    joints: Annotated[tuple[Name, ...], Listed(1)] = doc("(J) names of joints, from the root to the tool.")
+    positions: Annotated[list[list[float]], _ARRAY] = doc(
+        "(K, J) joint positions at the knots, straight lines in between [rad or m]."
+    )
     manipulability: Annotated[list[NonNegative], _ARRAY] = doc("(K) Yoshikawa's measure; 0 at singularities.")
     clearance: Annotated[tuple[float | None, ...], Listed()] = doc(
         "(K) smallest distance at each knot [m]; null: nothing to meet."

@@ -64,7 +64,7 @@ PlannerDocument.always_written = PlannerDocument.model_fields.keys() - {"max_ste
 class PlantDocument(Document):
     """Standing objects know the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
 
-    mass: Positive | None = doc("Of each moving part, or of each part held [kg].", None)
+    mass: Positive | None = doc("Mass of each moving part, or of each held part [kg].", None)
     damping: NonNegative | None = doc("Viscous resistance at the handle [N s/m].", None)
     friction: NonNegative | None = doc("Dry friction at the handle [N].", None)
     latch_force: NonNegative | None = doc("Pull at the handle that opens a latch [N].", None)
@@ -73,7 +73,7 @@ class PlantDocument(Document):
         "object [rad or m].",
         None,
     )
-    stiffness: Positive | None = doc("Of the hand [N/m]; with a robot that of its joints.", None)
+    stiffness: Positive | None = doc("Stiffness of the hand [N/m]; with a robot that of its joints.", None)
     max_force: Positive | None = doc("Largest force of the hand [N].", None)
     control_period: Positive | None = doc("Duration of one control step [s].", None)
     motion_share: Annotated[float, Field(gt=0, le=1)] | None = doc(
@@ -85,19 +85,21 @@ class PlantDocument(Document):
     position_wander: NonNegative | None = doc("Slowly wandering tracker error, std [m].", None)
     rotation_wander: NonNegative | None = doc("Slowly wandering tracker error, std [rad].", None)
     wander_time: Positive | None = doc("Correlation time of the wander [s].", None)
-    contact_friction: NonNegative | None = doc("Coefficient, of a held object and the scene.", None)
+    contact_friction: NonNegative | None = doc("Friction coefficient of a held object and the scene.", None)
     spread: Annotated[float, Field(ge=0, le=1)] | None = doc(
         "Share by which mass and friction of a held object vary from trial to trial.", None
     )
     joint_friction: NonNegative | None = doc("Dry friction of a held object's joint [N m or N].", None)
     joint_damping: NonNegative | None = doc("Damping of a held object's joint [N m s/rad or N s/m].", None)
-    pivot_stiffness: NonNegative | None = doc("Of the part held, where it turns in the hand [N m/rad].", None)
+    pivot_stiffness: NonNegative | None = doc("Stiffness of the held part where it turns in the hand [N m/rad].", None)
     pivot_damping: NonNegative | None = doc("Its damping there [N m s/rad].", None)
     joint_deflection: Positive | None = doc(
         "Error at which a joint of the robot pushes with all its effort [rad or m].", None
     )
-    joint_effort: Positive | None = doc("Of the robot's joints whose file states none [N m or N].", None)
-    rotor_inertia: NonNegative | None = doc("Of the robot's motors, as the joints feel it [kg m^2 or kg].", None)
+    joint_effort: Positive | None = doc("Effort of the robot's joints whose file states none [N m or N].", None)
+    rotor_inertia: NonNegative | None = doc(
+        "Inertia of the robot's motors, as the joints feel it [kg m^2 or kg].", None
+    )
 
     def read(self, at: Located, scope: Scope) -> dict[str, float]:
         return self.model_dump(exclude_none=True)

@@ -101,9 +101,9 @@ class PathDocument(Document):
     makes = PathConstraint
     always_written = ("arguments", "modes")
 
-    name: Name = doc("Of a path function: stay_above, stay_below, keep_away, or one that Python code has registered.")
+    name: Name = doc("Path function: stay_above, stay_below, keep_away, or one that Python code has registered.")
     arguments: Annotated[dict[Name, Argument], ITEMS] = doc(
-        "What it takes: numbers, or names of coordinates and inputs.", dict
+        "Its arguments: numbers, or names of coordinates and inputs.", dict
     )
     modes: Names = doc("Modes in which it holds; empty: all.", tuple)
 
@@ -125,13 +125,13 @@ class ProblemDocument(Document):
         "Probability with which guards and invariants must hold, and roll-outs reach the goal.",
         PlannerSettings.confidence,
     )
-    path: list[PathDocument] = doc("What is asked of the path, beyond the boundaries of the model.", list)
+    path: list[PathDocument] = doc("Constraints and costs on the path, beyond the boundaries of the model.", list)
     planner: PlannerDocument = doc("Settings of the planner.", PlannerDocument)
     scene: Annotated[dict[Name, BodyDocument], BY_NAME] = doc(
         "Bodies around the object, by name: table, shelf, book.", dict
     )
     robot: RobotDocument | None = doc("Arm that holds the object; default: none.", None)
-    grasp: GraspDocument | None = doc("What it holds; needed with a robot.", None)
+    grasp: GraspDocument | None = doc("What the robot holds, and where; needed with a robot.", None)
     plant: PlantDocument = doc("Physical parameters for MuJoCo.", PlantDocument)
 
     def check(self, at: Located) -> None:

@@ -39,9 +39,9 @@ class BodyShapeDocument(Document):
 
     kind: Literal["box", "cylinder", "sphere", "mesh"] = doc("Kind of solid; a mesh is its convex hull.")
     size: Sizes | None = doc("In m. Box: full lengths x, y, z. Cylinder: radius, length along z. Sphere: radius.", None)
-    path: Line | None = doc("Of a mesh: an .stl or .obj file in the problem file's folder or below it.", None)
-    vertices: list[Vector3] | None = doc("Of a mesh: its corners [m] instead of a file.", None)
-    scale: Vector3 = doc("Of a mesh file: factors per axis.", (1.0, 1.0, 1.0))
+    path: Line | None = doc("Mesh: an .stl or .obj file in the problem file's folder or below it.", None)
+    vertices: list[Vector3] | None = doc("Mesh: its corners [m] instead of a file.", None)
+    scale: Vector3 = doc("Mesh file: scale factors per axis.", (1.0, 1.0, 1.0))
     position: Vector3 = doc("Centre in the body's frame [m].", ZERO)
     quaternion: Quaternion = doc("Orientation in the body's frame, scalar last.", IDENTITY)
     color: Color = doc("Colour as #rrggbb.", "#9aa5b1")
@@ -77,10 +77,10 @@ class BodyShapeDocument(Document):
 
 class BodyDocument(Document):
     shapes: Annotated[list[BodyShapeDocument], Field(min_length=1)] = doc("Its solids.")
-    position: Vector3 = doc("Of the body's frame in the base frame [m].", ZERO)
+    position: Vector3 = doc("Position of the body's frame in the base frame [m].", ZERO)
     quaternion: Quaternion = doc("Its orientation in the base frame, scalar last.", IDENTITY)
     mass: Positive | None = doc(
-        "Of a body that is loose [kg]: in MuJoCo it can be pushed over; default: it is fixed.", None
+        "Mass of a loose body [kg]: in MuJoCo it can be pushed over; default: it is fixed.", None
     )
 
     def read(self, at: Located, scope: Scope) -> Body:
@@ -89,8 +89,8 @@ class BodyDocument(Document):
 
 class RobotDocument(Document):
     path: Line = doc("URDF or MJCF file, relative to this file.")
-    tool: Name = doc("Frame that holds: a link, body or site of the robot.")
-    position: Vector3 = doc("Of the robot's root in the base frame [m].", ZERO)
+    tool: Name = doc("Frame that holds the part: a link, body or site of the robot.")
+    position: Vector3 = doc("Position of the robot's root in the base frame [m].", ZERO)
     quaternion: Quaternion = doc("Its orientation in the base frame, scalar last.", IDENTITY)
     held: Annotated[dict[Name, float], ITEMS] = doc(
         "Positions of joints that do not move the tool [rad or m]; default: the middle of their range.", dict
@@ -123,7 +123,7 @@ class GraspDocument(Document):
     makes = Grasp
 
     part: PartName = doc("Part that the tool holds.")
-    position: Vector3 = doc("Of the tool in the part's frame [m].", ZERO)
+    position: Vector3 = doc("Position of the tool in the part's frame [m].", ZERO)
     quaternion: Quaternion = doc("Orientation of the tool in the part's frame, scalar last.", IDENTITY)
 
 

@@ -34,7 +34,7 @@ class SweepDocument(Document):
     format: Literal["micah-plan/sweep/1"] = doc("Format and version of this file.")
     problems: Annotated[list[Line], Field(min_length=1, max_length=1000)] = doc("Problem files, relative to this file.")
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] = doc("How many seeds.", 1)
-    first_seed: Annotated[int, Field(ge=0, le=1_000_000_000)] = doc("The first of them.", 0)
+    first_seed: Annotated[int, Field(ge=0, le=1_000_000_000)] = doc("The first seed.", 0)
     grid: dict[Name, Annotated[list[Any], Field(min_length=1)]] = doc(
         "Values to try instead of a problem's own, by dotted key of the problem file, e.g. `start.std.door: [0.02, "
         "0.05]`; every combination is a case.",
