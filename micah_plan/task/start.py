@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
@@ -88,27 +88,44 @@ def draw_states(
     n, whole = automaton.n, with_boundary_states(automaton)
     rows, held = whole.mode(mode.name).invariant.half_spaces, whole.mode(mode.name).pins
     normals, growth = np.split(np.array([h.a for h in rows]).reshape(-1, whole.n), [n], axis=1)
-    thresholds = np.array([h.c for h in rows]) - shifts @ growth.T
     pins = np.zeros((len(shifts), len(held)))
     for k, pin in enumerate(held):
         pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
-    mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
     pinned = [pin.coordinate for pin in mode.pins]
+    # What the drawn coordinates alone must come to, in each half-space of each object.
+    least = np.array([h.c for h in rows]) - shifts @ growth.T - pins @ normals[:, pinned].T
+    normals[:, pinned] = 0.0
+    mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
     strict = np.array([h.strict for h in rows], dtype=bool)
     further = [region for name, region in automaton.init if name == mode.name]
     at_rest = np.zeros(automaton.m)
     states = np.repeat(mean[None], len(shifts), axis=0)
+    number = tries = 0
+    while number < len(states):
+        # Each object takes the first draw that suits it, in the order of the draws: at least one each.
+        draws = mean + std * rng.standard_normal((len(states) - number, n))
+        found = draws @ normals.T
+        of_all, of_some = (_hold(found, end(least, axis=0), strict).tolist() for end in (np.max, np.min))
+        taken: list[tuple[int, int]] = []
+        for k, (suits_all, suits_some) in enumerate(zip(of_all, of_some, strict=True)):
+            suits = suits_all or (suits_some and bool(_hold(found[k], least[number], strict)))
+            if suits and automaton.init:
+                draws[k, pinned] = pins[number]
+                suits = any(region.contains(draws[k], at_rest) for region in further)
+            if suits:
+                taken.append((number, k))
+            if suits or (tries := tries + 1) == _MOST_DRAWS:
+                number, tries = number + 1, 0
+        if taken:
+            numbers, of_draws = map(list, zip(*taken, strict=True))
+            states[numbers] = draws[of_draws]
     states[:, pinned] = pins
-    for number, state in enumerate(states):
-        for _ in range(_MOST_DRAWS):
-            draw = mean + std * rng.standard_normal(automaton.n)
-            draw[pinned] = pins[number]
-            margin = normals @ draw - thresholds[number]
-            holds = bool(((margin > 0.0) | ((margin == 0.0) & ~strict)).all())
-            if holds and (not automaton.init or any(region.contains(draw, at_rest) for region in further)):
-                state[:] = draw
-                break
     return states
+
+
+def _hold(found: Floats, least: Floats, strict: Booleans) -> Booleans:
+    """(...,) whether values (..., r) of half-spaces reach what is asked of them (r,)."""
+    return np.asarray(((found > least) | ((found == least) & ~strict)).all(axis=-1))
 
 
 def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:
