@@ -22,10 +22,9 @@ from micah_plan.task.problem import Problem
 _STANDARD_ERRORS = 2.0
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
-# A sequential verification decides after these shares of its roll-outs: a few take nearly as long as more, so the
-# second share is all of them. Where it ends early it errs with at most this probability.
-_LOOKS = (0.125, 1.0)
+# Where a sequential verification ends early it errs with at most this probability.
 _ERRORS = 0.01
+_ENOUGH = math.log((1.0 - _ERRORS) / _ERRORS)
 
 
 def verify(
@@ -45,14 +44,14 @@ def verify(
         trials: number of roll-outs; None: from the settings. 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
-        sequential: end after an eighth of the roll-outs where they suffice (`plain_answer`): for decisions during an
+        sequential: end early where some roll-outs suffice (`plain_answer`, `looks_of`): for decisions during an
             execution, where only the outcome counts, not how large the share is.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
     try:
-        ends = _ends(problem, plan.trajectory, count, seed, deadline, _LOOKS if sequential else ())
+        ends = _ends(problem, plan.trajectory, count, seed, deadline, sequential)
     except TimeLimitError as over:
         finding = finding_of_reason("verification", over.reason, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
@@ -84,18 +83,16 @@ class _Ends:
 
 
 def _ends(
-    problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, looks: tuple[float, ...]
+    problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> _Ends:
-    """That many roll-outs at once, or up to these shares of them in turn, until they suffice (`plain_answer`)."""
+    """That many roll-outs, at once or sequentially until they suffice."""
     turns: list[RollOuts] = []
-    in_goal = np.zeros(0, dtype=bool)
-    for number, look in enumerate(looks or (1.0,)):
-        trials = max(1, math.ceil(look * count) - len(in_goal))
-        chances = draw_chances(problem, trajectory, trials, (seed, number) if looks else seed)
+    in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
+    for number, look in enumerate(looks_of(count, confidence) if sequential else (count,)):
+        chances = draw_chances(problem, trajectory, look - len(in_goal), (seed, number) if sequential else seed)
         turns.append(roll_out(problem, trajectory, chances, deadline))
         in_goal = np.append(in_goal, are_in_goal(problem, turns[-1]))
-        clear = plain_answer(int(in_goal.sum()), len(in_goal), problem.settings.confidence)
-        if len(in_goal) >= count or clear is not None:
+        if plain_answer(int(in_goal.sum()), len(in_goal), confidence) is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
     return _Ends(modes, states, in_goal, joined([turn.path for turn in turns]))
@@ -107,11 +104,28 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
     None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
     of one in a hundred. Source: Wald, "Sequential analysis", 1947.
     """
+    of_success, of_failure = _evidence(confidence)
+    ratio = successes * of_success + (trials - successes) * of_failure
+    return ratio > 0.0 if abs(ratio) >= _ENOUGH else None
+
+
+def looks_of(trials: int, confidence: float) -> tuple[int, ...]:
+    """After how many roll-outs, of so many, a sequential verification asks whether they suffice.
+
+    A step of few roll-outs takes nearly as long as one of some more, so it asks once before the end: when a plan that
+    fails half as often as the confidence allows is expected to be told. Not at all where that is late.
+    """
+    of_success, of_failure = _evidence(confidence)
+    failing = 0.5 * (1.0 - confidence)
+    first = math.ceil(_ENOUGH / ((1.0 - failing) * of_success + failing * of_failure))
+    return (first, trials) if 2 * first <= trials else (trials,)
+
+
+def _evidence(confidence: float) -> tuple[float, float]:
+    """How the logarithm of the probability ratio grows with a success and with a failure."""
     failing = 1.0 - confidence
     worse = min(2.0 * failing, 0.5 * (1.0 + failing))
-    gained = math.log(confidence / (1.0 - worse)), math.log(failing / worse)
-    ratio = successes * gained[0] + (trials - successes) * gained[1]
-    return ratio > 0.0 if abs(ratio) >= math.log((1.0 - _ERRORS) / _ERRORS) else None
+    return math.log(confidence / (1.0 - worse)), math.log(failing / worse)
 
 
 def least_share(confidence: float, trials: int) -> float:

@@ -11,7 +11,7 @@ from scipy.stats import binom, binomtest, norm
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.verification import plain_answer, verify, wilson_interval
+from micah_plan.planning.verification import looks_of, plain_answer, verify, wilson_interval
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan, Trajectory
 
@@ -122,25 +122,31 @@ def test_a_verified_plan_tells_how_sure_its_success_is() -> None:
 @pytest.mark.parametrize("confidence", [0.8, 0.95, 0.99])
 def test_what_is_plain_is_seldom_wrong(confidence: float) -> None:
     """Plans as good as asked are taken for ones that fail twice as often, and the other way round, in 1 % at most."""
-    rng, looks = np.random.default_rng(0), (125, 250, 500, 1000)
+    rng, looks = np.random.default_rng(0), looks_of(2000, confidence)
     for success, is_good in ((confidence, True), (1.0 - 2.0 * (1.0 - confidence), False)):
         wrong = 0
-        for run in rng.random((4000, 1000)) < success:
+        for run in rng.random((4000, 2000)) < success:
             seen = [int(run[:n].sum()) for n in looks]
             answers = (plain_answer(k, n, confidence) for k, n in zip(seen, looks, strict=True))
             wrong += next((answer for answer in answers if answer is not None), is_good) != is_good
         assert wrong <= 0.013 * 4000
 
 
+def test_a_look_that_would_come_late_is_left_out() -> None:
+    assert looks_of(1000, 0.95) == (130, 1000)
+    assert looks_of(500, 0.98) == (500,)
+    assert looks_of(1, 0.5) == (1,)
+
+
 def test_in_turns_the_answer_is_the_same_with_fewer_roll_outs() -> None:
     problem = door_problem(0.9, 0.5)
-    found = plan(problem)
+    found, (first, _) = plan(problem), looks_of(1000, problem.settings.confidence)
     whole, turns = verify(problem, found), verify(problem, found, sequential=True)
-    assert (turns.outcome, turns.verification_trials) == ("solved", 125)
+    assert (turns.outcome, turns.verification_trials) == ("solved", first)
     assert whole.verification_trials == 1000
     again = verify(problem, found, sequential=True)
     assert (again.outcome, again.success_probability) == (turns.outcome, turns.success_probability)
     asked = replace(problem, goal=replace(problem.goal, target=((0, 0.5, 0.001),)))
     refused = verify(asked, found, sequential=True)
-    assert (refused.outcome, refused.verification_trials) == ("not_verified", 125)
-    assert "of 125 roll-outs" in refused.reason
+    assert (refused.outcome, refused.verification_trials) == ("not_verified", first)
+    assert f"of {first} roll-outs" in refused.reason
