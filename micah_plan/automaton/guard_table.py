@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from micah_plan.automaton.effects.motion import CoordinateMotion, motions
-from micah_plan.automaton.hybrid import HybridAutomaton, memoised
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 
 TOLERANCE = 1e-12

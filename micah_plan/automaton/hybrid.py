@@ -5,10 +5,10 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
-from typing import Any, TypeVar, cast
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from micah_plan.automaton.sensing import Light, Sensing
 from micah_plan.errors import InputError, shown
 
 Matrix = tuple[tuple[float, ...], ...]
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -284,7 +283,7 @@ class HybridAutomaton:
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """Cache of `memoised` functions; no part of the value."""
+        """Cache of `memoised` functions (`memo`); no part of the value."""
         return {}
 
     @cached_property
@@ -373,19 +372,6 @@ class HybridAutomaton:
         """Names of the modes whose invariant x (n,) is in at zero input."""
         u = np.zeros(self.m)
         return tuple(mode.name for mode in self.modes if mode.invariant.contains(x, u, tolerance))
-
-
-def memoised(function: _Function) -> _Function:
-    """A function of an automaton and perhaps of a mode whose results are computed once."""
-
-    @wraps(function)
-    def cached(automaton: HybridAutomaton, *mode: Mode | str) -> Any:
-        key = (function, getattr(mode[0], "name", mode[0]) if mode else "")
-        if key not in automaton.derived:
-            automaton.derived[key] = function(automaton, *mode)
-        return automaton.derived[key]
-
-    return cast(_Function, cached)
 
 
 def _number(name: str, names: tuple[str, ...], what: str) -> int:

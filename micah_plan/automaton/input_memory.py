@@ -26,8 +26,9 @@ from micah_plan.automaton.effects.form import Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, memoised
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton
 from micah_plan.automaton.lifted import lifted, restricted
+from micah_plan.automaton.memo import memoised
 
 
 @memoised

@@ -81,19 +81,28 @@ class HalfSpace:
         """Whether both are on the state alone and open in exactly opposite directions."""
         if self.on_input or other.on_input or not self.on_state or not other.on_state:
             return False
-        a, b = np.array(self.a), np.array(other.a)
-        return bool(np.allclose(a / np.linalg.norm(a), -b / np.linalg.norm(b), rtol=0.0, atol=1e-9))
+        return all(abs(x + y) <= 1e-9 for x, y in zip(self._normal, other._normal, strict=True))
 
     def excludes(self, other: HalfSpace) -> bool:
         """Whether they face each other and have nothing in common but perhaps their boundary."""
         if not self.faces(other):
             return False
-        return -other.c / float(np.linalg.norm(other.a)) <= self.c / float(np.linalg.norm(self.a)) + 1e-9
+        return -other.c / other._size <= self.c / self._size + 1e-9
 
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
         a, b = self._weights
         return np.asarray(x @ a + u @ b - self.c)
+
+    @cached_property
+    def _size(self) -> float:
+        """Length of the weights of the state."""
+        return float(np.linalg.norm(self.a))
+
+    @cached_property
+    def _normal(self) -> tuple[float, ...]:
+        """(n,) weights of the state, of length 1."""
+        return tuple((np.array(self.a) / self._size).tolist())
 
     @cached_property
     def _weights(self) -> tuple[Floats, Floats]:

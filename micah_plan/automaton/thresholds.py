@@ -19,8 +19,9 @@ from functools import lru_cache
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, memoised
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.lifted import lifted, mapped
+from micah_plan.automaton.memo import memoised, sharing_motion
 from micah_plan.automaton.region import HalfSpace
 
 _DIGITS = 9
@@ -88,13 +89,14 @@ def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) 
         pairs = zip(old.pins, new.pins, strict=True)
         return replace(new, pins=tuple(replace(after, std=pin_std(pin, at.get(pin))) for pin, after in pairs))
 
-    return replace(
+    known_better = replace(
         moved,
         modes=tuple(map(better_mode, automaton.modes, moved.modes)),
         edges=tuple(
             replace(new, threshold_std=edge_std(old)) for old, new in zip(automaton.edges, moved.edges, strict=True)
         ),
     )
+    return sharing_motion(known_better, automaton)
 
 
 @memoised

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, memoised
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std

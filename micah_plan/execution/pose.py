@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, placements
+from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.tracks import in_base_frame, measuring_links
 from micah_plan.execution.plant import Command
 

@@ -20,8 +20,9 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.automaton.effects.motion import motions
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, memoised
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.input_memory import passed_on
+from micah_plan.automaton.memo import memoised, memoised_of_motion
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
@@ -94,6 +95,24 @@ class _Symbols:
 @memoised
 def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
     """The functions of the mode of that name, compiled when they are first asked for: of 64 modes a plan visits few."""
+    s, mode, (step, predict, belief_step) = _Symbols(automaton), automaton.mode(name), _motion(automaton, name)
+    given, conditioned = _passed_on(automaton, name, s)[0], _condition(s.x, s.factor, mode.pins)
+    return CompiledMode(
+        mode=mode,
+        step=step,
+        invariant=s.map("invariant", margins=_margins(mode.invariant, s.x, given)),
+        inputs=s.map("inputs", margins=_margins(mode.inputs, s.x, s.u)),
+        predict=predict,
+        belief_step=belief_step,
+        condition=ca.Function(
+            "condition", [s.x, s.factor], list(conditioned), ["mean", "factor"], ["mean_next", "factor_next"]
+        ),
+    )
+
+
+@memoised_of_motion
+def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """`CompiledMode.step`, `predict` and `belief_step`: what takes long to compile, wherever boundaries lie."""
     s, mode = _Symbols(automaton), automaton.mode(name)
     given, remembered = _passed_on(automaton, name, s)
     flowed = _flow(automaton, mode, s, given)
@@ -117,17 +136,10 @@ def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
         # One coordinate after the other is exact: their noise is independent. An infinite std: not observed.
         if isinstance(std, ca.SX) or np.isfinite(std):
             mean, seen = observe(mean, seen, index, std)
-    conditioned = _condition(s.x, s.factor, mode.pins)
-    return CompiledMode(
-        mode=mode,
-        step=s.map("step", x_next=flowed),
-        invariant=s.map("invariant", margins=_margins(mode.invariant, s.x, given)),
-        inputs=s.map("inputs", margins=_margins(mode.inputs, s.x, s.u)),
-        predict=s.belief_map("predict", mean_next=flowed, factor_next=factor),
-        belief_step=s.belief_map("belief_step", mean_next=ca.densify(mean), factor_next=seen),
-        condition=ca.Function(
-            "condition", [s.x, s.factor], list(conditioned), ["mean", "factor"], ["mean_next", "factor_next"]
-        ),
+    return (
+        s.map("step", x_next=flowed),
+        s.belief_map("predict", mean_next=flowed, factor_next=factor),
+        s.belief_map("belief_step", mean_next=ca.densify(mean), factor_next=seen),
     )
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode, memoised
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.memo import memoised
 
 # Half the interval of a central difference [rad or m].
 _SMALL = 1e-6

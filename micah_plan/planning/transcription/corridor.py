@@ -72,7 +72,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
     fixed = _fixed_boundaries(automaton, mode, exits)
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
-    walls = [[_farthest(rows, guess, step) for step in range(1, guess.steps + 1)] for rows in obstacles]
+    walls = [_farthest(rows, guess) for rows in obstacles]
     rows = []
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
@@ -135,16 +135,14 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
     return obstacles
 
 
-def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess, step: int) -> HalfSpace:
-    """The half-space of a guard that the step to this knot is outside of by most standard deviations."""
-
-    def outside(h: HalfSpace) -> float:
-        a = np.array(h.a)
-        away = h.c - guess.means[step - 1 : step + 1] @ a
-        stds = np.linalg.norm(a @ guess.factors[step - 1 : step + 1], axis=-1)
-        return float(np.min(away / (stds + _SMALLEST_STD * float(np.linalg.norm(a)))))
-
-    return max((h for h in guard if h.on_state), key=outside)
+def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess) -> list[HalfSpace]:
+    """The half-space of a guard that each step of the phase is outside of by most standard deviations."""
+    rows = [h for h in guard if h.on_state]
+    a, c = np.array([h.a for h in rows]), np.array([[h.c] for h in rows])
+    stds = np.linalg.norm(a[:, None, None] @ guess.factors, axis=-1)[..., 0]
+    smallest = _SMALLEST_STD * np.linalg.norm(a, axis=1, keepdims=True)
+    away = (c - a @ guess.means.T) / (stds + smallest)
+    return [rows[i] for i in np.argmax(np.minimum(away[:, :-1], away[:, 1:]), axis=0).tolist()]
 
 
 @dataclass(frozen=True, eq=False)

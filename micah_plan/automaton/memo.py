@@ -1,0 +1,46 @@
+"""Functions of an automaton whose results are computed once, and cached with the automaton."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_OF_MOTION = "of motion"
+
+
+def memoised(function: _Function) -> _Function:
+    """A function of an automaton and perhaps of a mode whose results are computed once."""
+    return _memoised(function, lambda automaton: automaton.derived)
+
+
+def memoised_of_motion(function: _Function) -> _Function:
+    """`memoised`, once for all automata that share their motion (`sharing_motion`)."""
+    return _memoised(function, _of_motion)
+
+
+def sharing_motion(automaton: HybridAutomaton, other: HybridAutomaton) -> HybridAutomaton:
+    """The automaton itself, from now on with another's cache of `memoised_of_motion` functions.
+
+    Modes of both must move alike and be measured alike. They may differ in where their boundaries and pins are.
+    """
+    automaton.derived[_OF_MOTION] = _of_motion(other)
+    return automaton
+
+
+def _of_motion(automaton: HybridAutomaton) -> dict[Any, Any]:
+    return cast(dict[Any, Any], automaton.derived.setdefault(_OF_MOTION, {}))
+
+
+def _memoised(function: _Function, cache_of: Callable[[HybridAutomaton], dict[Any, Any]]) -> _Function:
+    @wraps(function)
+    def cached(automaton: HybridAutomaton, *mode: Mode | str) -> Any:
+        key, cache = (function, getattr(mode[0], "name", mode[0]) if mode else ""), cache_of(automaton)
+        if key not in cache:
+            cache[key] = function(automaton, *mode)
+        return cache[key]
+
+    return cast(_Function, cached)
