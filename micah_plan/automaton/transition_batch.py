@@ -1,8 +1,8 @@
 """Steps of many roll-outs at once: motion and its events in arrays, with the rules and the arithmetic of `transition`.
 
-In most steps no guard fires, and a step is one addition. Where guards fire one after the other, the arrays go from
-event to event, all roll-outs of a mode together. What is rare is left to the scalar `transition.Travel`, where the
-rules are written: several events at one instant, and walls to slide along. A test compares the two.
+In most steps no guard fires, and a step is one addition. Where guards fire, the arrays go from event to event, all
+roll-outs of a mode together. What is rare is left to the scalar `transition.Travel`, where the rules are written: many
+events in one step, and several walls met at one instant. A test compares the two.
 
 Objects differ in the places of their boundaries, which are a part of the state here as in `thresholds`, and in gains.
 """
@@ -36,7 +36,8 @@ class _Mode:
         free: (n,) what moves; B: (n, m) input matrix, zero for the rest.
         moved: (n, n) what a disturbance moves: nothing that is pinned, and what is tied as the others.
         edges, targets, is_self: (e,) of the exits, mode changes before self transitions; targets by index.
-        states, inputs: (e, r, n), (e, r, m) scaled weights; thresholds, tolerances, strict: (e, r).
+        states, inputs: (r * e, n), (r * e, m) scaled weights, those of the first half-spaces of all exits first;
+            thresholds, tolerances, strict: (r, e, 1).
         gains: (t, n) what multiplies the motion of each object's coordinates; None: nothing.
     """
 
@@ -54,12 +55,13 @@ class _Mode:
         self.targets = np.array([automaton.mode_index(e.target) for e in exits] or [-1])
         self.is_self = np.array([e.is_self for e in exits] or [True])
         most = max((len(e.rows) for e in exits), default=1) or 1
-        rows = [(*e.rows, *(_ALWAYS,) * (most - len(e.rows))) for e in exits] or [(_NEVER,)]
-        self.states = np.array([[_dense(row.states, n) for row in own] for own in rows])
-        self.inputs = np.array([[_dense(row.inputs, automaton.m) for row in own] for own in rows])
-        self.thresholds = np.array([[row.c for row in own] for own in rows])
-        self.tolerances = np.array([[row.tolerance for row in own] for own in rows])
-        self.strict = np.array([[row.strict for row in own] for own in rows])
+        guards = [(*e.rows, *(_ALWAYS,) * (most - len(e.rows))) for e in exits] or [(_NEVER,)]
+        rows = list(zip(*guards, strict=True))
+        self.states = np.array([_dense(row.states, n) for own in rows for row in own])
+        self.inputs = np.array([_dense(row.inputs, automaton.m) for own in rows for row in own])
+        self.thresholds = np.array([[[row.c] for row in own] for own in rows])
+        self.tolerances = np.array([[[row.tolerance] for row in own] for own in rows])
+        self.strict = np.array([[[row.strict] for row in own] for own in rows])
         self.gains = gain_factors(automaton, mode, gains) if gains.any() else None
 
     def pin(self, x: Floats) -> None:
@@ -81,27 +83,35 @@ class _Mode:
         return np.asarray(d + pushed @ self.moved.T)
 
     def margins(self, x: Floats, d: Floats, u: Floats) -> tuple[Floats, Floats]:
-        """(k, e, r) margins of all half-spaces, and their rates along d."""
-        along = partial(np.tensordot, axes=([1], [2]))
-        return along(x, self.states) + along(u, self.inputs) - self.thresholds, along(d, self.states)
+        """(r, e, k) margins of all half-spaces, and their rates along d."""
+        shape = (*self.strict.shape[:2], len(x))
+        margin = (self.states @ x.T + self.inputs @ u.T).reshape(shape) - self.thresholds
+        return margin, (self.states @ d.T).reshape(shape)
+
+    def can_enter(self, margin: Floats, rate: Floats, horizon: Floats) -> Booleans:
+        """(k,) whether any guard may fire within the horizon (k,): none of its half-spaces stays far."""
+        return np.asarray((np.maximum(margin, margin + horizon * rate) >= -self.tolerances).all(axis=0).any(axis=0))
 
     def entries(self, margin: Floats, rate: Floats, horizon: Floats) -> Floats:
-        """(k, e) how far along d each guard fires, within the horizon (k,); infinite if it does not.
+        """(e, k) how far along d each guard fires, within the horizon (k,); infinite if it does not.
 
         The arithmetic of `guard_table.entry`.
         """
         outside = margin < -self.tolerances
         grows, falls = rate > self.tolerances, rate < -self.tolerances
-        enter, leave = np.zeros_like(margin), np.full_like(margin, np.inf)
         coming = grows & outside
-        ahead = np.broadcast_to(horizon[:, None, None], margin.shape)
-        enter[coming] = np.minimum(-margin[coming] / rate[coming], ahead[coming])
-        leave[falls] = (self.tolerances - margin)[falls] / rate[falls]
-        never = coming & (margin + ahead * rate < -self.tolerances)
+        enter = np.minimum(np.divide(-margin, rate, out=np.zeros_like(margin), where=coming), horizon)
+        leave = np.divide(self.tolerances - margin, rate, out=np.full_like(margin, np.inf), where=falls)
+        never = coming & (margin + horizon * rate < -self.tolerances)
         never |= ~grows & ~falls & (outside | (self.strict & (margin <= self.tolerances)))
         enter[never] = np.inf
-        first, last = enter.max(axis=2), leave.min(axis=2)
+        first, last = enter.max(axis=0), leave.min(axis=0)
         return np.where(first < last, first, np.inf)
+
+    def holding(self, margin: Floats, rate: Floats) -> Booleans:
+        """(e, k) whether each guard fires at once: `entries` with nothing ahead."""
+        within = (rate < -self.tolerances) | (self.strict & (rate <= self.tolerances))
+        return np.asarray(np.where(within, margin > self.tolerances, margin >= -self.tolerances).all(axis=0))
 
     def table_of(self, number: int) -> ModeTable:
         """The table of one object."""
@@ -122,6 +132,7 @@ class _Travellers:
         x, d: (k, n) states, and motions of a whole step.
         s: (k,) how much of the step lies behind them.
         events: how many events they had.
+        instant: what has happened at the present instant; None: they are between two.
     """
 
     mode: int
@@ -130,10 +141,41 @@ class _Travellers:
     d: Floats
     s: Floats
     events: int
+    instant: _Instant | None = None
 
     def where(self, chosen: Booleans) -> _Travellers:
         """Some of them."""
-        return _Travellers(self.mode, self.rows[chosen], self.x[chosen], self.d[chosen], self.s[chosen], self.events)
+        if chosen.all():
+            return self
+        instant = None if self.instant is None else self.instant.where(chosen)
+        moved = self.x[chosen], self.d[chosen], self.s[chosen]
+        return _Travellers(self.mode, self.rows[chosen], *moved, self.events, instant)
+
+
+@dataclass(frozen=True, eq=False)
+class _Instant:
+    """What has happened to k objects at one instant.
+
+    Attributes:
+        arrived: number of the exit whose guard they arrived at; -1 as soon as an exit was taken.
+        taken: (e, k) edges that were taken; entered: (q, k) modes that they were in.
+        slides: whether they slide along a wall.
+    """
+
+    arrived: int
+    taken: Booleans
+    entered: Booleans
+    slides: bool = False
+
+    def where(self, chosen: Booleans) -> _Instant:
+        """Of some of them."""
+        return replace(self, taken=self.taken[:, chosen], entered=self.entered[:, chosen])
+
+    def after(self, edge: int, target: int) -> _Instant:
+        """With one more edge taken, into a mode."""
+        taken, entered = self.taken.copy(), self.entered.copy()
+        taken[edge] = entered[target] = True
+        return _Instant(-1, taken, entered)
 
 
 class TransitionBatch:
@@ -166,16 +208,18 @@ class TransitionBatch:
         left: list[int] = []
         while travelling:
             group = travelling.pop()
+            if group.instant is not None:
+                onward, hard = self._settled(group, group.instant, u, pushed)
+                travelling += onward
+                left += hard
+                continue
             ahead, number = self._next_entry(group, u[group.rows])
             quiet = np.isinf(ahead)
             ends[group.rows[quiet]] = group.mode
             final[group.rows[quiet]] = group.x[quiet] + (1.0 - group.s[quiet])[:, None] * group.d[quiet]
             for k in np.unique(number[~quiet]).tolist():
                 chosen = ~quiet & (number == k)
-                arrived, hard = self._taken(group.where(chosen), k, ahead[chosen], u, pushed)
-                left += arrived.rows[hard].tolist()
-                if not hard.all():
-                    travelling.append(arrived.where(~hard))
+                travelling.append(self._arrived(group.where(chosen), k, ahead[chosen]))
         for i in left:
             of_mode = partial(self._table, i)
             start_table = of_mode(self._automaton.mode_names[modes[i]])
@@ -199,43 +243,78 @@ class TransitionBatch:
 
         After an event, guards that hold already are blocked ones: only later entries count.
         """
-        mode = self._mode(group.mode)
-        at = mode.entries(*mode.margins(group.x, group.d, u), 1.0 - group.s)
-        if group.events:
-            at[at <= 0.0] = np.inf
-        return at.min(axis=1), at.argmin(axis=1)
+        mode, horizon = self._mode(group.mode), 1.0 - group.s
+        margin, rate = mode.margins(group.x, group.d, u)
+        first, number = np.full(len(horizon), np.inf), np.zeros(len(horizon), dtype=np.int64)
+        near = np.flatnonzero(mode.can_enter(margin, rate, horizon))
+        if near.size:
+            at = mode.entries(margin[..., near], rate[..., near], horizon[near])
+            if group.events:
+                at[at <= 0.0] = np.inf
+            first[near], number[near] = at.min(axis=0), at.argmin(axis=0)
+        return first, number
 
-    def _taken(
-        self, group: _Travellers, number: int, ahead: Floats, u: Floats, disturbance: Floats
-    ) -> tuple[_Travellers, Booleans]:
-        """A group behind the event of one of its mode's exits, and (k,) for whom that is not all of this instant."""
-        leaving = self._mode(group.mode)
+    def _arrived(self, group: _Travellers, number: int, ahead: Floats) -> _Travellers:
+        """A group at the instant at which it arrives at the guard of an exit of its mode."""
+        taken = np.zeros((len(self._automaton.edges), ahead.size), dtype=bool)
+        entered = np.zeros((len(self._automaton.modes), ahead.size), dtype=bool)
+        entered[group.mode] = True
+        x, s = group.x + ahead[:, None] * group.d, np.minimum(1.0, group.s + ahead)
+        return replace(group, x=x, s=s, instant=_Instant(number, taken, entered))
+
+    def _settled(
+        self, group: _Travellers, instant: _Instant, u: Floats, pushed: Floats
+    ) -> tuple[list[_Travellers], list[int]]:
+        """The groups after the next event of an instant, or after it; and the numbers of objects left to `Travel`.
+
+        An exit back to a mode entered at this instant, and an edge taken at it, are blocked (no chattering): walls.
+        """
+        mode = self._mode(group.mode)
+        margin, rate = mode.margins(group.x, group.d, u[group.rows])
+        holding = mode.holding(margin, rate)
+        if instant.arrived >= 0:  # rounding may leave a state a hair short of it
+            holding[instant.arrived] = True
+        free = holding & ~instant.taken[mode.edges] & (mode.is_self[:, None] | ~instant.entered[mode.targets])
+        leaves, number = np.asarray(free.any(axis=0)), free.argmax(axis=0)
+        onward = [
+            self._taken(group.where(leaves & (number == k)), k, u, pushed) for k in np.unique(number[leaves]).tolist()
+        ]
+        pressed = (rate > mode.tolerances) & (np.abs(margin) <= mode.tolerances) & holding
+        slides = np.asarray(~leaves & pressed.any(axis=(0, 1)))
+        if slides.any() and not instant.slides:
+            # The first half-space of the first exit.
+            exits = pressed[..., slides].any(axis=0).argmax(axis=0)
+            rows = pressed[:, exits, slides].argmax(axis=0)
+            onward.append(_slid(group.where(slides), mode.states[rows * len(mode.edges) + exits] * mode.free))
+        rests = ~leaves & ~slides
+        if rests.any():
+            onward.append(replace(group.where(rests), instant=None))
+        hard = [own.rows for own in onward if own.events >= _MOST_EVENTS] + [group.rows[slides & instant.slides]]
+        return [own for own in onward if own.events < _MOST_EVENTS], np.concatenate(hard).tolist()
+
+    def _taken(self, group: _Travellers, number: int, u: Floats, disturbance: Floats) -> _Travellers:
+        """A group behind the event of one of its mode's exits."""
+        leaving, instant = self._mode(group.mode), group.instant
         chosen, target = leaving.table.exits[number], int(leaving.targets[number])
         mode, rows = self._mode(target), group.rows
         given, pushed = u[rows], disturbance[rows]
-        x = group.x + ahead[:, None] * group.d
-        kept = group.d
+        x, kept = group.x.copy(), group.d
         if chosen.reset is not None:
             A, B, c = map(np.array, chosen.reset)
             x, kept = x @ A.T + given @ B.T + c, kept @ A.T
         mode.pin(x)
         d = np.where(mode.free, kept, 0.0) if chosen.is_self else mode.displacement(rows, x, given, pushed)
-        arrived = _Travellers(target, rows, x, d, np.minimum(1.0, group.s + ahead), group.events + 1)
-        if arrived.events >= _MOST_EVENTS:
-            return arrived, np.ones(rows.size, dtype=bool)
-        return arrived, self._goes_on(arrived, given, chosen.edge, group.mode)
+        happened = None if instant is None else instant.after(chosen.edge, target)
+        return _Travellers(target, rows, x, d, group.s, group.events + 1, happened)
 
-    def _goes_on(self, group: _Travellers, u: Floats, edge: int, source: int) -> Booleans:
-        """(k,) whether more happens at the instant of an event: a further transition, or a wall to slide along.
 
-        An exit back to where the instant began, and the edge just taken, are blocked (no chattering).
-        """
-        mode = self._mode(group.mode)
-        margin, rate = mode.margins(group.x, group.d, u)
-        holding = np.isfinite(mode.entries(margin, rate, np.zeros(len(margin))))
-        blocked = (mode.edges == edge) | (~mode.is_self & (mode.targets == source))
-        pressed = (rate > mode.tolerances) & (np.abs(margin) <= mode.tolerances) & holding[:, :, None]
-        return np.asarray((holding & ~blocked).any(axis=1) | pressed.any(axis=(1, 2)))
+def _slid(group: _Travellers, normals: Floats) -> _Travellers:
+    """A group without what of its motion is normal to a wall, normals (k, n)."""
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    along = normals / np.where(size > 0.0, size, 1.0)
+    # A wall that nothing can give way to stops all motion.
+    d = np.where(size > 0.0, group.d - (group.d * along).sum(axis=1, keepdims=True) * along, 0.0)
+    return replace(group, d=d, instant=None if group.instant is None else replace(group.instant, slides=True))
 
 
 def _dense(terms: Terms, width: int) -> Floats:
