@@ -131,7 +131,7 @@ def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: 
         probability, mean, factor, u = (those(values, chosen) for values in (probability, mean, factor, u))
     binding = _binding(mean[0], factor[0], u, way)
     margins = binding.margins(mean, factor)
-    reach = margins.can_cross().nonzero()[0]
+    reach = margins.can_cross(probability).nonzero()[0]
     if not reach.size:
         return None, pieces
     if reach.size < chosen.size:

@@ -25,8 +25,6 @@ from micah_plan.belief.wedges import MASS, WHOLE, half_planes, wedges
 NEGLIGIBLE = 1e-10
 # Beyond this many standard deviations a Gaussian counts as zero (mass 1e-19).
 REACH = 9.0
-# What is this many standard deviations short of a half-space does not reach it (mass 2e-11, less than filters keep).
-_NEAR = 6.6
 # At this many standard deviations a Gaussian underflows to 0.
 _SURELY = 40.0
 _NOTHING = 1e-30
@@ -53,10 +51,15 @@ class Margins:
         """Of the Gaussians with these numbers."""
         return Margins(those(self.mean, chosen), those(self.row, chosen))
 
-    def can_cross(self) -> Booleans:
-        """(p,) whether more than filters drop can cross."""
-        spread = np.sqrt(np.einsum("kp,kp->p", self.row[1], self.row[1]))
-        return np.asarray((self.mean[1] >= -_NEAR * spread - SMALLEST_STD) | (self.mean[0] > SMALLEST_STD))
+    def can_cross(self, probability: Floats) -> Booleans:
+        """(p,) whether of shares (p,) of beliefs more than filters drop can cross.
+
+        No more does than ends inside, and nothing where all of it stays where it is.
+        """
+        (start, end), (before, after) = self.mean, self.row
+        spread = np.sqrt(np.einsum("kp,kp->p", after, after)) + SMALLEST_STD
+        moves = (end > start) | (after != before).any(axis=0)
+        return np.asarray((moves & (probability * ndtr(end / spread) >= NEGLIGIBLE)) | (start > SMALLEST_STD))
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ def test_all_at_once_is_the_quadrature(kind: str) -> None:
     rows = np.array([np.einsum("pi,pik->kp", weights, factor) for weights in (before, after)])
     margins = Margins(np.array([-start, -end]), rows)  # the means are 0
     together = split(mean.T, factor.transpose(1, 2, 0), margins)
-    can, seen = margins.can_cross(), 0
+    can, seen = margins.can_cross(np.ones(COUNT)), 0
     for i in range(COUNT):
         alone = scalar.split(mean[i], factor[i], (before[i], start[i]), (after[i], end[i]))
         if not can[i]:  # filters do not ask then

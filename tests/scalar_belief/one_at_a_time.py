@@ -45,7 +45,7 @@ def split(mean: np.ndarray, factor: np.ndarray, before: Margin, after: Margin) -
         np.array([[weights @ mean - offset] for weights, offset in (before, after)]),
         np.array([(weights @ factor)[:, None] for weights, _ in (before, after)]),
     )
-    if not margins.can_cross()[0]:  # filters do not ask then
+    if not margins.can_cross(np.ones(1))[0]:  # filters do not ask then
         return Part(0.0, mean, factor), Part(1.0, mean, factor)
     shares = truncation.split(mean[:, None], factor[..., None], margins)
     crossing, staying = (
