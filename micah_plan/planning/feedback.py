@@ -65,19 +65,22 @@ def belief_lqr(
         rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])
         value += rest.T @ goal @ rest
     gains = np.zeros((len(is_transition), m, n))
+    free, linear = {mode: automaton.mode(mode).free for mode in set(modes)}, dict[str, tuple[Floats, Floats]]()
     for k in reversed(range(len(is_transition))):
-        free = automaton.mode(modes[k + 1]).free
-        value = value * np.outer(free, free)
+        value = value * (free[modes[k + 1]][:, None] & free[modes[k + 1]])
         if is_transition[k]:
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
             A = matrix_after(automaton, edge)
             value = tracking + A.T @ value @ A
             continue
-        x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
-        A, B = linear_step(automaton, modes[k], x, u, limits.max_step)
-        gain = -np.linalg.solve(effort + B.T @ value @ B, B.T @ value @ A)
-        gains[k] = gain * automaton.mode(modes[k]).free
+        if automaton.input_memories or modes[k] not in linear:  # else it is the same wherever the mode is
+            x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
+            linear[modes[k]] = linear_step(automaton, modes[k], x, u, limits.max_step)
+        A, B = linear[modes[k]]
+        carried = B.T @ value
+        gain = -np.linalg.solve(effort + carried @ B, carried @ A)
+        gains[k] = gain * free[modes[k]]
         closed = A + B @ gain
         value = tracking + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains

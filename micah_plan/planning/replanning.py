@@ -13,7 +13,7 @@ from micah_plan.automaton.thresholds import with_known_boundaries
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
 from micah_plan.planning.input_memory import with_input_memory
-from micah_plan.planning.limits import input_length, limits_of, motion_per_input
+from micah_plan.planning.limits import limits_of, motion_per_input
 from micah_plan.planning.pomdp_hd import planned
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult
 from micah_plan.planning.tightening import verified_plan
@@ -92,9 +92,9 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     # Of the visits of the mode the present one, else the next, else the last.
     visits = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
     visit = next((visit for visit in visits if visit[-1] >= knot), visits[-1])
-    start, B = np.array(here.start.mean), motion_per_input(here.automaton, mode, limits.max_step)
-    nearest = min(visit.tolist(), key=lambda k: input_length(np.stack([start, trajectory.means[k]]), B, limits))
-    sequence, _ = rest_of(here.automaton, trajectory, nearest)
+    start, inverse = np.array(here.start.mean), np.linalg.pinv(motion_per_input(here.automaton, mode, limits.max_step))
+    steps = np.abs((trajectory.means[visit] - start) @ inverse.T) / limits.max_step
+    sequence, _ = rest_of(here.automaton, trajectory, int(visit[steps.max(axis=1, initial=0.0).argmin()]))
     first, *later = sequence.waypoints
     own = slice(own_size(here.automaton))
     return replace(sequence, waypoints=tuple(path[:, own] for path in (np.vstack([start, first]), *later)))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -33,10 +34,10 @@ from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, lower_facto
 
 @dataclass(frozen=True, eq=False)
 class CompiledMode:
-    """The CasADi functions of one mode.
+    """The CasADi functions of one mode. Those that depend on boundaries are compiled when they are asked for.
 
     Attributes:
-        mode: what was compiled.
+        automaton, mode: what was compiled.
         step: (x, u) -> x_next: the mode's flow, without guards.
         invariant: (x, u) -> margins (k, 1), positive inside, of its half-spaces in their order; k may be 0.
         inputs: (x, u) -> margins (k, 1) of the half-spaces of the admissible inputs; k may be 0.
@@ -46,13 +47,30 @@ class CompiledMode:
         condition: (mean, factor) -> (mean_next, factor_next): given that the mode's pins hold.
     """
 
+    automaton: HybridAutomaton
     mode: Mode
     step: ca.Function
-    invariant: ca.Function
-    inputs: ca.Function
     predict: ca.Function
     belief_step: ca.Function
-    condition: ca.Function
+
+    @cached_property
+    def invariant(self) -> ca.Function:
+        s = _Symbols(self.automaton)
+        given = _passed_on(self.automaton, self.mode.name, s)[0]
+        return s.map("invariant", margins=_margins(self.mode.invariant, s.x, given))
+
+    @cached_property
+    def inputs(self) -> ca.Function:
+        s = _Symbols(self.automaton)
+        return s.map("inputs", margins=_margins(self.mode.inputs, s.x, s.u))
+
+    @cached_property
+    def condition(self) -> ca.Function:
+        s = _Symbols(self.automaton)
+        mean, factor = _condition(s.x, s.factor, self.mode.pins)
+        return ca.Function(
+            "condition", [s.x, s.factor], [mean, factor], ["mean", "factor"], ["mean_next", "factor_next"]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +113,7 @@ class _Symbols:
 @memoised
 def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
     """The functions of the mode of that name, compiled when they are first asked for: of 64 modes a plan visits few."""
-    s, mode, (step, predict, belief_step) = _Symbols(automaton), automaton.mode(name), _motion(automaton, name)
-    given, conditioned = _passed_on(automaton, name, s)[0], _condition(s.x, s.factor, mode.pins)
-    return CompiledMode(
-        mode=mode,
-        step=step,
-        invariant=s.map("invariant", margins=_margins(mode.invariant, s.x, given)),
-        inputs=s.map("inputs", margins=_margins(mode.inputs, s.x, s.u)),
-        predict=predict,
-        belief_step=belief_step,
-        condition=ca.Function(
-            "condition", [s.x, s.factor], list(conditioned), ["mean", "factor"], ["mean_next", "factor_next"]
-        ),
-    )
+    return CompiledMode(automaton, automaton.mode(name), *_motion(automaton, name))
 
 
 @memoised_of_motion
@@ -206,8 +212,11 @@ def _turned(turn: Turn, s: _Symbols) -> tuple[ca.SX, ca.SX]:
 
 
 def _margins(region: Region, x: ca.SX, u: ca.SX) -> ca.SX:
-    rows = [ca.dot(ca.DM(h.a), x) + ca.dot(ca.DM(h.b), u) - h.c for h in region.half_spaces]
-    return ca.densify(ca.vertcat(*rows)) if rows else ca.SX(0, 1)
+    rows = region.half_spaces
+    if not rows:
+        return ca.SX(0, 1)
+    a, b, c = (ca.DM(np.array([getattr(h, name) for h in rows], dtype=float)) for name in ("a", "b", "c"))
+    return ca.densify(ca.mtimes(a, x) + ca.mtimes(b, u) - c)
 
 
 def sensing_std(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:

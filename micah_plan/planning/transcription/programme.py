@@ -177,15 +177,17 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
 def _require_inputs(nlp: Transcription, mode: CompiledMode, guess: PhaseGuess, phase: PhaseVariables) -> None:
     """Rows that depend on the input: admissible inputs, invariants, and guards on inputs that must not be triggered."""
     automaton = nlp.problem.automaton
-    groups = [(mode.inputs, mode.mode.inputs.half_spaces, 1.0), (mode.invariant, mode.mode.invariant.half_spaces, 1.0)]
+    groups: list[tuple[ca.Function, tuple[HalfSpace, ...], float]] = []
+    if mode.mode.inputs.on_input:
+        groups.append((mode.inputs, mode.mode.inputs.half_spaces, 1.0))
+    if mode.mode.invariant.on_input:
+        groups.append((mode.invariant, mode.mode.invariant.half_spaces, 1.0))
     for number, edge in enumerate(automaton.edges):
         guard = edge.guard.half_spaces
         if edge.source == guess.mode and not edge.is_self_transition and len(guard) == 1 and edge.guard.on_input:
             groups.append((compiled_edge(automaton, number).guard, guard, -1.0))
     for function, half_spaces, sign in groups:
         chosen = [(i, h) for i, h in enumerate(half_spaces) if h.on_input]
-        if not chosen:
-            continue
         margins = function.map(guess.steps)(phase.states[: automaton.n, :-1], phase.inputs)
         margins = sign * margins[[i for i, _ in chosen], :]
         rows = [_input_row(nlp, guess, k, h, sign) for k in range(guess.steps) for _, h in chosen]
