@@ -1,4 +1,4 @@
-"""Names for the arrays of all signatures; their docstrings give shapes and units."""
+"""Names for the arrays of all signatures; their docstrings give shapes and units. And what is equal in them."""
 
 from __future__ import annotations
 
@@ -8,3 +8,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+
+
+def alike(numbers: Ints) -> list[tuple[int, Ints]]:
+    """Each of the numbers (k,) that occurs, with the places (c,) where it does."""
+    counts = np.bincount(numbers)
+    return [(number, np.flatnonzero(numbers == number)) for number in np.flatnonzero(counts).tolist()]

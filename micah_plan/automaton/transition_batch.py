@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_table
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
@@ -199,12 +199,11 @@ class TransitionBatch:
         x, pushed = np.hstack([x, self.shifts]), np.hstack([disturbance, np.zeros_like(self.shifts)])
         ends, final = modes.copy(), x.copy()
         travelling: list[_Travellers] = []
-        for index in np.unique(modes):
-            mode, rows = self._mode(int(index)), np.flatnonzero(modes == index)
-            start = x[rows]
+        for index, rows in alike(modes):
+            mode, start = self._mode(index), x[rows]
             mode.pin(start)
             d = mode.displacement(rows, start, u[rows], pushed[rows])
-            travelling.append(_Travellers(int(index), rows, start, d, np.zeros(rows.size), 0))
+            travelling.append(_Travellers(index, rows, start, d, np.zeros(rows.size), 0))
         left: list[int] = []
         while travelling:
             group = travelling.pop()

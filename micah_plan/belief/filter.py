@@ -22,7 +22,15 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_arrays
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.crossing import through_guards, whole_step
-from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factors, measured, those
+from micah_plan.belief.gaussian import (
+    SMALLEST_STD,
+    condition_on_pins,
+    hold_at_pins,
+    lower_factors,
+    measured,
+    those,
+    with_those,
+)
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import Layout, Rows, layout_of
 from micah_plan.belief.matching import assembled, mixed
@@ -146,7 +154,9 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
     for index in range(len(layout.modes)):
         owner = (weights[index] >= NEGLIGIBLE).nonzero()[0]
         if owner.size:
-            mean, factor, inputs = (those(values, owner) for values in (means[:, index], factors[:, :, index], u))
+            mean, factor, inputs = means[:, index], factors[:, :, index], u
+            if owner.size < count:
+                mean, factor, inputs = (those(values, owner) for values in (mean, factor, inputs))
             if remembered is not None:
                 passed, kept = passed_arrays(registers, layout.modes[index].mode.name, mean.T, inputs.T)
                 inputs, remembered[:, owner] = passed.T, kept.T
@@ -192,7 +202,8 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     means, factors = means.reshape(layout.n, -1), factors.reshape(layout.n, layout.n, -1)
     mode, owner = chosen.nonzero()
     at = mode * chosen.shape[1] + owner
-    mean, factor, seen = those(means, at), those(factors, at), np.full((layout.n, owner.size), np.nan)
+    mean, factor = (means, factors) if at.size == chosen.size else (those(means, at), those(factors, at))
+    seen = np.full((layout.n, owner.size), np.nan)
     seen[: layout.own] = those(z, owner)
     after, narrowed, score = measured(mean, factor, seen, _sensing_std(layout, mode, mean))
     if len(layout.outside[1]):
@@ -201,9 +212,9 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     with np.errstate(divide="ignore"):
         scores[mode, owner] = score + np.log(weights[mode, owner])
     weights = np.exp(scores - scores.max(axis=0))
-    new_means, new_factors = means.copy(), factors.copy()
-    new_means[:, at], new_factors[..., at] = after, narrowed
-    return BeliefBatch.of(weights / weights.sum(axis=0), new_means, new_factors, layout.own)
+    if at.size < chosen.size:
+        after, narrowed = with_those(means, at, after), with_those(factors, at, narrowed)
+    return BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
 
 
 Gaussians = tuple[Floats, Floats]

@@ -41,6 +41,20 @@ def those(values: Values, chosen: Ints) -> Values:
     return values.take(chosen, axis=-1)
 
 
+def with_those(values: Floats, chosen: Ints, own: Floats) -> Floats:
+    """Arrays (..., p) with others (..., c) for the ones with these numbers (c,)."""
+    changed = values.copy()
+    put_those(changed, chosen, own)
+    return changed
+
+
+def put_those(values: Floats, chosen: Ints, own: Floats) -> None:
+    """`with_those` in place."""
+    # A run of numbers is copied as one piece.
+    is_run = chosen.size > 0 and not np.count_nonzero(np.diff(chosen) != 1)
+    values[..., slice(chosen[0], chosen[-1] + 1) if is_run else chosen] = own
+
+
 def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
     """Lower triangular L (n, n, p) with non-negative diagonals and L L' = M M', for M (n, k, p), singular or not.
 

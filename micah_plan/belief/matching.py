@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.belief.gaussian import lower_factors, those
+from micah_plan.belief.gaussian import lower_factors, put_those, those
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.belief.layout import Layout
 from micah_plan.belief.pieces import Ends, side_by_side
@@ -48,7 +48,9 @@ def assembled(
     alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
     single, at = _gathered(arrived, numbers, alone)
     if at.size:
-        weights[at], means[:, at], factors[..., at] = single.probability, single.mean, lower_factors(single.factor)
+        put_those(weights, at, single.probability)
+        put_those(means, at, single.mean)
+        put_those(factors, at, lower_factors(single.factor))
     merged = (pieces > 1).nonzero()[0]
     if merged.size:
         others = [(pieces[number] > 1).nonzero()[0] for number in numbers]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.thresholds import threshold_stds
@@ -97,27 +97,27 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]
         u = feedback_input(trajectory, int(knot), estimate)
-        for number in np.unique(believed):
-            rows = believed == number
+        for number, rows in alike(believed):
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
         modes, x = chances.objects.step(modes, x, channel.pass_on(u, modes), chances.process[step])
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
         beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
-        path.add(modes, x, u, beliefs.factors[everyone, beliefs.most_likely])
+        if problem.constraints:
+            path.add(modes, x, u, beliefs.factors[everyone, beliefs.most_likely])
     nothing = np.zeros((trials, automaton.m))
     for _ in range(steps_of_memory(whole, limits.max_step)[1]):
         modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes), np.zeros_like(x))
         beliefs = predict(whole, beliefs, nothing)
-        path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])
+        if problem.constraints:
+            path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])
     return RollOuts(modes, x, beliefs, path)
 
 
 def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
     """(t, n) std of a measurement in the true modes (t,), by index, and states (t, n)."""
     automaton, stds = problem.automaton, np.empty_like(x)
-    for index in np.unique(modes):
-        chosen = modes == index
-        stds[chosen] = automaton.sensing(automaton.modes[index]).std_at(x[chosen])
+    for index, rows in alike(modes):
+        stds[rows] = automaton.sensing(automaton.modes[index]).std_at(x[rows])
     # An infinite std means not measured: the noise there is NaN already, and infinity times zero would warn.
     return np.asarray(np.where(np.isfinite(stds), stds, 1.0))
 
