@@ -73,10 +73,9 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
     walls = [_farthest(rows, guess) for rows in obstacles]
-    rows = []
+    rows, sides = [], dict[tuple[str, HalfSpace, float], _Side | None]()
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
-        mean, factor, knot = guess.means[step], guess.factors[step], guess.first_knot + step
         chosen = list(fixed)
         if guess.edge is None or step < guess.steps:
             near = [h for wall in walls for h in wall[step - 1 : step + 1]]
@@ -85,16 +84,53 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
             chosen.append((turn.half_space, -1.0, True))
             chosen += [(h, 1.0, True) for h in turn.sides if step == guess.steps - 1]
         for half_space, sign, uncertain in chosen:
-            a, c = sign * np.array(half_space.a), sign * half_space.c
-            if np.any(a @ mode.B):
-                scale = float(np.abs(a) @ limits.speed)
-                margin, spread = float(a @ mean) - c, float(a @ guess.spreads[step] @ a)
-                spread += stds.get(half_space, 0.0) ** 2
-                std = float(np.hypot(np.linalg.norm(factor.T @ a), np.sqrt(max(0.0, spread))))
-                name, unit = boundary_name(half_space, sign), unit_of(automaton, half_space)
-                row = Row(mode.name, knot, name, unit, 0.0, np.inf, "boundary", half_space, sign)
-                rows.append(CorridorRow(row, a, c, step, uncertain, scale, spread, margin, std))
+            key = half_space.name, half_space, sign
+            if key not in sides:
+                sides[key] = _side(automaton, limits, guess, half_space, sign, stds.get(half_space, 0.0))
+            if (side := sides[key]) is not None:
+                rows.append(side.row(guess.mode, guess.first_knot, step, uncertain))
     return rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One side of a boundary along a phase of N steps.
+
+    Attributes:
+        half_space, sign, name, unit, normal, offset, scale: as in `CorridorRow` and its row.
+        spreads, margins, stds: (N+1,) as there, at all knots.
+    """
+
+    half_space: HalfSpace
+    sign: float
+    name: str
+    unit: str
+    normal: Floats
+    offset: float
+    scale: float
+    spreads: Floats
+    margins: Floats
+    stds: Floats
+
+    def row(self, mode: str, first_knot: int, step: int, uncertain: bool) -> CorridorRow:
+        """At a knot of the phase."""
+        own = Row(mode, first_knot + step, self.name, self.unit, 0.0, np.inf, "boundary", self.half_space, self.sign)
+        at = float(self.spreads[step]), float(self.margins[step]), float(self.stds[step])
+        return CorridorRow(own, self.normal, self.offset, step, uncertain, self.scale, *at)
+
+
+def _side(
+    automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, half_space: HalfSpace, sign: float, std: float
+) -> _Side | None:
+    """A side of a boundary whose place has that std; None if the mode cannot move across."""
+    a, c = sign * np.array(half_space.a), sign * half_space.c
+    if not np.any(a @ automaton.mode(guess.mode).B):
+        return None
+    spreads = guess.spreads @ a @ a + std**2
+    stds = np.hypot(np.linalg.norm(a @ guess.factors, axis=-1), np.sqrt(np.maximum(0.0, spreads)))
+    name, unit = boundary_name(half_space, sign), unit_of(automaton, half_space)
+    scale = float(np.abs(a) @ limits.speed)
+    return _Side(half_space, sign, name, unit, a, c, scale, spreads, guess.means @ a - c, stds)
 
 
 def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[HalfSpace]) -> dict[HalfSpace, float]:

@@ -13,7 +13,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import casadi as ca
@@ -250,7 +250,7 @@ def _require_with_room(
         settings = nlp.problem.settings
         phase.soft.extend(zip(range(len(nlp.rows), len(nlp.rows) + len(numbers)), scales.tolist(), strict=True))
         soft = ca.vec(margins)[numbers] - settings.sigmas * stds + ca.DM(scales) * slacks
-        nlp.require(soft, [replace(rows[i], confidence=settings.confidence) for i in numbers], stds)
+        nlp.require(soft, [rows[i]._replace(confidence=settings.confidence) for i in numbers], stds)
 
 
 def _margin_function(pattern: ca.Sparsity) -> ca.Function:

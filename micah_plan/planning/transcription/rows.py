@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ NEGLIGIBLE = 1e-5
 _VISIBLE_SHARE = 0.01
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One constraint ``lower <= g <= upper``.
 
     Attributes:
