@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
@@ -157,20 +158,28 @@ def _roll(
 
 def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats) -> Floats:
     """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
-    spreads, u = [spread], np.zeros(mode.mode.B.shape[1])
-    for before, after, carried in zip(factors[:-1], factors[1:], closed, strict=True):
-        predicted = _belief(mode.predict(np.zeros(len(spread)), before, u))[1]
-        spreads.append(carried @ spreads[-1] @ carried.T + predicted @ predicted.T - after @ after.T)
+    spreads, (n, m), count = [spread], mode.mode.B.shape, len(closed)
+    if count:
+        _, side_by_side = mode.predict.map(count)(
+            np.zeros((n, count)), np.hstack(list(factors[:-1])), np.zeros((m, count))
+        )
+        for predicted, after, carried in zip(_apart(side_by_side), factors[1:], closed, strict=True):
+            spreads.append(carried @ spreads[-1] @ carried.T + predicted @ predicted.T - after @ after.T)
     return np.array(spreads)
 
 
 def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
-    means, factors = [mean], [factor]
-    for u in inputs:
-        mean, factor = _belief(mode.belief_step(mean, factor, u))
-        means.append(mean)
-        factors.append(factor)
-    return np.array(means), np.array(factors)
+    """(N+1, n) means and (N+1, n, n) factors of a belief after inputs (N, m)."""
+    if not len(inputs):
+        return mean[None], factor[None]
+    means, side_by_side = mode.belief_step.mapaccum("rolled", len(inputs), 2)(mean, factor, inputs.T)
+    return np.vstack([mean, np.array(means).T]), np.concatenate([factor[None], _apart(side_by_side)])
+
+
+def _apart(side_by_side: ca.DM) -> Floats:
+    """(k, n, n) matrices that lie side by side (n, k n)."""
+    matrices = np.array(side_by_side, dtype=float)
+    return matrices.reshape(len(matrices), -1, len(matrices)).transpose(1, 0, 2)
 
 
 def _belief(pair: Any) -> tuple[Floats, Floats]:
