@@ -176,7 +176,7 @@ class _Sampler:
         return (number, self.add(edge.target, after)) if leads_on else None
 
     def _draw(self, states: Polytope, mode: Mode, count: int) -> Floats:
-        """(at most count, n) random states; idle coordinates take landmark values only, others some."""
+        """(at most count, n) random states; idle coordinates take named values only, others some."""
         random = states.sample(self._rng, count)
         named = np.stack([self._rng.choice(values, count) for values in self._landmarks], axis=1)
         idle = _idle(mode)
