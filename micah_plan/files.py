@@ -107,6 +107,6 @@ def replace_file(path: str | Path, data: bytes) -> None:
 
 
 def _reason(error: OSError | ValueError) -> str:
-    """What the system said, in lower case and without its numbers and paths."""
+    """The system's reason, in lower case and without numbers and paths."""
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return text[:1].lower() + text[1:]

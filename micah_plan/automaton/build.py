@@ -199,7 +199,7 @@ def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]
 
 
 def _pin_std(model: LocalModel) -> float:
-    """That of one measurement: a tracker's error wanders, so averaging over the rows would be overconfident."""
+    """Std of one measurement: a tracker's error wanders, so averaging over the rows would be overconfident."""
     return max(model.observation_std, model.lower_std, model.upper_std, SMALLEST_STD)
 
 
@@ -210,7 +210,7 @@ def _unit(chain: Sequence[LocalModel]) -> str:
 
 
 def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
-    """By coordinate, from the moving segments of its edge if there are any: root mean square by rows."""
+    """Noise by coordinate, from the moving segments of its edge if there are any: root mean square by rows."""
     stds = []
     for edge in moving:
         segments = [segment for segment in edge.segments if segment.joint.kind != "rigid"] or edge.segments

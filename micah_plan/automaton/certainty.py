@@ -59,7 +59,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class ActionChannel:
-    """What was really commanded when an action a was recorded: gain · R(frame_rotation) a, `delay` later.
+    """The command that a recorded action a stands for: gain · R(frame_rotation) a, `delay` later.
 
     Attributes:
         frame_rotation: rotation vector from the frame in which the actions were given to the base frame [rad].

@@ -321,7 +321,7 @@ def is_empty(region: Region) -> bool:
 
 
 def _is_empty_box(region: Region) -> bool:
-    """The same for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
+    """`is_empty` for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
     tightest: dict[tuple[int, bool], tuple[float, bool]] = {}
     for h in region.half_spaces:
         index, weight = next(((i, w) for i, w in enumerate((*h.a, *h.b)) if w), (0, 0.0))

@@ -288,17 +288,17 @@ class HybridAutomaton:
 
     @cached_property
     def mode_names(self) -> tuple[str, ...]:
-        """In the order of the modes."""
+        """Names of the modes, in order."""
         return tuple(mode.name for mode in self.modes)
 
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
-        """(n,) in the order of the coordinates."""
+        """(n,) names of the coordinates, in order."""
         return tuple(coordinate.name for coordinate in self.coordinates)
 
     @cached_property
     def input_names(self) -> tuple[str, ...]:
-        """(m,) in the order of the inputs."""
+        """(m,) names of the inputs, in order."""
         return tuple(given.name for given in self.inputs)
 
     def mode_index(self, name: str) -> int:
@@ -326,7 +326,7 @@ class HybridAutomaton:
         return tuple(edge for edge in self.edges if edge.source == name)
 
     def sensing(self, mode: Mode) -> Sensing:
-        """How a mode measures: what it states itself, and else the model's noise, with its light."""
+        """How a mode measures: by its own stds where it states them, else by the model's noise, with its light."""
         std, light = list(self.noise.observation_std), self.noise.light
         growth = [0.0] * self.n if light is None else list(light.growth)
         for i, own in mode.observation_std:

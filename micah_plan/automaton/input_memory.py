@@ -174,7 +174,7 @@ def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, f
 
 
 def _only_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
-    """The same where the memory can be a state; None where it cannot.
+    """`_strongest_input` where the memory can be a state; None where it cannot.
 
     It can if the coordinate is moved by one input of its own, in the same way in every mode that moves it, and no reset
     adds that input at once.

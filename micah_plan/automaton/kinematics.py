@@ -38,7 +38,7 @@ def twist(joint: Joint) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Of two vectors (3,), without the overhead of NumPy's."""
+    """Cross product of two vectors (3,), without NumPy's overhead."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 

@@ -127,7 +127,7 @@ class Region:
 
     @property
     def name(self) -> str:
-        """What stands before the colon in the name of its first half-space, e.g. in ``lid at shelf: from above``."""
+        """The text before the colon in the name of its first half-space, e.g. in ``lid at shelf: from above``."""
         return self.half_spaces[0].name.partition(":")[0] if self.half_spaces else ""
 
     @property

@@ -24,7 +24,7 @@ NO_RESULT = 1
 """The command worked, and found nothing: no plan, no joint that fits, no effect that explains."""
 BAD_INPUT = 2
 OUR_BUG = 70
-"""What no command should end with: an error that no input should cause (EX_SOFTWARE of sysexits.h)."""
+"""A bug: an error that no input should cause (EX_SOFTWARE of sysexits.h)."""
 INTERRUPTED = 130
 
 out = Console(soft_wrap=True, highlight=False)
@@ -83,7 +83,7 @@ def print_lines(lines: Iterable[str]) -> None:
 
 
 def print_files(files: Iterable[Path | None]) -> None:
-    """What was written."""
+    """Prints which files were written."""
     for path in files:
         if path is not None:
             out.print(f"wrote {path}", markup=False)

@@ -92,7 +92,7 @@ def check_size(rows: Sequence[Sequence[float]], height: int, width: int, located
 
 
 def standard_deviations(covariance: Sequence[Sequence[float]]) -> list[float]:
-    """Those that a covariance states, 0 for variances below 0."""
+    """Standard deviations from a covariance, 0 for variances below 0."""
     deviations: list[float] = np.sqrt(np.maximum(np.diag(np.array(covariance)), 0.0)).tolist()
     return deviations
 

@@ -180,7 +180,7 @@ def _plain(kind: _Kind, value: Any, scope: Scope) -> Any:
 
 
 def _read(kind: _Kind, value: Any, at: Located, scope: Scope) -> Any:
-    """What an entry of one kind means; what it says where that is all."""
+    """The value of an entry of one kind; the entry itself where they are the same."""
     if value is None or not kind.says_more:
         return value
     if isinstance(value, Document):

@@ -112,7 +112,7 @@ class TransitionDocument(Document):
 
     @classmethod
     def written(cls, value: Edge, scope: Scope) -> Mapping[str, Any]:
-        """With the reset as expressions where they mean exactly this one, else as its matrices."""
+        """The transition's data, with the reset as expressions where these are exact, else as matrices."""
         n, m = len(scope["coordinate"]), len(scope["input"])
         a, b, c = value.reset.matrices(n, m)
         if a.shape != (n, n) or b.shape != (n, m) or c.shape != (n,):

@@ -205,7 +205,7 @@ def write_plan(plan: Plan, problem: Problem, path: str | Path) -> None:
 
 
 def timings_path(path: str | Path) -> Path:
-    """Where the times of a plan file are kept: ``PLAN.timings.json`` beside ``PLAN.json``."""
+    """Path of the times of a plan file: ``PLAN.timings.json`` beside ``PLAN.json``."""
     return Path(path).with_suffix(".timings.json")
 
 

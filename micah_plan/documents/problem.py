@@ -142,7 +142,7 @@ class ProblemDocument(Document):
 
     @classmethod
     def written(cls, value: Problem, scope: Scope) -> Mapping[str, Any]:
-        """With every setting; the noise is that of the model, and not repeated."""
+        """The problem's data with every setting; the noise is that of the model, and not repeated."""
         settings = {"confidence": value.settings.confidence, "planner": value.settings}
         return {"format": PROBLEM_FORMAT, **vars(value), **settings, "path": value.constraints}
 
@@ -274,7 +274,7 @@ def _digest(content: bytes) -> str:
 
 
 def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
-    """By the planner's own rule, so that a file is refused exactly where the planner would find no mode to start in."""
+    """Apply the planner's rule: a file is refused exactly where the planner would find no mode to start in."""
     if start_mode(automaton, start)[0] is not None:
         return
     names = automaton.mode_names

@@ -104,7 +104,7 @@ class RobotDocument(Document):
     srdf_text: str | None = doc("Content of the file at `srdf`; plan files carry it.", None)
 
     def read(self, at: Located, scope: Scope) -> RobotDescription:
-        """With the content of its files; whether they are a robot is not checked here."""
+        """The robot with the content of its files; whether they are a robot is not checked here."""
         own = self.meanings(at, scope)
         path, srdf, text = at.folder / self.path, own.pop("srdf_text") or "", own.pop("text")
         if self.srdf is not None:
@@ -115,7 +115,7 @@ class RobotDocument(Document):
 
     @classmethod
     def written(cls, value: RobotDescription, scope: Scope) -> Mapping[str, Any]:
-        """With the content of its files but for the meshes."""
+        """The robot's data with the content of its files but for the meshes."""
         return {**vars(value), "srdf": None, "srdf_text": value.srdf or None}
 
 

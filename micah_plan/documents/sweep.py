@@ -145,5 +145,5 @@ def _problem(document: SweepDocument, number: int, located: Located, folder: Pat
 
 
 def _digests(problem: Problem) -> Digests:
-    """Those of the files, and of the bodies around the object, whose meshes lie in files of their own."""
+    """Digests of the files, and of the bodies around the object, whose meshes lie in files of their own."""
     return {**problem.digests, "scene": hashlib.sha256(repr(problem.scene).encode()).hexdigest()}

@@ -98,7 +98,7 @@ class CheckedPlant:
 
 
 def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
-    """What a plant answered, if it is a usable measurement, with copies of its arrays.
+    """A plant's answer, if it is a usable measurement, with copies of its arrays.
 
     Args:
         answer: what `reset` or `apply` returned.
@@ -170,7 +170,7 @@ def fault(error: BaseException, file: str | None, what: str) -> InputError:
 
 
 def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:
-    """What a call gives; an exception from code that is not the package's becomes one line about that code."""
+    """The result of a call; an exception from code that is not the package's becomes one line about that code."""
     try:
         return call(*arguments)
     except MicahError:

@@ -37,7 +37,7 @@ _NO_MOTION = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """What the plan says now.
+    """The plan's advice for the present step.
 
     Attributes:
         u: (m,) the input to apply, within the limits.
@@ -238,7 +238,7 @@ class Pilot:
         return True
 
     def _look_ahead(self, belief: HybridBelief, joints: Floats | None) -> None:
-        """Where it is time to, optimise the rest of the plan from the belief."""
+        """Every `replan_every` steps, optimise the rest of the plan from the belief."""
         continue_plan, due = self._replanning.continue_plan, 0 < self._problem.settings.replan_every <= self._followed
         if continue_plan is None or not due or self._follower.is_finished(belief):
             return

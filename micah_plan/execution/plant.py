@@ -28,7 +28,7 @@ class PlantError(MicahError):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What is seen of the machine at one time; one row per link, in the automaton's order of links.
+    """A measurement of the machine at one time; one row per link, in the automaton's order of links.
 
     Attributes:
         time: [s] since the reset; later at every step.

@@ -41,7 +41,7 @@ class ErrorSummary:
 
 @dataclass(frozen=True, eq=False)
 class TrialStatistics:
-    """How a plan fared.
+    """Statistics over the trials of a plan.
 
     Attributes:
         trials, successes: counts.
@@ -140,7 +140,7 @@ def _replanning(
 
 
 def _reporting(trials: int, progress: Progress | None) -> Callable[[TrialResult], None]:
-    """What tells the progress whenever a trial has ended."""
+    """A callback that reports the progress when a trial has ended."""
     ended: list[bool] = []
 
     def report(result: TrialResult) -> None:

@@ -71,7 +71,7 @@ class ClearanceModel:
 
     @cached_property
     def _room(self) -> Any:
-        """For Coal's results, reused in every call."""
+        """Memory for Coal's results, reused in every call."""
         return _room(self.geometry)
 
     @cached_property
@@ -206,7 +206,7 @@ def _set_pairs(geometry: Any, pairs: Sequence[tuple[int, int]]) -> None:
 
 
 def _room(geometry: Any) -> Any:
-    """Room for the results; depths of penetration are computed, too."""
+    """Memory for the results; depths of penetration are computed, too."""
     for item in geometry.geometryObjects:
         item.geometry.computeLocalAABB()
     data = geometry.createData()

@@ -167,7 +167,7 @@ def _rest(model: Any, description: RobotDescription) -> Floats:
 
 
 def _index(model: Any, name: str, description: RobotDescription) -> int:
-    """Where the positions of a joint begin among all."""
+    """Index of a joint's first position among all positions."""
     names = list(model.names)[1:]
     if name not in names:
         remedy = f"choose one of {', '.join(names[:_MOST_LISTED])}"
@@ -187,7 +187,7 @@ def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
 
 
 def _colors(geometry: Any, checked: CheckedRobot) -> dict[str, str]:
-    """By name of geometry; further shapes of a link have the colour of its last."""
+    """Colours by name of geometry; further shapes of a link have the colour of its last."""
     found: dict[str, str] = {}
     shapes: Counter[str] = Counter()
     for item in geometry.geometryObjects:

@@ -17,7 +17,7 @@ _LIMIT_ZONE = 0.15
 
 @dataclass(frozen=True)
 class PostureWeights:
-    """What a posture is judged by; all terms are without units.
+    """Weights of the terms of a posture's cost, all without units.
 
     Attributes:
         rest: of the squared distance from the rest posture, each joint over half its range.

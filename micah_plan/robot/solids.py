@@ -49,7 +49,7 @@ def solid(shape: Shape) -> tuple[Any, Any]:
 
 
 def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
-    """What the arm's clearances are computed with, as shapes to draw."""
+    """The solids of the arm's clearances, as shapes to draw."""
     found = []
     for item in arm.geometry.geometryObjects:
         x, y, z, w = Rotation.from_matrix(item.placement.rotation).as_quat().tolist()

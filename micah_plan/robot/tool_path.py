@@ -36,7 +36,7 @@ _SAME_START = 0.2
 
 @dataclass(frozen=True)
 class PathSettings:
-    """What a joint trajectory must keep, and how hard it is searched for.
+    """Limits of a joint trajectory, and the effort of the search.
 
     Attributes:
         margin: smallest distance between things that must not meet [m].
@@ -80,7 +80,7 @@ class ArmFailure:
 
 @dataclass(frozen=True, eq=False)
 class ToolPath:
-    """What the tool shall do, at K knots.
+    """The path of the tool, at K knots.
 
     Attributes:
         tool: (K,) poses of the tool in the base frame.
@@ -223,7 +223,7 @@ class _Follower:
         return np.stack(rows)
 
     def cost(self, path: ToolPath, rows: Floats) -> float:
-        """Of a whole trajectory: the worst posture, and the motion of the joints."""
+        """Cost of a whole trajectory: the worst posture, and the motion of the joints."""
         costs = [self._posture_cost(path, k, q) for k, q in enumerate(rows)]
         return float(np.max(costs) + np.mean(costs) + 0.1 * np.abs(np.diff(rows, axis=0)).sum())
 

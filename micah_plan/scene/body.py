@@ -53,7 +53,7 @@ class Body:
 
     @property
     def pose(self) -> RigidTransform:
-        """Of the body's frame in the base frame (single)."""
+        """Pose of the body's frame in the base frame (single)."""
         return transform(self.position, self.quaternion)
 
 

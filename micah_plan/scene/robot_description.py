@@ -44,7 +44,7 @@ class RobotDescription:
 
     @property
     def pose(self) -> RigidTransform:
-        """Of the robot's root in the base frame (single)."""
+        """Pose of the robot's root in the base frame (single)."""
         return transform(self.position, self.quaternion)
 
 
@@ -63,5 +63,5 @@ class Grasp:
 
     @property
     def pose(self) -> RigidTransform:
-        """Of the tool in the part's frame (single)."""
+        """Pose of the tool in the part's frame (single)."""
         return transform(self.position, self.quaternion)

@@ -24,7 +24,7 @@ _HEADER = b'{"format": "micah-plan/sweep-journal/1"}'
 
 
 def journal_path(output: Path) -> Path:
-    """Where the journal of a table lies: beside it."""
+    """Path of the journal of a table: beside it."""
     return output.with_name(f"{output.name}.journal")
 
 

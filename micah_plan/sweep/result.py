@@ -1,4 +1,4 @@
-"""What became of the cases: rows of a table in CSV or Parquet, and the times that they took, in a table of their own.
+"""Results of the cases: rows of a table in CSV or Parquet, and the times that they took, in a table of their own.
 
 The only importer of pyarrow.
 """
@@ -70,7 +70,7 @@ NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name
 
 
 def timings_path(output: Path) -> Path:
-    """Where the times of a table lie: beside it, so that tables of the same sweep are the same bytes."""
+    """Path of the times of a table: beside it, so that tables of the same sweep are the same bytes."""
     return output.with_name(f"{output.stem}.timings{output.suffix}")
 
 
@@ -127,7 +127,7 @@ def _cell(value: Any, kind: str) -> Any:
 
 
 def _written(columns: Columns, suffix: str) -> bytes:
-    """In CSV numbers are as short as they can be without losing a bit; nothing stands where there is none."""
+    """In CSV numbers are as short as they can be without losing a bit; missing ones are empty."""
     if suffix.lower() == ".parquet":
         return _parquet(columns)
     text = io.StringIO()

@@ -68,7 +68,7 @@ PathFunction = Callable[..., Iterable[Require | Pay]]
 
 @dataclass(frozen=True)
 class PathConstraint:
-    """What a problem asks of the path.
+    """A constraint or cost on the path, as a problem asks for it.
 
     Attributes:
         name: of a registered path function.
@@ -143,7 +143,7 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
 def path_terms(
     constraint: PathConstraint, ops: Operations, automaton: HybridAutomaton, x: Any, u: Any, std: Any
 ) -> Terms:
-    """What a constraint asks of steps.
+    """The requirements and costs of a constraint, for steps.
 
     Args:
         ops: numpy, or `symbolic.effects.CasadiOperations`.

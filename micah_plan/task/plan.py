@@ -79,7 +79,7 @@ class Trajectory:
     is_transition: Booleans
 
     def of_first(self, n: int) -> Trajectory:
-        """What it says of the first n coordinates: of the object, without a memory of inputs."""
+        """The trajectory of the first n coordinates: of the object, without a memory of inputs."""
         return replace(self, means=self.means[:, :n], factors=self.factors[:, :n, :n], gains=self.gains[:, :, :n])
 
 

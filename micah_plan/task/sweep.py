@@ -1,4 +1,4 @@
-"""What a sweep asks: problems x values of their keys x seeds, and one case of them."""
+"""Sweeps: problems x values of their keys x seeds, and one case of them."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Sweep:
         return len(self.problems) * prod(len(values) for _, values in self.grid) * len(self.seeds)
 
     def cases(self) -> Iterator[Case]:
-        """In the order of the table: problems, then the grid with its last key changing first, then seeds."""
+        """All cases in the order of the table: problems, then the grid with its last key changing first, then seeds."""
         keys = [key for key, _ in self.grid]
         for problem in self.problems:
             for chosen in product(*(enumerate(values) for _, values in self.grid)):

@@ -13,11 +13,11 @@ from micah_plan.errors import InputError
 from micah_plan.view.placement import coordinate_range, representative_state
 
 _START, _GOAL = 0.1, 0.8
-"""Where in the range of its mode a coordinate begins and shall end."""
+"""Shares of its range in the mode at which a coordinate begins and shall end."""
 _SPREAD, _TOLERANCE, _STEP = 0.01, 0.04, 0.05
 """Standard deviation of the start, tolerance of the goal and largest step, in ranges."""
 _NOISES = 4.0
-"""The tolerance is at least so many standard deviations of a measurement."""
+"""The tolerance is at least this many standard deviations of a measurement."""
 _RESERVED = ("true", "false", "null", "yes", "no", "on", "off")
 
 _TEXT = """\

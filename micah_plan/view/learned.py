@@ -201,13 +201,13 @@ class LearnedRun:
 
     @property
     def evidence_range(self) -> tuple[float, float]:
-        """What an axis of the evidence shows [nats]."""
+        """Range of an axis of the evidence [nats]."""
         top = max([12.0, *(float(line.values.max()) for line in self.evidence)])
         return FLOOR - 0.08 * (top - FLOOR), top + 0.08 * (top - FLOOR)
 
     @property
     def changepoint_range(self) -> tuple[float, float]:
-        """What an axis of the changepoints' probabilities shows."""
+        """Range of an axis of the changepoints' probabilities."""
         return 0.0, 1.08 * max([0.05, *(bar.probability for bar in self.changepoints)])
 
     @property

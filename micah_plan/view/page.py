@@ -53,7 +53,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Timeline:
-    """What the player plays.
+    """The timeline of the player.
 
     Attributes:
         duration: of the animation [s]; 0 for a still scene.

@@ -149,7 +149,7 @@ def slug(name: str, index: int) -> str:
 
 
 def layer_path(layer: str) -> list[str]:
-    """Where the viewer's scene tree keeps a layer."""
+    """Path of a layer in the viewer's scene tree."""
     return [_ROOT, layer]
 
 

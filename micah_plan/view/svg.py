@@ -103,7 +103,7 @@ class Panel:
         return element("line", kind=kind, x1=self.left, x2=self.right, y1=y, y2=y)
 
     def area(self, x: Floats, low: Floats, high: Floats, kind: str, color: str = "") -> Svg:
-        """What lies between two curves (k,) over x (k,)."""
+        """The area between two curves (k,) over x (k,)."""
         edges = zip(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]]), strict=True)
         path = "L".join(f"{self.x(float(a)):.1f} {self.y(float(b)):.1f}" for a, b in edges)
         return element("path", kind=kind, color=color, d=f"M{path}Z")

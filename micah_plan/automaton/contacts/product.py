@@ -74,14 +74,14 @@ class Contact:
 
     @property
     def above(self) -> HalfSpace:
-        """Where it does not touch, but for the boundary."""
+        """Where the object does not touch, apart from the boundary."""
         touching = self.touching
         a = tuple(-w for w in touching.a)
         return HalfSpace(a, touching.b, -touching.c, name=f"above {self.face.solid}: {self.name}")
 
     @property
     def end_of_hand(self) -> dict[int, float]:
-        """Where the hand stands when the end of the piece is touched, by coordinate."""
+        """Position of the hand at the end of the piece, by coordinate."""
         return {self.face.axis: self.face.position + self.face.sign * self.piece.end_height}
 
 
@@ -135,7 +135,7 @@ def contact_states(grip: Grip, surroundings: Surroundings, joint: LearnedJoint) 
 
 @dataclass(frozen=True)
 class _Product:
-    """What modes and edges are made from."""
+    """Builds modes and edges."""
 
     grip: Grip
     surroundings: Surroundings
@@ -148,7 +148,7 @@ class _Product:
         return [self._free(), *map(self._contact, self.contacts), *map(self._latched, self.joint.latches)]
 
     def edges(self) -> list[Edge]:
-        """All but collisions."""
+        """All edges but collisions."""
         return [*self._contact_edges(), *self._latch_edges(), *self._range_edges(), *self._resting_edges()]
 
     def collisions(self, modes: list[Mode]) -> Iterator[Edge]:

@@ -111,7 +111,7 @@ def touch_pieces(grip: Grip, face: Face, datum: float, low: float, high: float, 
 
 
 def resting_height(grip: Grip, face: Face, datum: float, c: float, turns: bool) -> float:
-    """Of the hand above a face that any part of the object just touches at configuration c, not turned in the hand."""
+    """Height of the hand above a face that the object just touches at configuration c, not turned in the hand."""
     geometry = _Geometry.of(grip, face, datum, turns)
     return max(geometry.height(c), geometry.held_height)
 
@@ -192,7 +192,7 @@ def _state(geometry: _Geometry, c: float) -> tuple[int, int] | None:
 
 
 def _change(geometry: _Geometry, a: float, b: float, at_a: tuple[int, int] | None) -> float:
-    """Where between a and b the state ends to be that of a, to rounding."""
+    """The place between a and b where the state of a ends, to rounding."""
     while b - a > 1e-13:
         middle = (a + b) / 2
         if middle in (a, b):

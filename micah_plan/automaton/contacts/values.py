@@ -72,7 +72,7 @@ class Face:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What stands around.
+    """The bodies around a held object.
 
     Attributes:
         solids: bodies that the object must not hit, but for contacts.

@@ -97,7 +97,7 @@ class EffectForm:
         return v, memory
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
-        """What of a command v reaches the joint."""
+        """The part of a command v that reaches the joint."""
         return v
 
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:

@@ -13,7 +13,7 @@ import numpy as np
 from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 
 LONGEST_DELAY = 12
-"""In steps."""
+"""The longest delay [steps]."""
 SMOOTH_BUMPS = 12
 """Bumps over the range of an unexplained correction."""
 

@@ -18,7 +18,7 @@ _SMALL = 1e-6
 
 @dataclass(frozen=True)
 class CoordinateMotion:
-    """What becomes of a command of one coordinate within a step: effects on the command, then forces.
+    """The motion that a command of one coordinate causes in a step: effects on the command, then forces.
 
     Attributes:
         commands, forces: (form, parameters) in the order in which they were added.
@@ -28,7 +28,7 @@ class CoordinateMotion:
     forces: tuple[tuple[EffectForm, tuple[float, ...]], ...]
 
     def commanded(self, ops: Operations, v: Value) -> Value:
-        """What of the command v = (B u) of the mode reaches the joint."""
+        """The part of the mode's command v = (B u) that reaches the joint."""
         for own, p in self.commands:
             v = own.command(ops, v, p)
         return v

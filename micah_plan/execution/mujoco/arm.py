@@ -25,7 +25,7 @@ from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 from micah_plan.task.problem import Problem
 
-# What all names of the robot begin with once it is in the world.
+# Prefix of all names of the robot in the world.
 _ROBOT = "robot/"
 # Links that state neither mass nor solids would have none.
 _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6

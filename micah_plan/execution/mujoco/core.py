@@ -145,7 +145,7 @@ class PhysicalPlant:
         return self.data.xpos[bodies].copy(), np.where(quaternion[:, 3:] < 0, -quaternion, quaternion)
 
     def _seen(self, position: Floats, quaternion: Floats, elapsed: float) -> tuple[Floats, Floats]:
-        """What the tracker makes of true poses, (l, 3) [m] and (l, 4), so long after it last looked [s]."""
+        """The tracker's measurement of true poses, (l, 3) [m] and (l, 4), a time [s] after its last one."""
         if self._tracker is None:  # `_begin` makes it before anything is measured
             raise RuntimeError("measure before reset")
         return self._tracker.measure(position, quaternion, elapsed)

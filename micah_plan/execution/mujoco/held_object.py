@@ -15,7 +15,7 @@ from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, Latch, WorldBody, WorldJoint, pose, rubbing
 
 OBJECT = "object/"
-"""What all names of the object and its hand begin with, once they are in the world."""
+"""Prefix of all names of the object and its hand in the world."""
 _HINGE = (0.0, 1.0, 0.0)
 _SAME = 1e-6
 

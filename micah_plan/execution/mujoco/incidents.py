@@ -1,4 +1,4 @@
-"""What must not happen while a held object moves: collisions, and loose things knocked over."""
+"""Incidents while a held object moves: collisions, and loose bodies knocked over."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Watch:
         return suspects
 
     def look_at_loose_bodies(self) -> None:
-        """All still where they stood."""
+        """Look whether a loose body was knocked over."""
         self.incident = self.incident or self._knocked_over()
 
     def suspects(self, seen: Floats) -> Flags:

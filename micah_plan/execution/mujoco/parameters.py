@@ -107,7 +107,7 @@ def defaults(*, held: bool) -> dict[str, float]:
 
 
 def parameters_of(problem: Problem) -> PhysicalParameters:
-    """What a problem's `plant` block states, for its kind of object; defaults for the rest.
+    """The parameters of a problem's `plant` block, for its kind of object; defaults for the rest.
 
     Raises:
         InputError: as `PhysicalParameters.from_mapping`.

@@ -111,7 +111,7 @@ def _arm(name: str, joint: Joint, handle: Vector3) -> float:
 
 
 def _default_box(joint: Joint) -> Primitive:
-    """In the part's frame: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
+    """A default shape: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
     if joint.kind in ("prismatic", "rigid"):
         return Primitive("box", (0.3, 0.3, 0.15))
     reach = np.array(joint.position) - np.array(joint.center)

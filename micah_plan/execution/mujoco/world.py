@@ -24,7 +24,7 @@ from micah_plan.scene.body import Body
 
 Flags = NDArray[np.bool_]
 Attributes = dict[str, Any]
-"""Of an element of MJCF: texts, numbers and arrays of numbers."""
+"""Attributes of an element of MJCF: texts, numbers and arrays of numbers."""
 Element = ElementTree.Element
 
 SCENE = "scene/"
