@@ -121,7 +121,7 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
 
 
 def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: Exit) -> tuple[Pieces | None, Pieces]:
-    """What of the chosen pieces takes an exit, already in its target with the rest of the step to go; and the rest."""
+    """The shares of the chosen pieces that take an exit, in its target with the rest of the step to go; the others."""
     if not len(way.on_state):
         left = pieces.probability.copy()
         left[chosen] = 0.0

@@ -31,7 +31,7 @@ class Rows:
 
     @staticmethod
     def of(half_spaces: Sequence[HalfSpace], n: int, m: int) -> Rows:
-        """Of half-spaces in their order."""
+        """Rows of half-spaces, in their order."""
         a, b = (np.array([getattr(h, name) for h in half_spaces], dtype=float) for name in ("a", "b"))
         c, strict = (np.array([[getattr(h, name)] for h in half_spaces]) for name in ("c", "strict"))
         size = len(half_spaces)

@@ -28,7 +28,7 @@ class Ends:
     factor: Floats
 
     def where(self, chosen: Ints) -> Ends:
-        """Those with these numbers."""
+        """The ends with these numbers."""
         if chosen.size == self.owner.size:
             return self
         moments = those(self.mean, chosen), those(self.factor, chosen)
@@ -62,13 +62,13 @@ class Pieces:
     entered: Booleans
 
     def where(self, chosen: Ints) -> Pieces:
-        """Those with these numbers, in ascending order."""
+        """The pieces with these numbers, in ascending order."""
         if chosen.size == self.owner.size:
             return self
         return self.subset(chosen, self.probability[chosen], those(self.mean, chosen), those(self.factor, chosen))
 
     def subset(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
-        """Of those with these numbers, shares that are Gaussians of their own."""
+        """Shares of the pieces with these numbers, as Gaussians of their own."""
         if chosen.size == self.owner.size:
             return replace(self, probability=probability, mean=mean, factor=factor)
         return Pieces(
@@ -84,7 +84,7 @@ class Pieces:
         )
 
     def replaced(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
-        """All, with other Gaussians for those with these numbers."""
+        """All pieces, with other Gaussians for those with these numbers."""
         if chosen.size < self.owner.size:
             whole = self.probability.copy(), self.mean.copy(), self.factor.copy()
             for values, own in zip(whole, (probability, mean, factor), strict=True):
@@ -98,7 +98,7 @@ class Pieces:
 
 
 def joined(groups: Sequence[Pieces]) -> Pieces:
-    """All of several groups in one mode."""
+    """All pieces of several groups in one mode."""
     if len(groups) == 1:
         return groups[0]
     parts = {name: [getattr(group, name) for group in groups] for name in vars(groups[0])}
@@ -133,7 +133,7 @@ class Binding:
     number: Ints | None = None
 
     def where(self, chosen: Ints) -> Binding:
-        """Of the pieces with these numbers."""
+        """The half-spaces of the pieces with these numbers."""
         offset = self.offset if self.offset.size == 1 else self.offset[chosen]
         if self.number is None:
             return Binding(self.terms, offset)
@@ -149,5 +149,5 @@ class Binding:
         return np.asarray(found)
 
     def margins(self, mean: Floats, factor: Floats) -> Margins:
-        """Of joint states (2, n, p), (2, n, k, p)."""
+        """Margins of joint states (2, n, p), (2, n, k, p)."""
         return Margins(self.along(mean.swapaxes(0, 1)) - self.offset, self.along(factor.swapaxes(0, 1)))

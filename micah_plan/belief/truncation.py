@@ -48,7 +48,7 @@ class Margins:
     row: Floats
 
     def where(self, chosen: Ints) -> Margins:
-        """Of the Gaussians with these numbers."""
+        """Margins of the Gaussians with these numbers."""
         return Margins(those(self.mean, chosen), those(self.row, chosen))
 
     def can_cross(self, probability: Floats) -> Booleans:
@@ -146,7 +146,7 @@ class _Plane:
     t: Floats
 
     def where(self, chosen: Booleans) -> _Plane:
-        """Those that a mask (p,) chooses."""
+        """The margins that a mask (p,) chooses."""
         return _Plane(self.m0[chosen], self.s0[chosen], self.m1[chosen], self.k[chosen], self.t[chosen])
 
 

@@ -50,7 +50,7 @@ class Attempt:
 
     @cached_property
     def limits(self) -> Limits:
-        """Of the problem."""
+        """Limits of the problem."""
         return limits_of(self.problem)
 
     def made_by(self, planner: Callable[[Attempt], Plan], level: Level) -> Plan:

@@ -222,7 +222,7 @@ def _missed(shortfall: Shortfall) -> str:
 
 
 def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
-    """What there is of room and what the belief needs."""
+    """The available room, and what the belief needs."""
     name = row.name if row.half_space is None else f"'{row.half_space.name}'"
     has, behind = quantity(room, row.unit), quantity(-room, row.unit)
     needs = f"the belief needs {quantity(need, row.unit)} at {percent(problem.settings.confidence)}"

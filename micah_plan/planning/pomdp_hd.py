@@ -138,7 +138,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
 
 
 def _time_limit(attempt: Attempt) -> float:
-    """What an optimisation may take now [s]."""
+    """Time limit of an optimisation that begins now [s]."""
     return min(attempt.problem.settings.time_limit_s, attempt.deadline.left_s)
 
 

@@ -75,7 +75,7 @@ class RecedingHorizon:
 
     @cached_property
     def _programme(self) -> WarmStartedProgramme:
-        """That of the whole plan, from where it starts."""
+        """The programme of the whole plan, from where it starts."""
         plan, stds = self._plan, np.linalg.norm(self._plan.factors[0], axis=1)
         start = Start(tuple(map(float, plan.means[0])), tuple(map(float, stds)), plan.modes[0])
         whole = replace(self._problem, start=start)

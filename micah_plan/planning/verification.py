@@ -85,7 +85,7 @@ class _Ends:
 def _ends(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> _Ends:
-    """That many roll-outs, at once or sequentially until they suffice."""
+    """Ends of `count` roll-outs, at once or sequentially until they suffice."""
     turns: list[RollOuts] = []
     in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
     for number, look in enumerate(looks_of(count, confidence) if sequential else (count,)):

@@ -49,7 +49,7 @@ class ModeSequence:
 
     @property
     def total(self) -> float:
-        """What sequences are ranked by [steps]."""
+        """Cost and uncertainty together, by which sequences are ranked [steps]."""
         return self.cost + self.uncertainty
 
 

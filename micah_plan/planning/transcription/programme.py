@@ -84,7 +84,7 @@ class Transcription:
 
     @property
     def programme(self) -> Programme:
-        """What a solver gets of it."""
+        """The programme for a solver."""
         bounds = np.concatenate(self.w_lower), np.concatenate(self.w_upper)
         rows = self.rows.lower, self.rows.upper
         return Programme(
