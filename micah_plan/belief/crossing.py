@@ -16,7 +16,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief.event import transition
-from micah_plan.belief.gaussian import SMALLEST_STD, those
+from micah_plan.belief.gaussian import SMALLEST_STD, those, weighted
 from micah_plan.belief.layout import Doors, Exit, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated
@@ -44,7 +44,7 @@ def whole_step(
     for tie in mode.mode.ties:
         weights = np.array(tie.weights)
         displacement[tie.coordinate] = weights @ displacement
-        end[tie.coordinate] = np.tensordot(weights, end, 1)
+        end[tie.coordinate] = weighted(weights, end)
     ends = np.empty((2, n, count))
     ends[0] = mean
     np.add(mean, displacement, out=ends[1])
@@ -168,7 +168,7 @@ def _binding(mean: Floats, factor: Floats, u: Floats, way: Exit) -> Binding:
 
 def _stds(weights: Floats, factor: Floats) -> Floats:
     """(r, p) stds of r weighted sums, weights (r, n), of states with factors (n, k, p)."""
-    rows = np.tensordot(weights, factor, 1)
+    rows = weighted(weights, factor)
     return np.asarray(np.sqrt(np.einsum("rkp,rkp->rp", rows, rows)))
 
 
@@ -190,7 +190,7 @@ def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Fl
         within[cut] *= np.where(inside >= NEGLIGIBLE, inside, 0.0)
         cut = cut[inside >= NEGLIGIBLE]
         own = those(factor, cut)
-        row = np.tensordot(weights, own[1], 1)
+        row = weighted(weights, own[1])
         mean[..., cut], factor[..., cut] = truncated(those(mean, cut), own, ahead[cut], row)
     return within
 
@@ -225,7 +225,7 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pi
         back, which = (normal / float(normal @ normal))[:, None], chosen[own]
         mean, factor, displacement = pieces.mean.copy(), pieces.factor.copy(), pieces.displacement.copy()
         mean[1][:, which] -= back * ends[number, own]
-        factor[1][..., which] -= back[:, None] * np.tensordot(a, those(factor[1], which), 1)
+        factor[1][..., which] -= back[:, None] * weighted(a, those(factor[1], which))
         displacement[:, which] -= back * (a @ those(displacement, which))
         pieces = replace(pieces, mean=mean, factor=factor, displacement=displacement)
     return pieces

@@ -12,7 +12,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import step_noise_std
-from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, lower_factors, put_at_pins
+from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, lower_factors, put_at_pins, weighted
 from micah_plan.belief.layout import Exit, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Pieces
 
@@ -46,9 +46,9 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         behind = after - met
         a, b, c = way.reset
         mean[0] = a @ mean[0] + b @ pieces.u + c[:, None]
-        met[:] = np.tensordot(a, met, 1)
+        met[:] = weighted(a, met)
         if way.is_self:
-            behind_mean, behind = a @ behind_mean, np.tensordot(a, behind, 1)
+            behind_mean, behind = a @ behind_mean, weighted(a, behind)
         np.add(met, behind, out=ahead)
     np.add(mean[0], behind_mean, out=mean[1])
     if way.is_self:
@@ -131,7 +131,7 @@ def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tupl
         mean[1, i], factor[1, i], displacement[i] = mean[0, i], factor[0, i], 0.0
     for tie in target.mode.ties:
         weights, i = np.array(tie.weights), tie.coordinate
-        mean[1, i], factor[1, i] = tie.offset + weights @ mean[1], np.tensordot(weights, factor[1], 1)
+        mean[1, i], factor[1, i] = tie.offset + weights @ mean[1], weighted(weights, factor[1])
         displacement[i] = weights @ displacement
     coordinates, std = noise
     for number, i in enumerate(coordinates):

@@ -41,6 +41,12 @@ def those(values: Values, chosen: Ints) -> Values:
     return values.take(chosen, axis=-1)
 
 
+def weighted(weights: Floats, factors: Floats) -> Floats:
+    """(..., k, p) sums of the rows of factors (n, k, p) with weights (..., n)."""
+    n, *rest = factors.shape
+    return np.asarray((weights @ factors.reshape(n, -1)).reshape(*weights.shape[:-1], *rest))
+
+
 def with_those(values: Floats, chosen: Ints, own: Floats) -> Floats:
     """Arrays (..., p) with others (..., c) for the ones with these numbers (c,)."""
     changed = values.copy()
