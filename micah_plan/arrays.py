@@ -1,4 +1,4 @@
-"""Names for the arrays of all signatures; their docstrings give shapes and units. And what is equal in them."""
+"""Names for the arrays of all signatures, whose docstrings give shapes and units; equal numbers in them."""
 
 from __future__ import annotations
 

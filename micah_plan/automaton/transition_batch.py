@@ -154,7 +154,7 @@ class _Travellers:
 
 @dataclass(frozen=True, eq=False)
 class _Instant:
-    """What has happened to k objects at one instant.
+    """The events of k objects at one instant.
 
     Attributes:
         arrived: number of the exit whose guard they arrived at; -1 as soon as an exit was taken.
@@ -168,11 +168,11 @@ class _Instant:
     slides: bool = False
 
     def where(self, chosen: Booleans) -> _Instant:
-        """Of some of them."""
+        """The instant of some of the objects."""
         return replace(self, taken=self.taken[:, chosen], entered=self.entered[:, chosen])
 
     def after(self, edge: int, target: int) -> _Instant:
-        """With one more edge taken, into a mode."""
+        """The instant with one more edge taken, into a mode."""
         taken, entered = self.taken.copy(), self.entered.copy()
         taken[edge] = entered[target] = True
         return _Instant(-1, taken, entered)
@@ -271,7 +271,7 @@ class TransitionBatch:
         mode = self._mode(group.mode)
         margin, rate = mode.margins(group.x, group.d, u[group.rows])
         holding = mode.holding(margin, rate)
-        if instant.arrived >= 0:  # rounding may leave a state a hair short of it
+        if instant.arrived >= 0:  # rounding may leave a state slightly short of it
             holding[instant.arrived] = True
         free = holding & ~instant.taken[mode.edges] & (mode.is_self[:, None] | ~instant.entered[mode.targets])
         leaves, number = np.asarray(free.any(axis=0)), free.argmax(axis=0)

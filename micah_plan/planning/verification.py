@@ -110,10 +110,10 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
 
 
 def looks_of(trials: int, confidence: float) -> tuple[int, ...]:
-    """After how many roll-outs, of so many, a sequential verification asks whether they suffice.
+    """After how many of the roll-outs a sequential verification tests whether they suffice.
 
-    A step of few roll-outs takes nearly as long as one of some more, so it asks once before the end: when a plan that
-    fails half as often as the confidence allows is expected to be told. Not at all where that is late.
+    A step of few roll-outs takes nearly as long as one of some more, so it tests once before the end: when a plan that
+    fails half as often as the confidence allows is expected to be decided. Not at all where that is late.
     """
     of_success, of_failure = _evidence(confidence)
     failing = 0.5 * (1.0 - confidence)

@@ -92,7 +92,7 @@ def draw_states(
     for k, pin in enumerate(held):
         pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
     pinned = [pin.coordinate for pin in mode.pins]
-    # What the drawn coordinates alone must come to, in each half-space of each object.
+    # Thresholds for the drawn coordinates alone, in each half-space of each object.
     least = np.array([h.c for h in rows]) - shifts @ growth.T - pins @ normals[:, pinned].T
     normals[:, pinned] = 0.0
     mean, std = np.array(start.mean, dtype=float), np.array(start.std, dtype=float)
@@ -124,7 +124,7 @@ def draw_states(
 
 
 def _hold(found: Floats, least: Floats, strict: Booleans) -> Booleans:
-    """(...,) whether values (..., r) of half-spaces reach what is asked of them (r,)."""
+    """(...,) whether values (..., r) of half-spaces reach their thresholds (r,)."""
     return np.asarray(((found > least) | ((found == least) & ~strict)).all(axis=-1))
 
 

@@ -113,7 +113,7 @@ class _Side:
     stds: Floats
 
     def row(self, mode: str, first_knot: int, step: int, uncertain: bool) -> CorridorRow:
-        """At a knot of the phase."""
+        """The row at a knot of the phase."""
         own = Row(mode, first_knot + step, self.name, self.unit, 0.0, np.inf, "boundary", self.half_space, self.sign)
         at = float(self.spreads[step]), float(self.margins[step]), float(self.stds[step])
         return CorridorRow(own, self.normal, self.offset, step, uncertain, self.scale, *at)
