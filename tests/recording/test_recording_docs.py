@@ -24,10 +24,10 @@ def test_the_example_on_the_page_is_a_recording(repository: Path, tmp_path: Path
     assert table == set(KNOWN)
 
 
-def test_the_error_on_the_start_page_is_what_is_said(
+def test_the_error_on_the_page_is_what_is_said(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = (repository / "docs" / "install" / "start.md").read_text(encoding="utf-8")
+    page = (repository / "docs" / "concepts" / "recording.md").read_text(encoding="utf-8")
     (shown,) = re.findall(r"^door\.csv, line .*$", page, flags=re.MULTILINE)
     times = [0.05 * row for row in range(38)] + [2.25, 2.1]
     monkeypatch.chdir(tmp_path)
