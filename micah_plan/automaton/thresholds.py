@@ -70,9 +70,12 @@ def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAut
 def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) -> HybridAutomaton:
     """The automaton with its uncertain boundaries moved by (b,) amounts, and known to (b,) stds instead of its own.
 
-    The variance of a pin at a boundary falls by as much as that of its boundary.
+    The variance of a pin at a boundary falls by as much as that of its boundary. The automaton itself where nothing has
+    been learned of them.
     """
     before = boundary_stds(automaton)
+    if not np.any(by) and np.array_equal(stds, list(before.values())):
+        return automaton
     now = dict(zip(before, map(float, stds), strict=True))
     moved = with_shifted_thresholds(automaton, by)
 
