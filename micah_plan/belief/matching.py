@@ -57,8 +57,8 @@ def assembled(
         several, at = _gathered(arrived, numbers, others)
         weights[merged], means[:, merged], factors[..., merged] = _mixtures(several, at, pieces[merged])
     if remembered is not None:
-        for register in layout.automaton.input_memories:
-            memory = slice(register.first, register.first + register.size)
+        for of_input in layout.automaton.input_memories:
+            memory = slice(of_input.first, of_input.first + of_input.size)
             means.reshape(n, q, count)[memory] = remembered[memory, None]
     shares = weights.reshape(q, count)
     return BeliefBatch.of(shares / shares.sum(axis=0), means, factors, layout.own)

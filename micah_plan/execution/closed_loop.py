@@ -235,11 +235,11 @@ class Episode:
         automaton, goal = self._problem.automaton, self._problem.goal
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
         misses = []
-        for i, value, tolerance in goal.target:
+        for (i, _, tolerance), away, missed in zip(goal.target, goal.distances(x), goal.misses(x), strict=True):
             name, unit = automaton.coordinates[i].name, automaton.coordinates[i].unit
-            if abs(x[i] - value) > tolerance:
-                away = quantity(abs(x[i] - value), unit)
-                misses.append(f"{name} {is_} {away} from its target (tolerance {quantity(tolerance, unit)})")
+            if missed:
+                asked = quantity(tolerance, unit)
+                misses.append(f"{name} {is_} {quantity(float(away), unit)} from its target (tolerance {asked})")
         if not goal.admits(mode):
             misses.append(f"the {true} mode is {mode}, not {' or '.join(goal.modes)}")
         return [*misses, *self._path.sentences()]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from micah_plan.arrays import Floats
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import path_cost
 from micah_plan.task.plan import Trajectory
@@ -35,6 +36,14 @@ def goal_cost(problem: Problem, mean: Value) -> Value:
     """Cost of the goal error of a last mean [rad or m]."""
     weight = problem.settings.weight_goal
     return sum(weight * ((mean[index] - value) / tolerance) ** 2 for index, value, tolerance in problem.goal.target)
+
+
+def goal_weights(problem: Problem) -> Floats:
+    """(n,) what `goal_cost` weighs the squared error of each coordinate with; 0 where the goal is free."""
+    weights = np.zeros(problem.automaton.n)
+    for index, _, tolerance in problem.goal.target:
+        weights[index] += problem.settings.weight_goal / tolerance**2
+    return weights
 
 
 def variance_cost(problem: Problem, variance: Value) -> Value:

@@ -11,7 +11,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.turning import matrix_after
-from micah_plan.planning.cost import in_steps
+from micah_plan.planning.cost import goal_weights, in_steps
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits
 from micah_plan.task.plan import Trajectory
@@ -55,9 +55,7 @@ def belief_lqr(
     automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
     tracking = np.diag(_TRACKING_WEIGHT / limits.speed**2)
     effort = np.diag(1.0 / limits.max_step**2)
-    goal = np.zeros((n, n))
-    for index, _, tolerance in problem.goal.target:
-        goal[index, index] += in_steps(problem, problem.settings.weight_goal) / tolerance**2
+    goal = np.diag(in_steps(problem, goal_weights(problem)))
     value = tracking + goal
     if automaton.input_memories:  # what still arrives after the last knot counts too, else the last inputs are huge
         last = np.array(problem.start.mean) if around is None else around[0][-1]

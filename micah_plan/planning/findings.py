@@ -110,9 +110,10 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
     automaton = problem.automaton
     edges = (automaton.edges[i] for i in samples.exits)
     moved = np.any([automaton.mode(name).driven for name in _reachable(samples.start[0], edges)], axis=0)
-    for index, value, tolerance in problem.goal.target:
+    missed = problem.goal.misses(np.array(problem.start.mean))
+    for (index, value, tolerance), apart in zip(problem.goal.target, missed, strict=True):
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
-        if not moved[index] and abs(start - value) > tolerance:
+        if apart and not moved[index]:
             return (
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"

@@ -149,9 +149,9 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         sentence = f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
         remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
         found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
-    for index, value, tolerance in goal.target:
-        coordinate, distance = automaton.coordinates[index], np.abs(ends.states[:, index] - value)
-        missed, need = distance > tolerance, float(np.quantile(distance, confidence))
+    of_target = goal.target, goal.distances(ends.states).T, goal.misses(ends.states).T
+    for (index, value, tolerance), distance, missed in zip(*of_target, strict=True):
+        coordinate, need = automaton.coordinates[index], float(np.quantile(distance, confidence))
         if need <= tolerance:
             continue
         elsewhere = _elsewhere(names, missed, modes)

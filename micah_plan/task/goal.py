@@ -41,10 +41,15 @@ class Goal:
 
     def holds(self, x: Floats) -> Booleans:
         """(...) whether states (..., n) are within every tolerance, whatever their mode."""
-        inside = np.ones(np.shape(x)[:-1], dtype=bool)
-        for index, value, tolerance in self.target:
-            inside &= np.abs(x[..., index] - value) <= tolerance
-        return inside
+        return np.asarray(~self.misses(x).any(axis=-1))
+
+    def distances(self, x: Floats) -> Floats:
+        """(..., k) how far states (..., n) are from each target [rad or m]."""
+        return np.abs(x[..., list(self.indices)] - [value for _, value, _ in self.target])
+
+    def misses(self, x: Floats) -> Booleans:
+        """(..., k) whether states (..., n) are further from each target than its tolerance."""
+        return np.asarray(self.distances(x) > [tolerance for _, _, tolerance in self.target])
 
     def reached_from(self, x: Floats) -> Floats:
         """(n,) the state x (n,) with the goal's values in place of its own."""
@@ -55,7 +60,7 @@ class Goal:
 
     def error(self, x: Floats) -> float:
         """Largest distance of a constrained coordinate of x (n,) from its target [rad or m]; 0 if there is none."""
-        return max((abs(float(x[index]) - value) for index, value, _ in self.target), default=0.0)
+        return float(self.distances(x).max(initial=0.0))
 
     def std(self, factor: Floats) -> float:
         """Largest std of a constrained coordinate for a square root (n, K) of the covariance; 0 if there is none."""
