@@ -22,6 +22,8 @@ from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, p
 from micah_plan.errors import InputError
 
 ROTATION_LENGTH = 0.2
+_TURNS, _SHIFTS = ("rotation_1", "rotation_2", "rotation_3"), ("position_1", "position_2", "position_3")
+_PARAMETERS = ("axis_1", "axis_2", "center_1", "center_2", "pitch", *_TURNS, *_SHIFTS)
 _NO_INFORMATION = 1e-12
 _NO_PITCH = 1e-7
 _MOST_ITERATIONS = 50
@@ -198,8 +200,7 @@ def inverse_jacobian(
 def shifted(joint: Joint, offset: float) -> Joint:
     """The same motion counted from configuration `offset`: c' = c - offset, so f'(c') = f(c).
 
-    The covariance keeps the parameters that do not depend on where counting starts (axis, pitch, and the centre of a
-    revolute joint); those of the origin pose are dropped, except for a rigid joint, whose pose does not move.
+    Carries the covariance along: the origin there depends on the axis, and is again compared where poses are closest.
     """
     if joint.kind == "rigid":
         return replace(joint, held=joint.held - offset)
@@ -209,8 +210,39 @@ def shifted(joint: Joint, offset: float) -> Joint:
         moved = prismatic(joint.axis, position, quaternion)
     else:
         moved = turning(joint.kind, joint.axis, joint.center, joint.pitch, position, quaternion)
-    kept = ("axis_1", "axis_2", "pitch") + (("center_1", "center_2") if joint.kind == "revolute" else ())
-    return replace(moved, covariance=_marginal(joint.covariance, kept))
+    covariance = joint.covariance
+    if covariance is not None:
+        slopes = _origin_slopes(joint, offset, _TURNS[0] in covariance.names)
+        index = [_PARAMETERS.index(name) for name in covariance.names]
+        slopes = slopes[np.ix_(index, index)]
+        matrix = slopes @ np.array(covariance.matrix) @ slopes.T
+        covariance = _covariance(covariance.names, 0.5 * (matrix + matrix.T))
+    return replace(moved, covariance=covariance)
+
+
+def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
+    """(11, 11) derivative of the parameters counted from configuration c by those counted from 0."""
+    axis, basis = np.array(joint.axis), axis_basis(joint.axis)
+    slopes, tilt, shift, rotation, position = np.eye(11), slice(2), slice(2, 4), slice(5, 8), slice(8, 11)
+    if joint.kind == "prismatic":
+        slopes[position, tilt] = c * np.cross(basis, axis).T
+    else:
+        turn = Rotation.from_rotvec(c * axis).as_matrix()
+        arm = np.subtract(joint.position, joint.center)
+        along = joint.pitch * c * np.cross(basis, axis)
+        slopes[shift, tilt] = basis @ along.T
+        slopes[rotation, tilt] = basis.T - turn @ basis.T
+        slopes[rotation, rotation] = slopes[position, position] = turn
+        slopes[position, tilt] = (np.cross(basis, turn @ arm) + along).T - turn @ np.cross(basis, arm).T
+        slopes[position, shift] = basis.T - turn @ basis.T
+        slopes[position, 4] = c * axis
+    # What is left along the motion is another configuration, and no other joint.
+    scale = np.repeat([ROTATION_LENGTH if has_rotation else 0.0, 1.0], 3)
+    direction = jacobian(joint, c)[0]
+    weighted = scale**2 * direction
+    if direction @ weighted > _NO_INFORMATION:
+        slopes[5:] -= np.outer(direction, weighted @ slopes[5:]) / (direction @ weighted)
+    return slopes
 
 
 def reversed_direction(joint: Joint) -> Joint:
@@ -238,15 +270,6 @@ def poses_of_states(automaton: HybridAutomaton, mode: Mode, states: Floats) -> d
         relative = forward(joint, states[:, link.coordinate])
         poses[link.child] = poses[link.parent] * relative if link.parent in poses else relative
     return poses
-
-
-def _marginal(covariance: ParameterCovariance | None, kept: tuple[str, ...]) -> ParameterCovariance | None:
-    if covariance is None:
-        return None
-    index = [i for i, name in enumerate(covariance.names) if name in kept]
-    if not index:
-        return None
-    return _covariance(tuple(covariance.names[i] for i in index), np.array(covariance.matrix)[np.ix_(index, index)])
 
 
 def _covariance(names: tuple[str, ...], matrix: Floats) -> ParameterCovariance:

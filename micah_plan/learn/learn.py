@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from micah_plan.automaton.certainty import EdgeCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import reversed_direction
+from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.inliers import find_inliers
@@ -26,7 +26,7 @@ from micah_plan.learn.segmenting.coarsening import LEAST_TRUST, trust_in
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of, sweeps_of
-from micah_plan.learn.segments import FittedPiece, configurations, shifted_with_origin, to_segment
+from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.short_runs import cut_into_runs, one_after_another
 from micah_plan.learn.track import PartTrack, part_track
@@ -231,7 +231,7 @@ def _alignment(
 
 
 def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
-    return shifted_with_origin(reversed_direction(joint) if backwards else joint, -offset)
+    return shifted(reversed_direction(joint) if backwards else joint, -offset)
 
 
 def _rows(one: FittedPiece | Segment) -> int:

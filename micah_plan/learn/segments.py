@@ -88,16 +88,10 @@ def chained(
             start = _configuration_of(last, joint, noise)
         elif last is not None:
             reached, start = _meeting(last, reached, joint, start, noise)
-        joint = shifted_with_origin(joint, start - reached)
+        joint = shifted(joint, start - reached)
         chain.append(replace(one, joint=joint))
         reached = _near(joint, one.end, one, track, inlier, noise)
     return chain[len(before) :]
-
-
-def shifted_with_origin(joint: Joint, offset: float) -> Joint:
-    """`shifted`, keeping the covariance: the origin's is the pose's across the joint, much the same all along it."""
-    moved = shifted(joint, offset)
-    return replace(moved, covariance=joint.covariance)
 
 
 def to_segment(

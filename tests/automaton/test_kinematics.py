@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -31,6 +33,7 @@ from micah_plan.automaton.kinematics import (
     twist,
 )
 from micah_plan.errors import InputError
+from micah_plan.learn.joints.parametrization import chart_of, stepped
 
 KINDS = ("prismatic", "revolute", "screw")
 quick = settings(max_examples=60, deadline=None)
@@ -323,8 +326,32 @@ class TestChanges:
         np.testing.assert_allclose(as_vectors(reversed_direction(known)), as_vectors(known), atol=1e-15)
         np.testing.assert_allclose(as_vectors(shifted(known, 0.4)), as_vectors(known), atol=1e-15)
 
-    def test_covariance_of_the_origin_is_dropped_by_a_shift_and_halves_of_a_pair_by_a_change_of_base(self) -> None:
+    @pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
+    @pytest.mark.parametrize("has_rotation", [True, False])
+    def test_a_shift_carries_errors_of_the_parameters_to_the_new_origin(self, kind: str, has_rotation: bool) -> None:
+        joint, offset, rng = random_joint(kind, 4), 0.7, np.random.default_rng(8)
+        chart = chart_of(joint, has_rotation)
+        numbers = 1e-5 * rng.standard_normal(chart.free.shape[1])
+        wrong = stepped(joint, chart, numbers)
+        error = chart.free @ numbers
+        known = replace(
+            joint, covariance=ParameterCovariance(chart.names, tuple(map(tuple, np.outer(error, error).tolist())))
+        )
+        moved, basis = shifted(known, offset), axis_basis(joint.axis)
+        assert wrong is not None
+        assert moved.covariance is not None
+        # The other joint is counted from where it comes closest.
+        rotation = Rotation.from_quat(moved.quaternion)
+        measured = rotation if has_rotation else None
+        other = shifted(wrong, float(inverse(wrong, moved.position, measured, near=offset)[0]))
+        parts = [basis @ np.cross(moved.axis, other.axis)]
+        parts += [basis @ np.subtract(other.center, moved.center)] if kind != "prismatic" else []
+        parts += [[other.pitch - moved.pitch]] if kind == "screw" else []
+        parts += [(Rotation.from_quat(other.quaternion) * rotation.inv()).as_rotvec()] if has_rotation else []
+        there = np.concatenate([*parts, np.subtract(other.position, moved.position)])
+        np.testing.assert_allclose(moved.covariance.matrix, np.outer(there, there), atol=2e-3 * (there**2).max())
+
+    def test_halves_of_a_pair_are_dropped_by_a_change_of_base(self) -> None:
         both = ParameterCovariance(("axis_1", "position_1"), ((1e-4, 1e-5), (1e-5, 1e-4)))
         joint = Joint(**{**prismatic([0, 0, 1], [1, 2, 3]).__dict__, "covariance": both})
-        assert shifted(joint, 0.1).covariance == ParameterCovariance(("axis_1",), ((1e-4,),))
         assert rebased(joint, random_transform(1)).covariance is None
