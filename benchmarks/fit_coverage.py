@@ -130,7 +130,7 @@ def trial(case: Case, seed: int) -> tuple[FittedJoint, float]:
     if guess is None:
         raise ValueError("the guess is too far away")
     begin = process_time()
-    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), rng, 24)
+    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), rng)
     return fitted, process_time() - begin
 
 

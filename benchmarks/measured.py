@@ -22,6 +22,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.learn.joints.final_fit import fit_joint
+from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration, FoundEffect, calibrate
@@ -39,9 +40,8 @@ def model_of(name: str, recording: Recording) -> HybridAutomaton:
     along = place[-1] - place[0]
     middle = place[0] + np.cross((0.0, 0.0, 1.0), along)
     guess = prismatic(along, place[0]) if name in SLIDES else revolute((0.0, 0.0, 1.0), middle, place[0])
-    fitted = fit_joint(
-        guess, place, None, np.arange(count, dtype=float), np.ones(count), np.random.default_rng(0), draws=200
-    )
+    time, settings = np.arange(count, dtype=float), LearnSettings(draws=200)
+    fitted = fit_joint(guess, place, None, time, np.ones(count), np.random.default_rng(0), settings)
     c = inverse(fitted.joint, place)
     wide = MARGIN * float(np.ptp(c))
     low, high = float(c.min()) - wide, float(c.max()) + wide

@@ -220,8 +220,7 @@ def _joints(
             track.time[rows],
             inlier[rows].astype(float),
             rng,
-            settings.draws,
-            settings.outlier_weight,
+            settings,
         ).joint
     return found
 

@@ -22,7 +22,8 @@ class LearnSettings:
         wander_durations: time over which that error forgets, in durations of the run, which makes the result
             independent of the sampling rate and of the unit of time.
         position_misfit, rotation_misfit: how far real joints and trackers deviate from what models say
-            [m, rad]; the smaller the noise is against this, the less a row counts.
+            [m, rad]; the smaller the noise is against this, the less a row counts, and the covariance of joints
+            expects deviations of about that size.
         trust: power of the likelihood; None: from the noise and these deviations, one power for all parts.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments

@@ -9,6 +9,9 @@ from micah_plan.learn.joints.mixture import Sort, fit_mixtures
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
 from micah_plan.learn.segmenting.noise_fit import correlated
 
+NONE = np.zeros((1000, 0))  # modes of a joint that has no misfit
+SCALE = (1e-12, 1.0)
+
 
 def uneven(n: int, rng: np.random.Generator) -> np.ndarray:
     """Times with uneven steps and a pause."""
@@ -47,7 +50,7 @@ def test_scales_are_those_planted(white: float, wander: float, memory: float) ->
     design = np.stack([np.ones(600), time / time[-1]], axis=1)[:, None, :] * np.ones((1, 3, 1))
     error = white * rng.standard_normal((600, 3)) + wander * slow + (design @ np.array([3.0, -5.0]))
     processes = [OrnsteinUhlenbeck(time, one) for one in memories(time).tolist()]
-    found = noise_posterior(processes, error, design, 1e-12)
+    found = noise_posterior(processes, NONE[: len(error)], error, design, SCALE)
     assert found is not None
     share = np.exp(found.log_likelihood - found.log_likelihood.max())
     share /= share.sum()
@@ -67,7 +70,7 @@ def test_parameters_that_were_fitted_are_paid_for() -> None:
     for _ in range(200):
         design, error = rng.standard_normal((16, 1, 8)), rng.standard_normal((16, 1))
         left = error[:, 0] - design[:, 0] @ np.linalg.lstsq(design[:, 0], error[:, 0], rcond=None)[0]
-        found = noise_posterior(processes, left[:, None], design, 1e-12)
+        found = noise_posterior(processes, NONE[:16], left[:, None], design, SCALE)
         assert found is not None
         variances.append(float((found.white + found.wander).mean()))
     # The posterior mean of a variance of 8 degrees of freedom is 8/6 of it; unpaid parameters would give about 0.6.
@@ -77,7 +80,7 @@ def test_parameters_that_were_fitted_are_paid_for() -> None:
 def test_too_few_rows_tell_no_noise() -> None:
     time = np.arange(3.0)
     processes = [OrnsteinUhlenbeck(time, one) for one in memories(time).tolist()]
-    assert noise_posterior(processes, np.ones((3, 1)), np.eye(3)[:, None, :], 1e-12) is None
+    assert noise_posterior(processes, NONE[:3], np.ones((3, 1)), np.eye(3)[:, None, :], SCALE) is None
 
 
 def test_a_mixture_finds_its_spread_and_its_outliers() -> None:

@@ -6,7 +6,6 @@ outliers); generalized least squares on SE(3) under the noise that they leave fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +22,9 @@ from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
 from micah_plan.learn.joints.quaternions import times
-from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, noise_of, white_noise
+from micah_plan.learn.joints.tracker_noise import ErrorPosterior, Scales, TrackerNoise, noise_of, white_noise
+from micah_plan.learn.settings import LearnSettings
 
-OUTLIER_WEIGHT = 10.0
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
 _POSITION_SPAN = 1.0  # m, where the rows span less
@@ -65,8 +64,7 @@ def fit_joint(
     time: Floats,
     weight: Floats,
     rng: np.random.Generator,
-    draws: int,
-    outlier_weight: float = OUTLIER_WEIGHT,
+    settings: LearnSettings | None = None,
 ) -> FittedJoint:
     """The joint of the guess's kind that makes the rows most likely.
 
@@ -77,10 +75,10 @@ def fit_joint(
         time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
         weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
         rng: draws the minimal sets; the same seed gives the same joint.
-        draws: how many minimal sets.
-        outlier_weight: w of p(γ) ∝ exp(-w γ).
+        settings: number of minimal sets, prior of outliers, size of a joint's misfit; None: the defaults.
     """
-    rows = _Rows(position, _units(quaternion), weight, outlier_weight)
+    settings = settings or LearnSettings()
+    rows = _Rows(position, _units(quaternion), weight, settings.outlier_weight)
     used = np.flatnonzero(weight > 0.5)
     need = minimal_rows(guess.kind, quaternion is not None)
     if len(used) <= need:
@@ -88,19 +86,20 @@ def fit_joint(
     used = used[np.argsort(time[used], kind="stable")]
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
-    start, stds = _best_start(guess, rows, used, rng, 0 if trusting else draws)
+    start, stds = _best_start(guess, rows, used, rng, 0 if trusting else settings.draws)
     believed = _believed(start, stds, rows, used, trusting)
     if believed is None:
         return rows.judged(start)
     fit, kept, stds = believed
-    posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], stds, _LEAST_STDS)
+    scales = Scales(_LEAST_STDS, (settings.rotation_misfit, settings.position_misfit))
+    posterior = noise_of(fit.contrasts, fit.chart.in_frame, time[kept], fit.seen.configuration, stds, scales)
     if posterior is None:
         return rows.judged(fit.joint)
-    noise = likeliest(posterior)
+    noise = posterior.likeliest
     before = _counted_as(fit.joint, guess, quaternion is not None)
     helix = None
     if guess.kind == "screw" and quaternion is None:
-        helix = fit_helix(before, position[kept], time[kept], noise, _LEAST_STDS)
+        helix = fit_helix(before, position[kept], time[kept], noise, scales)
     joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
     judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     return replace(judged, position_std=noise.stds[1], rotation_std=noise.stds[0] if quaternion is not None else 0.0)
@@ -111,7 +110,7 @@ def _refined(
     position: Floats,
     quaternion: Floats | None,
     noise: TrackerNoise,
-    posterior: Sequence[tuple[float, TrackerNoise]],
+    posterior: ErrorPosterior,
 ) -> Joint:
     """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
     fit = fit_likelihood(before, position, quaternion, noise)

@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.linalg import block_diag
-from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
+from micah_plan.learn.joints.covering import covering
 from micah_plan.learn.joints.helix import NUMBERS, Helix, chart_slopes, helix_of
-from micah_plan.learn.joints.joint_frame import cross, frame_of, seen_by
-from micah_plan.learn.joints.likelihood import Fit, normal_equations, pull_covariance, seen_with
+from micah_plan.learn.joints.joint_frame import cross, seen_by
+from micah_plan.learn.joints.likelihood import Fit, error_covariance, normal_equations, seen_with
 from micah_plan.learn.joints.parametrization import Chart, chart_of
-from micah_plan.learn.joints.tracker_noise import TrackerNoise, likeliest, log_evidence, noise_of, wanders
+from micah_plan.learn.joints.tracker_noise import Scales, TrackerNoise, log_evidence, noise_of, wanders
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck
 
 _LEADS = np.radians(np.linspace(-84.0, 84.0, 9))
@@ -33,9 +32,6 @@ _FIRST_STEPS = 25
 _CONVERGED = 0.01  # nats
 _LARGEST_TURN = 0.5  # rad, of one step
 _LEAST_CURVATURE = 0.3  # of what it was, after one step
-_SURE = 0.95
-_QUANTILE = 1.959964
-_BISECTIONS = 30
 _UNKNOWN = 1.0  # rad, m, 1/m: std of what the rows say nothing about
 
 
@@ -54,12 +50,12 @@ class _Tried:
 class _Rows:
     position: Floats
     wanders: list[OrnsteinUhlenbeck]
-    least: tuple[float, float]
+    scales: Scales
     like: Joint
 
 
 def fit_helix(
-    start: Joint, position: Floats, time: Floats, noise: TrackerNoise, least: tuple[float, float]
+    start: Joint, position: Floats, time: Floats, noise: TrackerNoise, scales: Scales
 ) -> tuple[Joint, TrackerNoise] | None:
     """The screw of the median lead angle, with its covariance, and the noise that it leaves; None of a straight path.
 
@@ -67,11 +63,11 @@ def fit_helix(
         start: a screw near the rows, of any lead angle; the answer counts from where it counts.
         position, time: (n, 3) [m] and (n,) [s] of rows without outliers.
         noise: rough one.
-        least: smallest stds of noise to believe in.
+        scales: of noise and misfit.
     """
     seen = seen_by(start, position, None, 1.0)
     middle = float(np.mean(seen.configuration)) * float(np.hypot(seen.radius, start.pitch))
-    helix, rows = helix_of(start, middle), _Rows(position, wanders(time), least, start)
+    helix, rows = helix_of(start, middle), _Rows(position, wanders(time), scales, start)
     if helix is None:
         return None
     first = _fitted(helix, rows, noise, NUMBERS, _FIRST_STEPS)
@@ -89,15 +85,17 @@ def fit_helix(
     middle = float(np.interp(0.5, np.cumsum(chance) - 0.5 * chance, lead))
     nearest = min(tried, key=lambda one: abs(one.helix.lead - middle))
     (median,) = _at(nearest, np.array([middle]), rows, noise)
-    posterior = noise_of(median.fit.contrasts, median.fit.chart.in_frame, time, noise.stds, least)
+    posterior = noise_of(
+        median.fit.contrasts, median.fit.chart.in_frame, time, median.fit.seen.configuration, noise.stds, scales
+    )
     if posterior is None:
         return None
-    noise = likeliest(posterior)
+    noise = posterior.likeliest
     median = _fitted(median.helix, rows, noise, NUMBERS - 1)
     slopes, prior = median.slopes[:, :-1], np.eye(NUMBERS - 1) / _UNKNOWN**2
     spread = np.linalg.inv(median.information[:-1, :-1] + prior)
-    pull = slopes.T @ pull_covariance(median.fit, noise, posterior) @ slopes + prior
-    return _covered(median, tried, chance, spread @ pull @ spread, start), noise
+    spread = error_covariance(median.fit, noise, posterior, spread @ slopes.T, spread @ prior @ spread)
+    return _covered(median, tried, chance, spread, start), noise
 
 
 def _over_leads(start: _Tried, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
@@ -162,7 +160,7 @@ def _seen(helix: Helix, rows: _Rows, noise: TrackerNoise) -> tuple[_Tried, Float
 def _log_density(one: _Tried, rows: _Rows) -> float:
     """Ln density of the lead angle, all other numbers and the noise integrated out."""
     within = one.fit.chart.in_frame @ one.slopes[:, :-1]
-    return log_evidence(one.fit.contrasts, within, rows.wanders, rows.least)
+    return log_evidence(one.fit.contrasts, within, rows.wanders, one.fit.seen.configuration, rows.scales)
 
 
 def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
@@ -192,10 +190,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     joint, chart, _ = _counted_from(median, start)
     values, vectors = np.linalg.eigh(spread)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))
-    # In the joint's frame, so that nothing hangs on the base's.
-    frame, _ = frame_of(joint)
-    planar = frame[:2] @ chart.basis.T
-    turn = np.asarray(block_diag(planar, planar, 1.0, frame))
+    turn = chart.turn  # in the joint's frame nothing hangs on the base's
     offs, all_slopes = [], []
     for one in tried:
         other, other_chart, slopes = _counted_from(one, start)
@@ -204,9 +199,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     between = _interpolation(len(tried))
     off, slope = between @ np.array(offs), np.tensordot(between, all_slopes, 1)
     matrix = (chance[:, None] * off).T @ off + np.einsum("i,ijr,ikr->jk", chance, slope, slope)
-    wide = _half_width(chance, off, np.sqrt((slope**2).sum(axis=2))) / _QUANTILE
-    scale = wide / np.maximum(np.sqrt(np.diag(matrix)), 1e-300)
-    matrix = turn.T @ (matrix * scale[:, None] * scale) @ turn
+    matrix = turn.T @ covering(matrix, chance, off, np.sqrt((slope**2).sum(axis=2))) @ turn
     rows = (0.5 * (matrix + matrix.T)).tolist()
     return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
 
@@ -218,17 +211,6 @@ def _counted_from(one: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
     joint = one.helix.joint(length, start)
     chart = chart_of(joint, False)
     return joint, chart, chart_slopes(one.helix, length, joint, chart)
-
-
-def _half_width(chance: Floats, off: Floats, std: Floats) -> Floats:
-    """(k,) half width of the interval about 0 that holds 95 % of a mixture of normals (m, k)."""
-    std = np.maximum(std, 1e-12)
-    low, high = np.zeros(off.shape[1]), (np.abs(off) + 4 * std).max(axis=0)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        inside = chance @ (ndtr((middle - off) / std) - ndtr((-middle - off) / std))
-        low, high = np.where(inside < _SURE, middle, low), np.where(inside < _SURE, high, middle)
-    return np.asarray(high)
 
 
 def _carried(other: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:

@@ -6,7 +6,6 @@ is that of this estimator under the whole posterior of the noise (a sandwich), n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +13,10 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
+from micah_plan.learn.joints.covering import covering
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
-from micah_plan.learn.joints.tracker_noise import TrackerNoise
+from micah_plan.learn.joints.tracker_noise import ErrorPosterior, TrackerNoise
 
 _STEPS = 25
 _UNKNOWN = 1.0  # rad, m, m/rad: std of what the rows say nothing about
@@ -68,22 +68,39 @@ def fit_likelihood(
     return fit
 
 
-def parameter_covariance(
-    fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]
-) -> ParameterCovariance:
-    """Covariance of a fitted joint's parameters: weights of one noise, errors of the posterior of the noise.
+def parameter_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior) -> ParameterCovariance:
+    """Covariance of a fitted joint's parameters: weights of one noise, errors of the posterior of errors.
 
     What the rows do not determine has a std of about 1 rad, 1 m or 1 m/rad.
     """
     information, _, _ = normal_equations(fit, noise)
     prior = np.eye(len(information)) / _UNKNOWN**2
     spread = np.linalg.inv(information + prior)
-    matrix = spread @ (prior + pull_covariance(fit, noise, posterior)) @ spread.T
-    matrix = fit.chart.free @ matrix @ fit.chart.free.T
+    # In the joint's frame, so that nothing hangs on the base's.
+    gain = fit.chart.in_frame @ spread
+    matrix = fit.chart.turn.T @ error_covariance(fit, noise, posterior, gain, gain @ prior @ gain.T) @ fit.chart.turn
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     rows = (0.5 * (matrix + matrix.T)).tolist()
     return ParameterCovariance(fit.chart.names, tuple(tuple(row) for row in rows))
+
+
+def error_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior, gain: Floats, besides: Floats) -> Floats:
+    """(k, k) covariance of numbers that errors move by a gain (k, p) times the pull; its stds cover.
+
+    Args:
+        besides: (k, k) covariance that they have anyway.
+    """
+    by_position, by_rotation = _pulled(fit, noise)
+    within = gain @ fit.chart.in_frame.T
+    noisy = within @ _noise_pull(by_position, by_rotation, posterior) @ within.T + besides
+    missed = [within @ _misfit_pull(one, posterior.modes) @ within.T for one in (by_position, by_rotation)]
+    sizes = np.stack([posterior.position, posterior.rotation])
+    mean = sizes @ posterior.chance
+    matrix = noisy + mean[0] * missed[0] + mean[1] * missed[1]
+    variances = np.diag(noisy) + sizes.T @ np.stack([np.diag(one) for one in missed])
+    std = np.sqrt(np.maximum(variances, 0.0))
+    return covering(matrix, posterior.chance, np.zeros_like(std), std)
 
 
 def normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:
@@ -106,8 +123,8 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floa
     return np.asarray(noise.process.whiten(wander / white, flat).reshape(columns.shape) / white)
 
 
-def pull_covariance(fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[float, TrackerNoise]]) -> Floats:
-    """(p, p) covariance of the pull, when noise of the posterior meets the weights of one noise."""
+def _pulled(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats]:
+    """(n, 3, 11) what errors of positions and of rotations pull, under weights of one noise."""
     n, _, p = fit.contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))
     for contrast in fit.contrasts:
@@ -116,8 +133,14 @@ def pull_covariance(fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[flo
             by_position += contrast.position.transpose(0, 2, 1) @ weighted
         if contrast.rotation is not None:
             by_rotation += contrast.rotation.transpose(0, 2, 1) @ weighted
+    return by_position, by_rotation
+
+
+def _noise_pull(by_position: Floats, by_rotation: Floats, posterior: ErrorPosterior) -> Floats:
+    """(p, p) covariance of the pull of a tracker's noise."""
+    n, _, p = by_position.shape
     total = np.zeros((p, p))
-    for probability, one in posterior:
+    for probability, one in posterior.noises:
         for columns, white, wander in (
             (by_position, one.position_white, one.position_wander),
             (by_rotation, one.rotation_white, one.rotation_wander),
@@ -127,5 +150,10 @@ def pull_covariance(fit: Fit, noise: TrackerNoise, posterior: Sequence[tuple[flo
             if one.process is not None and wander > 0:
                 wandered = one.process.covariance_times(columns.reshape(n, -1))
                 total += probability * wander * (flat.T @ wandered.reshape(-1, p))
-    within = fit.chart.in_frame
-    return np.asarray(within.T @ total @ within)
+    return total
+
+
+def _misfit_pull(columns: Floats, modes: Floats) -> Floats:
+    """(p, p) covariance of the pull (n, 3, p) of a misfit of variance 1 in every direction."""
+    pulled = np.tensordot(modes, columns, axes=(0, 0)).reshape(-1, columns.shape[2])
+    return np.asarray(pulled.T @ pulled)

@@ -44,12 +44,14 @@ class Chart:
         free: (k, p) named parameters per free number. The origin moves across the motion only, as closeness of poses
             with `kinematics.ROTATION_LENGTH` has it: two joints' origins are compared where they come closest.
         in_frame: (11, p) the same steps as numbers of the joint's frame.
+        turn: (11, k) numbers of the joint's frame per named parameter; its transpose leads back.
         basis: (2, 3) `axis_basis` of the joint; of no meaning for a rigid one.
     """
 
     names: tuple[str, ...]
     free: Floats
     in_frame: Floats
+    turn: Floats
     basis: Floats
 
 
@@ -75,7 +77,7 @@ def chart_of(joint: Joint, has_orientation: bool) -> Chart:
     change[8:, -3:] = frame
     if has_orientation:
         change[5:8, -6:-3] = frame
-    return Chart(before + after, free, change @ free, basis)
+    return Chart(before + after, free, change @ free, change, basis)
 
 
 def stepped(joint: Joint, chart: Chart, numbers: Floats) -> Joint | None:

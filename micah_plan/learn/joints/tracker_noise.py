@@ -9,10 +9,24 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.learn.joints.contrasts import Contrasts
+from micah_plan.learn.joints.misfit import misfit_modes
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
 from micah_plan.learn.joints.wander import NoisePosterior, OrnsteinUhlenbeck, finer, memories, noise_posterior
 
 _UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What is believed of errors before anything is seen.
+
+    Attributes:
+        least: smallest stds of noise to believe in, of a rotation [rad] and a position [m].
+        misfit: size of a typical misfit of a joint, of both.
+    """
+
+    least: tuple[float, float]
+    misfit: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +58,29 @@ class TrackerNoise:
         return white, wander
 
 
+@dataclass(frozen=True, eq=False)
+class ErrorPosterior:
+    """What is known of the errors of poses, given what a fit leaves.
+
+    Attributes:
+        noises: probabilities of correlation times, with the tracker's noise there.
+        modes: (n, m) of a misfit of the joint at the rows (`misfit_modes`).
+        chance: (s,) probabilities of sizes of that misfit.
+        position, rotation: (s,) its variances [m², rad²].
+    """
+
+    noises: tuple[tuple[float, TrackerNoise], ...]
+    modes: Floats
+    chance: Floats
+    position: Floats
+    rotation: Floats
+
+    @property
+    def likeliest(self) -> TrackerNoise:
+        """The noise of the likeliest correlation time."""
+        return max(self.noises, key=lambda one: one[0])[1]
+
+
 def white_noise(stds: tuple[float, float]) -> TrackerNoise:
     """Noise without wander, of a std of rotations [rad] and positions [m]."""
     return TrackerNoise(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
@@ -53,20 +90,22 @@ def noise_of(
     contrasts: Sequence[Contrasts],
     within: Floats,
     time: Floats,
+    configuration: Floats,
     stds: tuple[float, float],
-    least: tuple[float, float],
-) -> list[tuple[float, TrackerNoise]] | None:
-    """Posterior of the noise by correlation time, as (probability, noise); None where rows are too few to tell.
+    scales: Scales,
+) -> ErrorPosterior | None:
+    """Posterior of the noise and of the joint's misfit; None where rows are too few to tell.
 
     Args:
         contrasts: what a fit leaves.
         within: (11, p) the parameters that were fitted (`Chart.in_frame`).
-        time: (n,) of the fitted rows [s].
+        time, configuration: (n,) of the fitted rows [s], [rad or m].
         stds: rough ones, of a rotation [rad] and a position [m].
-        least: smallest stds to believe in.
+        scales: what is believed beforehand.
     """
     tried = memories(time)
-    found = _posteriors(contrasts, within, wanders(time), least)
+    modes = misfit_modes(configuration)
+    found = _posteriors(contrasts, within, wanders(time), modes, scales)
     if found is None:
         return None
     score = np.sum([one.log_likelihood for one in found], axis=0)
@@ -74,7 +113,7 @@ def noise_of(
     probability[probability < _UNLIKELY] = 0.0
     probability /= probability.sum()
     position, rotation = found[0], found[1] if len(found) > 1 else None
-    return [
+    noises = tuple(
         (
             float(probability[i]),
             TrackerNoise(
@@ -87,7 +126,20 @@ def noise_of(
         )
         for i, memory in enumerate(finer(tried))
         if probability[i]
-    ]
+    )
+    chance, size = _sizes(position, probability)
+    if rotation is None:
+        return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size))
+    turning_chance, turning_size = _sizes(rotation, probability)
+    # A position and a rotation miss by sizes of their own: every pair of these.
+    both = np.outer(chance, turning_chance).ravel()
+    return ErrorPosterior(noises, modes, both, np.repeat(size, len(turning_size)), np.tile(turning_size, len(size)))
+
+
+def _sizes(found: NoisePosterior, probability: Floats) -> tuple[Floats, Floats]:
+    """(s,) probabilities and variances of a misfit, over correlation times of given probabilities (f,)."""
+    chance = found.chance @ probability
+    return chance, (found.chance * found.misfit) @ probability / np.maximum(chance, 1e-300)
 
 
 def wanders(time: Floats) -> list[OrnsteinUhlenbeck]:
@@ -96,16 +148,20 @@ def wanders(time: Floats) -> list[OrnsteinUhlenbeck]:
 
 
 def log_evidence(
-    contrasts: Sequence[Contrasts], within: Floats, tried: list[OrnsteinUhlenbeck], least: tuple[float, float]
+    contrasts: Sequence[Contrasts],
+    within: Floats,
+    tried: list[OrnsteinUhlenbeck],
+    configuration: Floats,
+    scales: Scales,
 ) -> float:
     """Ln density of what a fit of some numbers leaves, those numbers (flat) and the noise integrated out.
 
     Args:
-        contrasts, least: those of `noise_of`.
+        contrasts, configuration, scales: those of `noise_of`.
         within: (11, r) of the r numbers that were fitted.
         tried: `wanders` at the times of the rows.
     """
-    found = _posteriors(contrasts, within, tried, least)
+    found = _posteriors(contrasts, within, tried, misfit_modes(configuration), scales)
     if found is None:
         return 0.0
     columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
@@ -115,21 +171,21 @@ def log_evidence(
 
 
 def _posteriors(
-    contrasts: Sequence[Contrasts], within: Floats, processes: list[OrnsteinUhlenbeck], least: tuple[float, float]
+    contrasts: Sequence[Contrasts],
+    within: Floats,
+    processes: list[OrnsteinUhlenbeck],
+    modes: Floats,
+    scales: Scales,
 ) -> list[NoisePosterior] | None:
     """Of the pure contrasts, positions first."""
     found: list[NoisePosterior] = []
     for contrast in contrasts:
         if contrast.reach:
             continue
-        floor = least[1 if contrast.rotation is None else 0] ** 2
-        posterior = noise_posterior(processes, contrast.error, contrast.design @ within, floor)
+        sort = 1 if contrast.rotation is None else 0
+        scale = scales.least[sort] ** 2, scales.misfit[sort] ** 2
+        posterior = noise_posterior(processes, modes, contrast.error, contrast.design @ within, scale)
         if posterior is None:
             return None
         found.append(posterior)
     return found
-
-
-def likeliest(posterior: Sequence[tuple[float, TrackerNoise]]) -> TrackerNoise:
-    """The noise of the likeliest correlation time."""
-    return max(posterior, key=lambda one: one[0])[1]

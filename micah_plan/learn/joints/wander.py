@@ -1,4 +1,4 @@
-"""Noise of a tracker in time: white noise plus an Ornstein-Uhlenbeck wander, estimated from what a fit leaves.
+"""Noise of a tracker in time, estimated from what a fit leaves: white, an Ornstein-Uhlenbeck wander, a joint's misfit.
 
 The precision of an Ornstein-Uhlenbeck process sampled at any times is tridiagonal (it is Markov), so everything here
 costs O(n). Scales come from the restricted likelihood (Patterson and Thompson, 1971), which pays for the parameters.
@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 
 from micah_plan.arrays import Floats
+from micah_plan.learn.joints.misfit import misfit_prior, misfits_tried, without_misfit
 
 _TIMES = 5  # correlation times tried
 _LONGEST = 0.4  # of the duration; a slower wander looks like another joint
@@ -60,13 +61,16 @@ class NoisePosterior:
     """What is known of the noise of contrasts, for each of the `finer` correlation times.
 
     Attributes:
-        log_likelihood: (f,) restricted, the ratios of wander to white noise integrated out.
+        log_likelihood: (f,) restricted, the ratios of wander and misfit to white noise integrated out.
         white, wander: (f,) mean variances, given each correlation time.
+        chance, misfit: (s, f) probabilities of the sizes of a misfit that were tried, and mean variances there.
     """
 
     log_likelihood: Floats
     white: Floats
     wander: Floats
+    chance: Floats
+    misfit: Floats
 
 
 def memories(time: Floats) -> Floats:
@@ -78,15 +82,16 @@ def memories(time: Floats) -> Floats:
 
 
 def noise_posterior(
-    processes: list[OrnsteinUhlenbeck], error: Floats, design: Floats, least: float
+    processes: list[OrnsteinUhlenbeck], modes: Floats, error: Floats, design: Floats, scale: tuple[float, float]
 ) -> NoisePosterior | None:
     """Posterior of the noise that contrasts share, given what a fit leaves of them.
 
     Args:
         processes: one per correlation time.
+        modes: (n, m) of a misfit of size 1 (`misfit_modes`).
         error: (n, k) of k contrasts of equal and independent noise.
         design: (n, k, p) their derivative by the parameters that were fitted, of any rank.
-        least: smallest variance to believe in.
+        scale: smallest variance to believe in, and that of a typical misfit.
 
     Returns:
         the posterior; None where the rows are too few to tell noise from parameters.
@@ -98,33 +103,45 @@ def noise_posterior(
     if degrees < 3:
         return None
     both = np.concatenate([columns, error.reshape(n * k, 1)], axis=1)
-    # Side by side, so that one tridiagonal solve serves all contrasts.
-    beside = np.asfortranarray(both.reshape(n, k, rank + 1).reshape(n, -1))
     slowness = np.array([process.memory for process in processes]) / processes[0].memory
-    levels = np.array(_RATIOS) / (2 * _FASTEST)
-    tried = [(process, level / slow) for process, slow in zip(processes, slowness, strict=True) for level in levels]
-    whole = both.T @ both
-    grams, log_dets = [], []
-    for process, ratio in tried:
-        solved, log_det = process.smoothed(ratio, beside)
-        parts = (slice(i * (rank + 1), (i + 1) * (rank + 1)) for i in range(k))
-        grams.append(whole - ratio * sum(beside[:, part].T @ solved[:, part] for part in parts))
-        log_dets.append(log_det)
-    grams.append(whole)
-    log_dets.append(0.0)
-    left, log_information = _left(np.array(grams), least * degrees)
-    scores = -0.5 * (degrees * np.log(left) + k * np.array(log_dets) + log_information)
+    products, log_dets = _products(processes, slowness, np.concatenate([both.reshape(n, -1), modes], axis=1))
+    sizes = misfits_tried(modes)
+    contrasts = [slice(i * (rank + 1), (i + 1) * (rank + 1)) for i in range(k)]
+    grams, log_misfits = without_misfit(products, contrasts, sizes)
+    left, log_information = _left(grams, scale[0] * degrees)
+    scores = -0.5 * (degrees * np.log(left) + log_information + k * log_dets + log_misfits)
     # The first column is the likelihood without wander, which no correlation time changes.
-    score, white = (_finer(values, len(processes)) for values in (scores, np.log(left)))
-    white = np.exp(white) / max(degrees - 2, 1)
+    score, white = _finer(scores, len(processes)), np.exp(_finer(np.log(left), len(processes))) / max(degrees - 2, 1)
     fine = np.exp(np.linspace(0, np.log(slowness[-1]), _FINE))
     level = np.append(0.0, np.exp(np.linspace(np.log(_RATIOS[0]), np.log(_RATIOS[-1]), _FINE)))
     wander = white * level / (2 * _FASTEST * fine[:, None])
+    misfit = white * sizes[:, None, None]
     top = score.max()
-    weight = np.exp(score - top) * _prior(fine)
-    total = np.maximum(weight.sum(axis=1), 1e-300)
-    share = weight / total[:, None]
-    return NoisePosterior(top + np.log(total), (share * white).sum(axis=1), (share * wander).sum(axis=1))
+    weight = np.exp(score - top) * _prior(fine) * misfit_prior(misfit, scale[1])
+    total = np.maximum(weight.sum(axis=(0, 2)), 1e-300)
+    of_size = np.maximum(weight.sum(axis=2), 1e-300)
+    return NoisePosterior(
+        log_likelihood=top + np.log(total),
+        white=(weight * white).sum(axis=(0, 2)) / total,
+        wander=(weight * wander).sum(axis=(0, 2)) / total,
+        chance=of_size / total,
+        misfit=(weight * misfit).sum(axis=2) / of_size,
+    )
+
+
+def _products(processes: list[OrnsteinUhlenbeck], slowness: Floats, columns: Floats) -> tuple[Floats, Floats]:
+    """(g, m, m) products of columns (n, m) under every wander and, last, none; and (g,) log dets of the noise."""
+    # Side by side, so that one tridiagonal solve serves all contrasts.
+    beside = np.asfortranarray(columns)
+    whole = beside.T @ beside
+    products, log_dets = [], []
+    for process, slow in zip(processes, slowness.tolist(), strict=True):
+        for level in _RATIOS:
+            ratio = level / (2 * _FASTEST * slow)
+            solved, log_det = process.smoothed(ratio, beside)
+            products.append(whole - ratio * (beside.T @ solved))
+            log_dets.append(log_det)
+    return np.array([*products, whole]), np.array([*log_dets, 0.0])
 
 
 def finer(tried: Floats) -> Floats:
@@ -133,10 +150,11 @@ def finer(tried: Floats) -> Floats:
 
 
 def _finer(values: Floats, times: int) -> Floats:
-    """(f, 1 + f) values on the finer grid, from those tried (t r + 1,) of which the last is without wander."""
+    """(s, f, 1 + f) values on the finer grid, from those tried (s, t r + 1) of which the last is without wander."""
     over_times, over_ratios = _spline(times), _spline(len(_RATIOS))
-    wandering = over_times @ values[:-1].reshape(times, -1) @ over_ratios.T
-    return np.column_stack([np.full(_FINE, values[-1]), wandering])
+    wandering = over_times @ values[:, :-1].reshape(len(values), times, -1) @ over_ratios.T
+    calm = np.broadcast_to(values[:, -1:, None], (len(values), _FINE, 1))
+    return np.concatenate([calm, wandering], axis=2)
 
 
 @lru_cache(maxsize=8)
@@ -158,12 +176,12 @@ def _prior(slowness: Floats) -> Floats:
 
 
 def _left(grams: Floats, least: float) -> tuple[Floats, Floats]:
-    """(g,) squares that fits leave and log det of their information; grams (g, r + 1, r + 1) of columns and errors."""
-    rank = grams.shape[1] - 1
-    lower = np.linalg.cholesky(grams[:, :rank, :rank])
-    pulled = np.linalg.solve(lower, grams[:, :rank, rank:])[:, :, 0]
-    squares = np.maximum(grams[:, rank, rank] - np.einsum("gi,gi->g", pulled, pulled), least)
-    return squares, 2 * np.log(np.einsum("gii->gi", lower)).sum(axis=1)
+    """Squares (...) that fits leave and log det of their information; grams (..., r + 1, r + 1) of columns, errors."""
+    rank = grams.shape[-1] - 1
+    lower = np.linalg.cholesky(grams[..., :rank, :rank])
+    pulled = np.linalg.solve(lower, grams[..., :rank, rank:])[..., 0]
+    squares = np.maximum(grams[..., rank, rank] - np.sum(pulled**2, axis=-1), least)
+    return squares, 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def _independent(columns: Floats) -> Floats:
