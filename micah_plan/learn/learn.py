@@ -44,11 +44,11 @@ def learn_graph(
 ) -> KinematicGraph:
     """Segment a recording and fit the joints of its segments.
 
-    Every part hangs on the base or on another part, whichever explains the poses best (see `learn.tree`). Every run is
-    segmented on its own, but short ones together, as they show little alone (see `learn.short_runs`). The first one
-    defines the configuration coordinate, the segments of the others are counted along it and follow in the order of
-    the runs. A run in which a part moves to and fro more often than is learned at
-    once is learned as `OnlineLearner` would.
+    Every part is attached to the base or to another part, whichever explains the poses best (see `parts.tree`). Every
+    run is segmented on its own, but short ones together, as they show little alone (see `learn.short_runs`). The
+    first one defines the configuration coordinate, the segments of the others are counted along it and follow in
+    the order of the runs. A run in which a part moves to and fro more often than is learned at once is learned as
+    `OnlineLearner` would.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.

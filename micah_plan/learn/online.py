@@ -346,7 +346,7 @@ def joined(first: Segment, second: Segment) -> Segment:
 
 
 def _looser(first: Usual, second: Usual | None) -> Usual:
-    """The worse of two: what a search has found to need no new joint calls for no other search."""
+    """The larger of two thresholds: rows that a search has explained without a new joint start no other search."""
     if second is None:
         return first
     return Usual(np.maximum(first.scale, second.scale), max(first.surprise, second.surprise))

@@ -1,4 +1,4 @@
-"""Which effect is missing: forward selection over the library by held-out likelihood, and an honest verdict.
+"""Which effect is missing: forward selection over the library by held-out likelihood, and a verdict.
 
 A model may add effects one by one. Each must predict held-out rows better by more than `LEAST_EVIDENCE` nats, by more
 than chance over stretches allows, and by enough per row to matter. What a smooth correction still gains on top says how

@@ -190,7 +190,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     joint, chart, _ = _counted_from(median, start)
     values, vectors = np.linalg.eigh(spread)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))
-    turn = chart.turn  # in the joint's frame nothing hangs on the base's
+    turn = chart.turn  # in the joint's frame nothing depends on the base's
     offs, all_slopes = [], []
     for one in tried:
         other, other_chart, slopes = _counted_from(one, start)

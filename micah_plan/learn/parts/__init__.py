@@ -1,1 +1,1 @@
-"""Several parts: which one hangs on which."""
+"""Several parts: which one is attached to which."""

@@ -1,4 +1,4 @@
-"""The spanning arborescence of greatest weight: which parent each node hangs on, so that the sum is greatest.
+"""The spanning arborescence of greatest weight: which parent each node has, so that the sum is greatest.
 
 Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
 """

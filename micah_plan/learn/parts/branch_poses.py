@@ -1,4 +1,4 @@
-"""Where a part was, as the edge that it hangs on says it: less noisy than what was measured of it."""
+"""Where a part was, as the edge to its parent says it: less noisy than what was measured of it."""
 
 from __future__ import annotations
 

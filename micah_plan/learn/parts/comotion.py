@@ -1,10 +1,10 @@
-"""Which parts can hang on which others, from their motion in the base frame alone: the cheap half of O(p²) pairs.
+"""Which parts can be attached to which others, from their motion in the base frame alone; it spares half of the pairs.
 
-A part that hangs on another is carried along. So where one moves in the base frame and the other rests, the other does
-not hang on it: it could only by moving at the same time just so that it stays where it is. Time is cut into windows,
-and a part can hang on another if it moves in at least half of the windows in which the other does. A part that never
-moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift of a tracker
-counts as motion, and then the pair is learned and judged by its evidence.
+A part that is attached to another is carried along. So where one moves in the base frame and the other rests, the other
+does not belong to it: it could only by moving at the same time just so that it stays where it is. Time is cut into
+windows, and a part can be attached to another if it moves in at least half of the windows in which the other does. A
+part that never moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift
+of a tracker counts as motion, and then the pair is learned and judged by its evidence.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FEW = 0.05  # share of the rows that do not count
 
 
 def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
-    """For every part, the other parts that it can hang on, in the order of the recording's parts."""
+    """For every part, the other parts that it can be attached to, in the order of the recording's parts."""
     windows = {part: [moving_windows(recording, run, part) for run in recording.runs] for part in recording.parts}
     moving = {part: np.concatenate(runs) for part, runs in windows.items()}
     return {

@@ -71,7 +71,7 @@ def relative_rows(
         raise InputError(
             f"part {shown(child)} cannot be seen from {shown(parent)}, whose orientation was not measured",
             where="columns qx, qy, qz, qw",
-            remedy="record the orientation of every part that others may hang on",
+            remedy="record the orientation of every part that others may be attached to",
         )
     measured = recording.poses() if poses is None else poses
     other = _rows_of(recording, parent)

@@ -1,4 +1,4 @@
-"""The kinematic tree of several parts: which part hangs on which, from edges learned pair by pair.
+"""The kinematic tree of several parts: which part is attached to which, from edges learned pair by pair.
 
 Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning kinematic models of articulated
 objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models).
@@ -12,7 +12,7 @@ and the relative pose has the same density as the child's own, because a rigid d
 parents of one child thus compete for the same data y_j, and only such differences decide between trees. So:
 
 - No evidence of free motion is divided by. It would be of other data for each parent (the motion relative to it), and
-  reward those from which the child is seen to move most: a handle would hang on the base, not on its door.
+  reward those from which the child is seen to move most: a handle would be attached to the base, not on its door.
 - The parent's pose must not bring its own measurement noise. With measured poses, Δ_ij has the noise of two parts and
   any parent but the base, which has none, loses up to 6 ln √2 = 2.1 nats per row, more than a joint that need not
   move wins. Sturm et al. give all pairs the same noise instead. Here the parent is put where its own edge says that it
@@ -24,11 +24,11 @@ the base.
 
 **Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
 same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
-the search, and the others hang on it.
+the search, and the others are attached to it.
 
 **Pairs that are not learned**: those that `comotion` excludes, those with a part that is rigid to the base, and all
-pairs if orientation was not measured, for then no part has a frame: all hang on the base. Whether a pair is rigid is
-not asked where the two move far relative to each other.
+pairs if orientation was not measured, for then no part has a frame: all are attached to the base. Whether a pair is
+rigid is not asked where the two move far relative to each other.
 
 The edges returned are learned from measured poses, as a later observer measures them.
 """

@@ -91,7 +91,7 @@ class _Fits:
         diagonal = np.einsum("hii->hi", damped)
         # One damping for the three numbers of a vector: no axes are preferred.
         scale = np.add.reduceat(diagonal, _VECTORS[numbers > _VECTORS], axis=1)[:, _VECTOR_OF[:numbers]]
-        # What is redundant gets a step of next to no length.
+        # Damping along redundant parameters, so that the step there is almost zero.
         diagonal += self.damping[:, None] * scale + _GAUGE * scale.max(axis=1, keepdims=True) + _TINY
         solved = np.nan_to_num(np.linalg.solve(damped, pull[..., None])[..., 0])
         longest = np.sqrt(np.add.reduceat(solved**2, _VECTORS[numbers > _VECTORS], axis=1))[:, _VECTOR_OF[:numbers]]

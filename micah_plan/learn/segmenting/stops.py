@@ -4,7 +4,7 @@ What the actions say of a joint is fitted to all rows that it explains. If rows 
 stop are among them, the actions seem to say little, and so the stop is not seen. Here each stop that there may be is
 taken for granted, and the channel learned from the rows before it.
 
-And the rests themselves: how many changepoints there may be hangs on rests that the most probable answer has not.
+And the rests themselves: how many changepoints there may be depends on rests that the most probable answer lacks.
 """
 
 from __future__ import annotations
