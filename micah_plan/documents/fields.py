@@ -17,6 +17,12 @@ from micah_plan.errors import InputError
 T = TypeVar("T")
 _LONGEST_NAME = 100
 _UNIT_TOLERANCE = 1e-3
+_SYMMETRY_TOLERANCE = 1e-6
+# Beyond these a number is a mistake of units or of keys, not a place, a spread or a quantity in SI units.
+LARGEST = 1e6
+LARGEST_STD = 1e3
+_LARGEST_QUANTITY = 1e12
+_SMALLEST = 1e-12
 
 
 def _printable(value: str) -> str:
@@ -29,6 +35,12 @@ def checked_name(value: str) -> str:
     """The name, if it is one; else the error that a validator may raise."""
     if not value or value != value.strip() or not value.isprintable() or len(value) > _LONGEST_NAME:
         raise PydanticCustomError("name", "expected a name of 1 to 100 printable characters without spaces around it")
+    return value
+
+
+def _above_rounding(value: float) -> float:
+    if value < _SMALLEST:
+        raise PydanticCustomError("tiny", "expected a number >= 1e-12, smaller ones are lost in rounding")
     return value
 
 
@@ -89,20 +101,39 @@ def of_unit_length(vector: Sequence[float], at: Located, _: Scope | None = None)
     return vector
 
 
+def check_covariance(rows: Sequence[Sequence[float]], at: Located) -> None:
+    """Raise an InputError unless a square matrix is a covariance: symmetric, no variance below 0, none too large."""
+    matrix = np.array(rows, dtype=float)
+    scale = float(np.abs(matrix).max())
+    if scale > LARGEST**2:
+        raise at.error(f"expected variances of at most {LARGEST**2:g}, found {scale:g}", "give it in m and rad")
+    symmetric = np.abs(matrix - matrix.T).max() <= _SYMMETRY_TOLERANCE * scale
+    lowest = 0.0 if scale == 0.0 else float(np.linalg.eigvalsh(matrix / scale)[0])
+    if not symmetric or lowest < -_SYMMETRY_TOLERANCE:
+        found = f"the eigenvalue {lowest * scale:.3g}" if symmetric else "one that is not symmetric"
+        problem = f"expected a symmetric positive semi-definite matrix, found {found}"
+        raise at.error(problem, "correct it or leave the covariance out")
+
+
 Name = Annotated[str, AfterValidator(checked_name)]
 Line = Annotated[str, AfterValidator(_printable)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST_QUANTITY), AfterValidator(_above_rounding)]
+NonNegative = Annotated[float, Field(ge=0, le=_LARGEST_QUANTITY)]
+# Configurations and positions, distances and spreads, each in m or rad.
+Place = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Distance = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_above_rounding)]
+Std = Annotated[float, Field(gt=0, le=LARGEST_STD), AfterValidator(_above_rounding)]
+StdOrZero = Annotated[float, Field(ge=0, le=LARGEST_STD)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=0)]
 # Not strict about tuple or list: files have lists, values have tuples. What is in them stays strict.
-Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+Vector3 = Annotated[tuple[Place, Place, Place], Field(strict=False)]
 Quaternion = Annotated[tuple[float, float, float, float], Field(strict=False), Mark(of_unit_length)]
 Names = Annotated[tuple[Name, ...], Listed()]
 Lines = Annotated[tuple[Line, ...], Listed()]
 Row = Annotated[tuple[float, ...], Listed(1)]
 Matrix = Annotated[tuple[Row, ...], Listed(1)]
-Sizes = Annotated[tuple[Positive, ...], Listed(1, 3)]
+Sizes = Annotated[tuple[Distance, ...], Listed(1, 3)]
 Color = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
 Unit = Literal["rad", "m"]
 ModeName = Annotated[Name, named("mode")]
@@ -112,5 +143,5 @@ CoordinateName = Annotated[Name, numbered("coordinate")]
 EachCoordinate = Annotated[dict[Name, T], each("coordinate")]
 EachInput = Annotated[dict[Name, T], each("input")]
 
-ZERO: Vector3 = (0.0, 0.0, 0.0)
+ZERO: tuple[float, float, float] = (0.0, 0.0, 0.0)
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)

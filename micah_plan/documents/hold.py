@@ -9,7 +9,7 @@ from pydantic import Field
 
 from micah_plan.automaton.contacts.values import AXES, Grip
 from micah_plan.automaton.hybrid import Part
-from micah_plan.documents.fields import ZERO, Name, Positive, Vector3, named
+from micah_plan.documents.fields import ZERO, Distance, Name, Place, Vector3, named
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.documents.parts import ShapeDocument
@@ -51,9 +51,9 @@ class HoldDocument(Document):
     moving: HeldPartDocument = doc("The part that swings.")
     point: Vector3 = doc("Where the hand is, in the hinge frame [m]; its position is the state x, y, z.")
     rotation: Vector3 = doc("Rotation vector from the hinge frame to the base frame [rad].", ZERO)
-    travel: Positive = doc("How far the joint opens from the datum [rad or m].")
+    travel: Distance = doc("How far the joint opens from the datum [rad or m].")
     pivots: bool = doc("Whether the held part may turn in the hand when pressed on.", False)
-    datum: float | None = doc("Configuration at which shapes are given [rad or m]; default: where it latches.", None)
+    datum: Place | None = doc("Configuration at which shapes are given [rad or m]; default: where it latches.", None)
     coordinate: Name = doc("Name of the joint's coordinate in this problem.", "theta")
     reach: ReachDocument = doc("Where the hand may go.")
     contacts: list[ContactDocument] = doc(

@@ -8,11 +8,20 @@ from typing import Annotated, Literal
 import numpy as np
 
 from micah_plan.automaton.joint import Joint, JointKind, ParameterCovariance
-from micah_plan.documents.fields import IDENTITY, ZERO, Listed, Matrix, Quaternion, Vector3, of_unit_length
+from micah_plan.documents.fields import (
+    IDENTITY,
+    ZERO,
+    Listed,
+    Matrix,
+    Place,
+    Quaternion,
+    Vector3,
+    check_covariance,
+    of_unit_length,
+)
 from micah_plan.documents.layout import Document, doc
 from micah_plan.documents.located import Located
 
-_SYMMETRY_TOLERANCE = 1e-6
 _UNUSED: Mapping[str, tuple[str, ...]] = {
     "rigid": ("axis", "center", "pitch"),
     "prismatic": ("center", "pitch", "held"),
@@ -47,13 +56,7 @@ class CovarianceDocument(Document):
             raise at.at("names").error("a parameter is named twice", "name each once")
         at = at.at("matrix")
         check_size(self.matrix, len(self.names), len(self.names), at)
-        matrix = np.array(self.matrix)
-        scale = float(np.abs(matrix).max())
-        symmetric = np.abs(matrix - matrix.T).max() <= _SYMMETRY_TOLERANCE * scale
-        lowest = 0.0 if scale == 0.0 else float(np.linalg.eigvalsh(matrix / scale)[0])
-        if not symmetric or lowest < -_SYMMETRY_TOLERANCE:
-            problem = "expected a symmetric positive semi-definite matrix"
-            raise at.error(problem, "correct it or leave the covariance out")
+        check_covariance(self.matrix, at)
 
 
 class JointDocument(Document):
@@ -64,8 +67,8 @@ class JointDocument(Document):
     quaternion: Quaternion = doc("Its orientation there: unit quaternion, scalar last.", IDENTITY)
     axis: Vector3 = doc("Unit vector of motion or rotation in the base frame; not for rigid.", ZERO)
     center: Vector3 = doc("Point on the axis closest to `position` [m]; revolute and screw.", ZERO)
-    pitch: float = doc("Translation along the axis per angle [m/rad]; only for screw.", 0.0)
-    held: float = doc("Configuration that a rigid joint stands for [rad or m].", 0.0)
+    pitch: Place = doc("Translation along the axis per angle [m/rad]; only for screw.", 0.0)
+    held: Place = doc("Configuration that a rigid joint stands for [rad or m].", 0.0)
     covariance: CovarianceDocument | None = doc("Covariance of the parameters, if estimated.", None)
 
     def check(self, at: Located) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import Field
 
 from micah_plan.automaton.certainty import (
@@ -19,14 +18,23 @@ from micah_plan.automaton.certainty import (
     SegmentCertainty,
 )
 from micah_plan.automaton.joint import JointKind
-from micah_plan.documents.fields import ITEMS, Count, Listed, Matrix, Name, Probability, Vector3
+from micah_plan.documents.fields import (
+    ITEMS,
+    Count,
+    Listed,
+    Matrix,
+    Name,
+    Place,
+    Probability,
+    Vector3,
+    check_covariance,
+)
 from micah_plan.documents.joint import check_size, standard_deviations
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import KeyPath, Located
 
 # Probabilities may be rounded: by the writer to 6 decimals, by a person to fewer.
 _SUM_TOLERANCE = 1e-3
-_SYMMETRY_TOLERANCE = 1e-6
 _UNITS = ("rad", "rad", "rad", "", "s")
 Probabilities = Annotated[tuple[Probability, ...], Listed(1)]
 
@@ -88,17 +96,15 @@ class ActionsDocument(Document):
     frame_rotation: Vector3 = doc(
         "Rotation vector from the frame in which the actions were given to the base frame [rad]."
     )
-    gain: float = doc("Displacement made per displacement recorded.")
-    delay: float = doc("Time from the recorded action to the motion [s].")
+    gain: Place = doc("Displacement made per displacement recorded.")
+    delay: Place = doc("Time from the recorded action to the motion [s].")
     covariance: Matrix = doc("(5, 5), of frame_rotation (3), gain and delay.")
-    explained: float = doc("Share of the variance of the part's steps that the actions explain, 0 to 1.")
+    explained: Probability = doc("Share of the variance of the part's steps that the actions explain, 0 to 1.")
 
     def check(self, at: Located) -> None:
         at = at.at("covariance")
         check_size(self.covariance, len(CHANNEL_NAMES), len(CHANNEL_NAMES), at)
-        matrix = np.array(self.covariance)
-        if np.abs(matrix - matrix.T).max() > _SYMMETRY_TOLERANCE * np.abs(matrix).max() or (np.diag(matrix) < 0).any():
-            raise at.error("expected a symmetric matrix with variances >= 0", "correct it")
+        check_covariance(self.covariance, at)
 
 
 class LearnedEdgeDocument(Document):

@@ -9,7 +9,18 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import Edge, Mode, Pin, Reset, Tie
 from micah_plan.documents.expressions import Affine, Expression, RegionEntries
-from micah_plan.documents.fields import ITEMS, CoordinateName, Matrix, ModeName, Name, NonNegative, Positive, Row, each
+from micah_plan.documents.fields import (
+    ITEMS,
+    CoordinateName,
+    Matrix,
+    ModeName,
+    Name,
+    Place,
+    Row,
+    Std,
+    StdOrZero,
+    each,
+)
 from micah_plan.documents.joint import JointDocument, check_size
 from micah_plan.documents.layout import Document, Scope, doc, unique
 from micah_plan.documents.located import Located
@@ -17,8 +28,8 @@ from micah_plan.errors import InputError
 
 
 class PinDocument(Document):
-    value: float = doc("Configuration at which the mode pins the coordinate [rad or m].")
-    std: NonNegative = doc("Standard deviation of that value [rad or m].")
+    value: Place = doc("Configuration at which the mode pins the coordinate [rad or m].")
+    std: StdOrZero = doc("Standard deviation of that value [rad or m].")
 
 
 class ModeDocument(Document):
@@ -37,7 +48,7 @@ class ModeDocument(Document):
         "follows a height while an edge touches a table.",
         dict,
     )
-    observation_std: Annotated[dict[CoordinateName, Positive], ITEMS] = doc(
+    observation_std: Annotated[dict[CoordinateName, Std], ITEMS] = doc(
         "Std of one measurement in this mode, of coordinates that it measures in its own way, wherever it is [rad or "
         "m]; default: as under `noise`.",
         dict,
@@ -98,7 +109,7 @@ class TransitionDocument(Document):
         dict,
     )
     reset_matrices: MatricesDocument | None = doc("The reset as x+ = A x + B u + c, instead of `reset`.", None)
-    threshold_std: NonNegative = doc(
+    threshold_std: StdOrZero = doc(
         "How well the guard's thresholds on coordinates are known: their standard deviation [rad or m].", 0.0
     )
 

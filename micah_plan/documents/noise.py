@@ -9,14 +9,24 @@ from pydantic import Field
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.sensing import Light
-from micah_plan.documents.fields import ITEMS, CoordinateName, EachCoordinate, Name, NonNegative, Positive, each
+from micah_plan.documents.fields import (
+    ITEMS,
+    CoordinateName,
+    EachCoordinate,
+    Name,
+    NonNegative,
+    Place,
+    Std,
+    StdOrZero,
+    each,
+)
 from micah_plan.documents.layout import Document, doc
 
 
 class LightDocument(Document):
     makes = Light
 
-    at: Annotated[dict[CoordinateName, float], Field(min_length=1), ITEMS] = doc(
+    at: Annotated[dict[CoordinateName, Place], Field(min_length=1), ITEMS] = doc(
         "The place, by coordinate [rad or m]; a coordinate that is left out does not count."
     )
     growth: Annotated[dict[Name, NonNegative], each("coordinate", default=0.0)] = doc(
@@ -28,22 +38,18 @@ class LightDocument(Document):
 class NoiseDocument(Document):
     makes = Noise
 
-    process_std: EachCoordinate[NonNegative] = doc(
+    process_std: EachCoordinate[StdOrZero] = doc(
         "Std of what the dynamics leave unexplained, by coordinate [rad or m, per step]."
     )
-    observation_std: EachCoordinate[Positive] = doc(
-        "Std of one measurement of the configuration, by coordinate [rad or m]."
-    )
+    observation_std: EachCoordinate[Std] = doc("Std of one measurement of the configuration, by coordinate [rad or m].")
     light: LightDocument | None = doc("Where measurements are best; default: they are the same everywhere.", None)
 
 
 class ProblemNoiseDocument(Document):
-    process_std: dict[CoordinateName, NonNegative] = doc(
+    process_std: dict[CoordinateName, StdOrZero] = doc(
         "Std of what the dynamics leave unexplained [rad or m, per step].", dict
     )
-    observation_std: dict[CoordinateName, Positive] = doc(
-        "Std of one measurement of the configuration [rad or m].", dict
-    )
+    observation_std: dict[CoordinateName, Std] = doc("Std of one measurement of the configuration [rad or m].", dict)
     light: LightDocument | None = doc("Where measurements are best, instead of the model's.", None)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from micah_plan.documents.fields import EachInput, NonNegative, Positive
+from micah_plan.documents.fields import Distance, EachInput, NonNegative, Positive
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.task.settings import Method, PlannerSettings
@@ -27,7 +27,7 @@ class PlannerDocument(Document):
         "How many times a mode sequence may come back to a mode that it has been in, e.g. to leave a wall.",
         PlannerSettings.revisits,
     )
-    max_step: EachInput[Positive] | None = doc(
+    max_step: EachInput[Distance] | None = doc(
         "Largest input per step, by input [rad or m]; default: from the model.", None
     )
     max_knots: Annotated[int, Field(ge=2, le=100_000)] = doc(

@@ -21,13 +21,15 @@ from micah_plan.documents.fields import (
     BY_NAME,
     ITEMS,
     CoordinateName,
+    Distance,
     EachCoordinate,
     Line,
     ModeName,
     ModeNames,
     Name,
     Names,
-    Positive,
+    Place,
+    Std,
     checked_name,
 )
 from micah_plan.documents.hold import HoldDocument
@@ -56,14 +58,14 @@ _MOST_LISTED = 6
 class StartDocument(Document):
     makes = Start
 
-    mean: EachCoordinate[float] = doc("Mean of every coordinate [rad or m].")
-    std: EachCoordinate[Positive] = doc("Standard deviation of every coordinate [rad or m].")
+    mean: EachCoordinate[Place] = doc("Mean of every coordinate [rad or m].")
+    std: EachCoordinate[Std] = doc("Standard deviation of every coordinate [rad or m].")
     mode: ModeName | None = doc("Mode at first; default: the first whose invariant holds the mean.", None)
 
 
 class TargetDocument(Document):
-    value: float = doc("Wanted value [rad or m].")
-    tolerance: Positive = doc("Largest accepted distance from it [rad or m].")
+    value: Place = doc("Wanted value [rad or m].")
+    tolerance: Distance = doc("Largest accepted distance from it [rad or m].")
 
 
 class GoalDocument(Document):

@@ -8,6 +8,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from micah_plan.documents.fields import LARGEST_STD
 from micah_plan.documents.layout import Document, is_document, kind_at
 from micah_plan.documents.located import KeyPath, Located, choices, nearest
 from micah_plan.errors import InputError, shown, together
@@ -102,6 +103,9 @@ def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str
 
 
 def _near(detail: ErrorDetails) -> str | None:
+    if detail["type"] in ("less_than_equal", "greater_than_equal"):
+        (limit,) = (detail.get("ctx") or {}).values()
+        return "use SI units: m, rad, s, kg, N" if isinstance(limit, float) and abs(limit) >= LARGEST_STD else None
     if detail["type"] == "string_type" and isinstance(detail["input"], int | float):
         return "put it in quotes"
     if detail["type"] != "literal_error" or not isinstance(detail["input"], str):

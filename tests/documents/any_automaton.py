@@ -30,6 +30,7 @@ from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
+PLACES = st.floats(-1e6, 1e6)
 MODERATE = st.floats(-1e3, 1e3)
 STDS = st.floats(1e-12, 1e3)
 VISIBLE = st.characters(exclude_categories=["C", "Z"])
@@ -100,7 +101,7 @@ def modes(draw: st.DrawFn, name: str, links: int, n: int, m: int) -> Mode:
         draw(rows(n, m, st.sampled_from([0.0, 1.0]) | NUMBERS)),
         draw(regions(n, m)),
         draw(regions(n, m)),
-        tuple(Pin(i, draw(NUMBERS), draw(st.floats(0, 10))) for i in pinned),
+        tuple(Pin(i, draw(PLACES), draw(st.floats(0, 10))) for i in pinned),
         tuple((i, draw(STDS)) for i in draw(st.lists(st.integers(0, n - 1), unique=True, max_size=n))),
     )
 
@@ -108,7 +109,7 @@ def modes(draw: st.DrawFn, name: str, links: int, n: int, m: int) -> Mode:
 @st.composite
 def lights(draw: st.DrawFn, n: int) -> Light:
     places = draw(st.lists(st.integers(0, n - 1), unique=True, min_size=1, max_size=n))
-    return Light(tuple((i, draw(NUMBERS)) for i in places), draw(st.tuples(*[st.floats(0, 10)] * n)))
+    return Light(tuple((i, draw(PLACES)) for i in places), draw(st.tuples(*[st.floats(0, 10)] * n)))
 
 
 @st.composite

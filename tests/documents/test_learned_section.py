@@ -80,8 +80,16 @@ def test_without_certainty_nothing_is_written(door: HybridAutomaton) -> None:
         ("revolute: 0.98", "revolute: 0.999", "expected probabilities that sum to at most 1, found 1.014"),
         ("revolute: 0.98", "hinge: 0.98", "expected 'rigid', 'prismatic', 'revolute' or 'screw', found 'hinge'"),
         ("[0.01, 0.0, 0.0, 0.0, 0.0]", "[0.01, 0.0, 0.0]", "expected 5 rows of 5, found 5 rows of 3, 5"),
-        ("[0.01, 0.0, 0.0, 0.0, 0.0]", "[0.01, 1.0, 0.0, 0.0, 0.0]", "expected a symmetric matrix with variances"),
-        ("[0.01, 0.0, 0.0, 0.0, 0.0]", "[-0.01, 0.0, 0.0, 0.0, 0.0]", "expected a symmetric matrix with variances"),
+        (
+            "[0.01, 0.0, 0.0, 0.0, 0.0]",
+            "[0.01, 1.0, 0.0, 0.0, 0.0]",
+            "expected a symmetric positive semi-definite matrix",
+        ),
+        (
+            "[0.01, 0.0, 0.0, 0.0, 0.0]",
+            "[-0.01, 0.0, 0.0, 0.0, 0.0]",
+            "expected a symmetric positive semi-definite matrix",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_with_its_place(sure: HybridAutomaton, old: str, new: str, expected: str) -> None:

@@ -112,7 +112,7 @@ def test_plans_of_any_automaton_read_back(
     n, m = automaton.n, automaton.m
     names = [mode.name for mode in automaton.modes]
     modes = tuple(data.draw(st.lists(st.sampled_from(names), min_size=knots, max_size=knots)))
-    problem = Problem(automaton, Start((0.0,) * n, (0.1,) * n, names[0]), Goal(((n - 1, 1e9, 0.1),)))
+    problem = Problem(automaton, Start((0.0,) * n, (0.1,) * n, names[0]), Goal(((n - 1, 1e3, 0.1),)))
     plan = Plan("not_verified", "Maybe.", trajectory_in(modes, n, m), success_probability=0.5)
     write_plan(plan, problem, tmp_path / "plan.json")
     assert_same(load_plan(tmp_path / "plan.json"), plan, problem)

@@ -1,0 +1,74 @@
+"""Well-formed files that say nonsense: each is refused with one line that says where, what was expected and found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from attempts import told
+
+from micah_plan.documents.model import load_model
+from micah_plan.documents.problem import load_problem
+
+ROOT = Path(__file__).resolve().parents[2]
+# One edit of a shipped file each: what is replaced, by what, where the line says it is, and what it says.
+MODELS = {
+    "handle out of this world": ("[0.03, 0.045, 0.0]\n    s", "[0.03, 1.0e300, 0.0]\n    s", "parts.door.handle.1"),
+    "solid in another galaxy": ("size: [0.008, 0.2]", "size: [0.008, 2.0e20]", "parts.door.shapes.1.size.1"),
+    "solid of rounding": ("size: [0.008, 0.2]", "size: [1.0e-300, 0.2]", "expected a number >= 1e-12"),
+    "joint out of this world": ("position: [0.06975", "position: [1.06e306", "modes.rigid.joints.door.position.0"),
+    "pin out of this world": ("value: 1.206", "value: -1.2e206 #", "expected a number >= -1e+06, found -1.2"),
+    "vague pin": ("std: 0.005", "std: 1.0e6 #", "modes.rigid.pins.door.std': expected a number <= 1000"),
+    "vague threshold": ("threshold_std: 0.005", "threshold_std: 1.0e6 #", "transitions.0.threshold_std"),
+    "vague measurement": (
+        "    door: 0.00449",
+        "    door: 1.0e6 #",
+        "noise.observation_std.door': expected a number <=",
+    ),
+    "vague motion": ("    door: 0.00044", "    door: 1.0e6 #", "noise.process_std.door': expected a number <= 1000"),
+    "share of 7": ("explained: 0.95", "explained: 7 #", "actions.explained': expected a number <= 1, found 7"),
+    "indefinite channel": ("[0.15135689", "[-0.0000015", "actions.covariance': expected a symmetric"),
+    "indefinite joint": (
+        "- [3.0876053",
+        "- [-3.0876053",
+        "covariance.matrix': expected a symmetric positive semi-de",
+    ),
+}
+PROBLEMS = {
+    "no step": ("max_step: {drawer: 0.03}", "max_step: {drawer: 1.0e-300}", "planner.max_step.drawer': expected a"),
+    "giant step": ("max_step: {drawer: 0.03}", "max_step: {drawer: 1.0e300}", "expected a number <= 1e+06, found 1"),
+    "vague start": ("std: {drawer: 0.01}", "std: {drawer: 1.0e6}", "start.std.drawer': expected a number <= 1000, fo"),
+    "far start": ("mean: {drawer: 0.03}", "mean: {drawer: 1.0e300}", "start.mean.drawer': expected a number <= 1e+06"),
+    "far goal": ("value: 0.25", "value: 1.0e300", "goal.target.drawer.value': expected a number <= 1e+06, found 1e+"),
+    "any goal": ("tolerance: 0.01", "tolerance: 1.0e300", "goal.target.drawer.tolerance': expected a number <= 1e+0"),
+    "far body": (
+        "goal:",
+        "scene: {b: {shapes: [{kind: sphere, size: [1]}], position: [1e99, 0, 0]}}\ngoal:",
+        "posit",
+    ),
+}
+
+
+def edited(folder: Path, name: str, before: str, after: str) -> Path:
+    """A copy of a shipped file with the first of a text replaced; it can be used without that."""
+    text = (ROOT / name).read_text().replace("../models", str(ROOT / "models"))
+    assert before in text
+    path = folder / Path(name).name
+    path.write_text(text.replace(before, after, 1))
+    return path
+
+
+@pytest.mark.parametrize("case", MODELS)
+def test_a_model_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> None:
+    before, after, said = MODELS[case]
+    line = told(load_model, edited(tmp_path, "models/microwave.yaml", before, after))
+    assert line.startswith(f"{tmp_path}/microwave.yaml, line ")
+    assert said in line
+
+
+@pytest.mark.parametrize("case", PROBLEMS)
+def test_a_problem_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> None:
+    before, after, said = PROBLEMS[case]
+    line = told(load_problem, edited(tmp_path, "problems/drawer_open.yaml", before, after))
+    assert line.startswith(f"{tmp_path}/drawer_open.yaml, line ")
+    assert said in line
