@@ -13,14 +13,15 @@ from functools import partial
 
 import numpy as np
 
+from micah_plan.automaton.consistency import contradictions
 from micah_plan.automaton.effects.add import check_effect
+from micah_plan.automaton.emptiness import is_empty
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Tie
 from micah_plan.automaton.region import Interval, Region
 from micah_plan.errors import InputError, shown
 
 UNITS = ("rad", "m")
-_ROOM = 1e-9
 _PIN_ROOM = 1e-9
 _HELD_ROOM = 1e-6
 _ENTRY_ROOM = 1e-6
@@ -35,7 +36,8 @@ def check_automaton(automaton: HybridAutomaton) -> None:
         InputError: names that are not unique or not known, dimensions that do not fit, an invariant, guard or set of
             inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
             held elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
-            without effect, a mode that is not connected, process noise below 0, observation noise not above 0.
+            without effect, a mode that is not connected, process noise below 0, observation noise not above 0; and what
+            contradicts itself (`consistency`).
     """
     for _, check in checks(automaton):
         check()
@@ -67,6 +69,7 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
         yield ("edges", i, "guard"), partial(_check_entry, automaton, edge)
     for mode in automaton.modes:
         yield ("modes", mode.name), partial(_check_connected, automaton, mode)
+    yield from contradictions(automaton)
 
 
 def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
@@ -299,37 +302,3 @@ def _check_region(automaton: HybridAutomaton, region: Region, where: str) -> Non
     if is_empty(region):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in region.half_spaces)
         raise InputError(f"{where} must not be empty. Got {names}")
-
-
-def is_empty(region: Region) -> bool:
-    """Whether no (x, u) is in an intersection of half-spaces; strict ones need room inside their boundary."""
-    rows = region.half_spaces
-    if not rows:
-        return False
-    if all(sum(map(bool, (*h.a, *h.b))) <= 1 for h in rows):
-        return _is_empty_box(region)
-    # Only sets that couple variables need a linear programme; the import takes longer than all other checks.
-    from scipy.optimize import linprog
-
-    weights = np.array([[*h.a, *h.b] for h in rows])
-    slack = np.array([[1.0 if h.strict else 0.0] for h in rows])
-    bounds = [(None, None)] * weights.shape[1] + [(0.0, 1.0)]
-    objective = np.append(np.zeros(weights.shape[1]), -1.0)
-    found = linprog(objective, np.hstack([-weights, slack]), [-h.c for h in rows], bounds=bounds, method="highs")
-    strict = any(h.strict for h in rows)
-    return bool(found.status == 2 or (strict and found.status == 0 and found.x[-1] <= _ROOM))
-
-
-def _is_empty_box(region: Region) -> bool:
-    """`is_empty` for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
-    tightest: dict[tuple[int, bool], tuple[float, bool]] = {}
-    for h in region.half_spaces:
-        index, weight = next(((i, w) for i, w in enumerate((*h.a, *h.b)) if w), (0, 0.0))
-        if not weight and (h.c > 0 or (h.strict and h.c == 0)):
-            return True
-        if weight:
-            key = index, weight > 0
-            tightest[key] = max(tightest.get(key, (-math.inf, False)), (h.c / abs(weight), h.strict))
-    # A lower bound and, with its sign changed, an upper one leave nothing where their sum is above 0.
-    both = [(low, tightest[i, False]) for (i, is_lower), low in tightest.items() if is_lower and (i, False) in tightest]
-    return any(low + high > 0 or (low + high == 0 and (a or b)) for (low, a), (high, b) in both)

@@ -10,7 +10,8 @@ from automaton_examples import cabinet, detent, door, guard, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from micah_plan.automaton.check import check_automaton, is_empty
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.emptiness import is_empty
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.region import HalfSpace, Region
@@ -136,9 +137,8 @@ LEGAL_EDGES = [
     Edge("revolute", "rigid", guard(([1], [0], 1.165))),  # within the std of the pin
     Edge("revolute", "rigid", guard(([1], [1], 1.0))),  # an input decides where
     Edge("revolute", "rigid", guard(([1], [0], 1.0), ([0], [1], 0.1))),  # inputs may come late
-    Edge("revolute", "rigid", guard(([1], [0], -5.0))),  # holds anywhere in its mode
     Edge("revolute", "rigid", guard(([1], [0], 7.0), ([-1], [0], -8.0))),  # nowhere in its mode
-    Edge("rigid", "revolute", guard(([1], [0], 1.0))),
+    Edge("rigid", "revolute", guard(([1], [0], 1.2))),
 ]
 
 

@@ -33,6 +33,31 @@ MODELS = {
         "- [-3.0876053",
         "covariance.matrix': expected a symmetric positive semi-de",
     ),
+    "unit of a joint": (
+        "door: rad\ninputs",
+        "door: m\ninputs",
+        "key 'coordinates.door': coordinate door: expected the un",
+    ),
+    "unit of an input": (
+        "  door: rad\nlinks",
+        "  door: m\nlinks",
+        "key 'inputs.door': input door: expected the unit rad of",
+    ),
+    "always left": (
+        "guard: [door >= 1.2",
+        "guard: [door >= -1.2",
+        "transitions.0.guard': edge revolute -> rigid: its gua",
+    ),
+    "same transition twice": (
+        "transitions:\n",
+        "transitions:\n  - {source: rigid, target: revolute, guard: [input door < 0.0]}\n",
+        "key 'transitions.3': edge rigid -> revolute: it has the same modes and guard as transition 0",
+    ),
+    "same effect twice": (
+        "learned:\n",
+        "effects:\n" + 2 * "  - {name: gain, coordinate: door, parameters: {gain: 0.9}}\n" + "learned:\n",
+        "key 'effects.1': effect gain of door is there twice",
+    ),
 }
 PROBLEMS = {
     "no step": ("max_step: {drawer: 0.03}", "max_step: {drawer: 1.0e-300}", "planner.max_step.drawer': expected a"),

@@ -1,0 +1,117 @@
+"""Whether what an automaton says can be meant: units against joints and inputs, transitions that repeat each other or
+are always taken, effects that are there twice, limits beyond physical sizes.
+
+`check` refuses what cannot be used at all. Here each part by itself could be used, and only together they make no
+sense. Only what is certainly wrong is refused; `suspicion` tells what may be meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.emptiness import is_empty
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.errors import InputError
+
+LARGEST = 1e6
+_UNIT_OF = {"prismatic": "m", "revolute": "rad", "screw": "rad"}
+Place = tuple[str | int, ...]
+
+
+def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
+    """The checks in their order, each with the place in the automaton that it is about; see `check.checks`."""
+    for coordinate in automaton.coordinates:
+        yield ("coordinates", coordinate.name), partial(_check_unit_of_joints, automaton, coordinate)
+    for given in automaton.inputs:
+        yield ("inputs", given.name), partial(_check_unit_of_input, automaton, given)
+    for mode in automaton.modes:
+        yield ("modes", mode.name, "invariant"), partial(_check_limits, automaton, mode.invariant, f"mode {mode.name}")
+    first: dict[tuple[str, str, Region], int] = {}
+    for i, edge in enumerate(automaton.edges):
+        same = first.setdefault((edge.source, edge.target, edge.guard), i)
+        yield ("edges", i, "guard"), partial(_check_limits, automaton, edge.guard, f"edge {edge.name}")
+        yield ("edges", i), partial(_check_repeated, edge, i, same)
+        yield ("edges", i, "guard"), partial(_check_stays, automaton, edge)
+    for i, effect in enumerate(automaton.effects):
+        yield ("effects", i), partial(_check_effect_once, automaton.effects[:i], effect)
+
+
+def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) -> None:
+    """A coordinate has the unit of one of its joints; the others of a chain of modes count in their own unit."""
+    index = automaton.coordinate_names.index(coordinate.name)
+    kinds = {
+        mode.joints[k].kind: link.child
+        for mode in automaton.modes
+        for k, link in enumerate(automaton.links)
+        if link.coordinate == index and mode.joints[k].kind in _UNIT_OF
+    }
+    if kinds and coordinate.unit not in {_UNIT_OF[kind] for kind in kinds}:
+        kind, child = next(iter(kinds.items()))
+        raise InputError(
+            f"coordinate {coordinate.name}: expected the unit {_UNIT_OF[kind]} of the {kind} joint of {child}, "
+            f"found {coordinate.unit}",
+            remedy=f"write {_UNIT_OF[kind]}, or correct the kind of the joint",
+        )
+
+
+def _check_unit_of_input(automaton: HybridAutomaton, given: Coordinate) -> None:
+    """An input that is called like a coordinate is its commanded change."""
+    unit = next((item.unit for item in automaton.coordinates if item.name == given.name), given.unit)
+    if unit != given.unit:
+        raise InputError(
+            f"input {given.name}: expected the unit {unit} of the coordinate {given.name} that it moves, found "
+            f"{given.unit}",
+            remedy=f"write {unit}, or give the input a name of its own",
+        )
+
+
+def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> None:
+    for half_space in region.half_spaces:
+        bound = half_space.bound
+        if bound is not None and not abs(bound.value) <= LARGEST:
+            coordinate = automaton.coordinates[bound.coordinate]
+            raise InputError(
+                f"{where}: expected a limit of {coordinate.name} of at most {LARGEST:g} {coordinate.unit} in size, "
+                f"found {bound.value:g}",
+                remedy="give it in m or rad",
+            )
+
+
+def _check_repeated(edge: Edge, number: int, first: int) -> None:
+    """Of two transitions with the same guard the second is never taken."""
+    if number != first:
+        raise InputError(
+            f"edge {edge.name}: it has the same modes and guard as transition {first} (counted from 0), so it is never "
+            "taken",
+            remedy="remove one of the two, or correct the guard",
+        )
+
+
+def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
+    """Refuse a guard that holds wherever the invariant of its own mode does: the mode would be left at once, always."""
+    mode = automaton.mode(edge.source)
+    within = mode.invariant.half_spaces + mode.inputs.half_spaces
+    if all(is_empty(Region((*within, _opposite(half_space)))) for half_space in edge.guard.half_spaces):
+        names = " and ".join(half_space.name or "an unnamed half-space" for half_space in edge.guard.half_spaces)
+        raise InputError(
+            f"edge {edge.name}: its guard holds everywhere in mode {mode.name}, which is never stayed in. Got {names}",
+            remedy="move the guard to where the mode ends, or widen the mode's invariant",
+        )
+
+
+def _opposite(half_space: HalfSpace) -> HalfSpace:
+    """What a half-space leaves out."""
+    a, b = (tuple(-weight for weight in weights) for weights in (half_space.a, half_space.b))
+    return HalfSpace(a, b, -half_space.c, not half_space.strict)
+
+
+def _check_effect_once(earlier: tuple[Effect, ...], effect: Effect) -> None:
+    own = (effect.name, effect.coordinate, effect.values, effect.modes)
+    if any((other.name, other.coordinate, other.values, other.modes) == own for other in earlier):
+        raise InputError(
+            f"effect {effect.name} of {effect.coordinate} is there twice, with the same values",
+            remedy="remove one of the two",
+        )

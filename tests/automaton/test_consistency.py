@@ -1,0 +1,121 @@
+"""What contradicts itself is refused with its place; what only looks odd is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from automaton_examples import cabinet, detent, door, guard, plain, two_rails
+
+from micah_plan.automaton.consistency import contradictions
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
+from micah_plan.automaton.region import Region
+from micah_plan.errors import InputError
+
+GAIN = Effect("gain", "door", (("gain", 0.9),))
+LATE = Edge("revolute", "rigid", guard(([1], [0], 1.5)))
+
+
+def found(automaton: HybridAutomaton) -> tuple[tuple[str | int, ...], str] | None:
+    """Place and line of the first contradiction."""
+    for place, check in contradictions(automaton):
+        try:
+            check()
+        except InputError as error:
+            return place, str(error)
+    return None
+
+
+def with_edges(*edges: Edge) -> HybridAutomaton:
+    return replace(door(), edges=(*door().edges, *edges))
+
+
+def with_invariant(region: Region) -> HybridAutomaton:
+    first: Mode = door().modes[0]
+    return replace(door(), modes=(replace(first, invariant=region), door().modes[1]))
+
+
+MISTAKES = [
+    (
+        replace(door(), coordinates=(Coordinate("door", "m"),)),
+        ("coordinates", "door"),
+        "coordinate door: expected the unit rad of the revolute joint of door, found m; write rad",
+    ),
+    (
+        replace(two_rails(), coordinates=(Coordinate("drawer", "rad"),)),
+        ("coordinates", "drawer"),
+        "coordinate drawer: expected the unit m of the prismatic joint of drawer, found rad; write m",
+    ),
+    (
+        replace(door(), inputs=(Coordinate("door", "m"),)),
+        ("inputs", "door"),
+        "input door: expected the unit rad of the coordinate door that it moves, found m; write rad",
+    ),
+    (
+        with_edges(LATE, replace(LATE, reset=Reset(c=(0.1,)))),
+        ("edges", len(door().edges) + 1),
+        f"it has the same modes and guard as transition {len(door().edges)} (counted from 0), so it is never taken",
+    ),
+    (
+        with_edges(Edge("revolute", "rigid", guard(([1], [0], -5.0)))),
+        ("edges", len(door().edges), "guard"),
+        "edge revolute -> rigid: its guard holds everywhere in mode revolute, which is never stayed in",
+    ),
+    (
+        with_edges(Edge("rigid", "revolute", guard(([1], [0], 1.0)))),
+        ("edges", len(door().edges), "guard"),
+        "edge rigid -> revolute: its guard holds everywhere in mode rigid, which is never stayed in",
+    ),
+    (
+        with_edges(Edge("revolute", "rigid", guard(([1e-300], [0], 1.0)))),
+        ("edges", len(door().edges), "guard"),
+        "expected a limit of door of at most 1e+06 rad in size, found 1e+300; give it in m or rad",
+    ),
+    (
+        with_invariant(guard(([1], [0], 0.0), ([-1], [0], -1e9))),
+        ("modes", "revolute", "invariant"),
+        "mode revolute: expected a limit of door of at most 1e+06 rad in size, found 1e+09",
+    ),
+    (
+        replace(door(), effects=(GAIN, GAIN)),
+        ("effects", 1),
+        "effect gain of door is there twice, with the same values; remove one of the two",
+    ),
+]
+
+
+@pytest.mark.parametrize(("automaton", "place", "line"), MISTAKES)
+def test_a_contradiction_is_told_with_its_place(
+    automaton: HybridAutomaton, place: tuple[str | int, ...], line: str
+) -> None:
+    told = found(automaton)
+    assert told is not None
+    assert told[0] == place
+    assert line in told[1]
+    assert "\n" not in told[1]
+
+
+ONE = [[1.0]]
+MEANT = [
+    door(),
+    door(release=0.01),
+    two_rails(),
+    detent(),
+    cabinet(),
+    with_effect(door(), GAIN, replace(GAIN, parameters=(("gain", 0.8),))),
+    with_edges(LATE, Edge("revolute", "rigid", guard(([1], [0], 1.6)))),
+    with_edges(Edge("revolute", "rigid", guard(([1], [0], -5.0), ([0], [1], 0.1)))),  # only with an input
+    plain({"a": ONE, "b": ONE}, [Edge("a", "b", guard(([1], [0], 0.5)))]),
+    # A hand that moves in m turns a part.
+    HybridAutomaton(
+        (Coordinate("turn", "rad"),), (Coordinate("hand", "m"),), (), (), (Mode("a", (), ((4.0,),)),), (),
+        Noise((0.01,), (0.01,)),
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("automaton", MEANT)
+def test_what_may_be_meant_is_left_alone(automaton: HybridAutomaton) -> None:
+    assert found(automaton) is None
