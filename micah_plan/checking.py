@@ -45,10 +45,11 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
 
         return suspicions(read_recording(file))
     if kind == "model":
+        from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
         from micah_plan.documents.model import load_model
 
-        load_model(file)
-    elif kind == "parts":
+        return suspicions_of_model(load_model(file))
+    if kind == "parts":
         from micah_plan.documents.parts import load_parts
 
         load_parts(file)
@@ -63,9 +64,13 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
     else:
         from micah_plan.documents.problem import load_problem
 
-        robot = load_problem(file).robot
-        if robot is not None:
+        problem = load_problem(file)
+        if problem.robot is not None:
             from micah_plan.robot.load_arm import load_arm
 
-            load_arm(robot)
+            load_arm(problem.robot)
+        if problem.hold is None:  # the modes of a held object are contacts of the hand's own model
+            from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
+
+            return suspicions_of_model(problem.automaton)
     return ()

@@ -102,6 +102,17 @@ def test_a_recording_in_millimetres_is_warned_of(tmp_path: Path) -> None:
     assert "millimetres" in found.warnings[0]
 
 
+def test_modes_that_place_a_part_far_apart_are_warned_of(tmp_path: Path) -> None:
+    text = (ROOT / "models" / "microwave.yaml").read_text()
+    (tmp_path / "far.yaml").write_text(text.replace("position: [0.0697587771103716", "position: [50.0697587771103716"))
+    found = check_file(tmp_path / "far.yaml")
+    assert not found.faults
+    assert found.warnings[0].startswith("modes.rigid.joints.door: 50.1 m from the base frame; lengths are in m: are th")
+    assert found.warnings[1].startswith(
+        "transition revolute -> rigid: part door jumps by 50 m between the joints of it"
+    )
+
+
 def test_the_command_tells_people_and_programs_the_same(tmp_path: Path) -> None:
     bad, good = tmp_path / "bad.yaml", ROOT / "models" / "drawer.yaml"
     bad.write_text("format: micah-plan/problem/1\nmodl: x.yaml\nstart: 3\n")

@@ -12,6 +12,7 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
 from micah_plan.automaton.region import Region
+from micah_plan.automaton.suspicion import suspicions
 from micah_plan.errors import InputError
 
 GAIN = Effect("gain", "door", (("gain", 0.9),))
@@ -119,3 +120,18 @@ MEANT = [
 @pytest.mark.parametrize("automaton", MEANT)
 def test_what_may_be_meant_is_left_alone(automaton: HybridAutomaton) -> None:
     assert found(automaton) is None
+
+
+def test_a_part_that_jumps_from_mode_to_mode_is_suspected() -> None:
+    automaton = door()
+    far = replace(automaton.modes[1].joints[0], position=(51.2, 0.0, 0.0))
+    automaton = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(far,))))
+    millimetres, there, back = suspicions(automaton)
+    assert millimetres.startswith("modes.rigid.joints.door: 51.2 m from the base frame; lengths are in m: are these mi")
+    assert there.startswith("transition revolute -> rigid: part door jumps by 5")
+    assert back.startswith("transition rigid -> revolute: part door jumps by 5")
+
+
+@pytest.mark.parametrize("automaton", [two_rails(), detent(), plain({"a": ONE}, [])])
+def test_parts_that_stay_where_they_are_are_not_suspected(automaton: HybridAutomaton) -> None:
+    assert suspicions(automaton) == ()

@@ -1,0 +1,72 @@
+"""What looks like a mistake in an automaton that can be used. Nothing is refused: each suspicion is one line.
+
+- **Jumps.** A part is where it was when a transition is taken. If the joints of its two modes place it more than
+  `LARGEST_JUMP_M` apart, one of them was probably edited. Smaller ones are common: joints are estimates.
+- **Millimetres.** A part farther than `FARTHEST_M` from the part that it is linked to was probably given in
+  millimetres. Solids do not show it: domains of 100 m are planned in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.kinematics import part_poses
+from micah_plan.quantities import quantity
+
+LARGEST_JUMP_M = 0.2
+FARTHEST_M = 50.0
+
+
+def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
+    """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
+    jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
+    return (*_millimetres(automaton), *jumps)
+
+
+def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:
+    said = "lengths are in m: are these millimetres? then divide them by 1000"
+    for mode in automaton.modes:
+        for link, joint in zip(automaton.links, mode.joints, strict=True):
+            distance = float(np.linalg.norm(joint.position))
+            if distance > FARTHEST_M:
+                parent = "the base frame" if link.parent == "base" else f"part {link.parent}"
+                yield f"modes.{mode.name}.joints.{link.child}: {quantity(distance, 'm')} from {parent}; {said}"
+
+
+def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
+    """Parts that a transition moves by itself, each told where its own joint does it."""
+    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
+    before = _crossing(automaton, edge)
+    after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
+    for pin in target.pins:
+        after[pin.coordinate] = pin.value
+    left, entered = part_poses(automaton, source, before), part_poses(automaton, target, after)
+    moved: set[str] = set()
+    for link in automaton.links:
+        jump = float(np.linalg.norm(left[link.child].translation - entered[link.child].translation))
+        if jump <= LARGEST_JUMP_M:
+            continue
+        if link.parent not in moved:
+            yield (
+                f"transition {edge.name}: part {link.child} jumps by {quantity(jump, 'm')} between the joints of "
+                "its modes; check position, axis and center of both"
+            )
+        moved.add(link.child)
+
+
+def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
+    """A state (n,) in which a transition is taken: the middle of what its guard and both modes leave."""
+    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
+    state = np.zeros(automaton.n)
+    for i in range(automaton.n):
+        limits = [source.interval(i), edge.guard.interval(i)]
+        limits += [target.invariant.interval(i)] if edge.reset.is_identity else []
+        low, high = max(low for low, _ in limits), min(high for _, high in limits)
+        ends = [end for end in (low, high) if math.isfinite(end)]
+        state[i] = sum(ends) / len(ends) if ends else 0.0
+    return state
