@@ -25,14 +25,18 @@ from micah_plan.documents.located import Located
 from micah_plan.documents.model import automaton_of, model_data, scope_of
 from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
 from micah_plan.documents.validation import check_format, validated
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
+from micah_plan.task.acceptance import least_share
 from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
 
 PLAN_FORMAT = "micah-plan/plan/1"
 LARGEST_PLAN_BYTES = 64 * 1024 * 1024
 _DEEPEST = 40
+# Places and inputs are smaller, and so are gains: inputs per place.
+_LARGEST = 1e9
+_ROUNDING = 1e-9
 _AGAIN = "solve the problem again"
 _ARRAY = Mark(lambda rows, *_: np.array(rows, dtype=float))
 
@@ -134,10 +138,23 @@ class PlanDocument(Document):
     problem: dict[str, Any] = doc("The problem, laid out as a problem file.")
     model: dict[str, Any] = doc("Its model with the noise planned with, laid out as a model file.")
 
+    def _check_share(self, at: Located) -> None:
+        """Refuse a share of successes that nothing was counted for, or that its interval does not hold."""
+        share, interval = self.success_probability, self.success_interval
+        if self.outcome == "solved" and self.verification_trials > 0 and share is None:
+            problem = f"expected the share of {self.verification_trials} roll-outs, found nothing"
+            raise at.at("success_probability").error(problem, _AGAIN)
+        if share is None or interval is None:
+            return
+        if not interval[0] - _ROUNDING <= share <= interval[1] + _ROUNDING:
+            problem = f"expected an interval that holds the share {share:g}, found {interval[0]:g} to {interval[1]:g}"
+            raise at.at("success_interval").error(problem, _AGAIN)
+
     def check(self, at: Located) -> None:
         if (self.trajectory is None) == (self.outcome != "no_plan"):
             found = "no trajectory" if self.trajectory is None else "a trajectory"
             raise at.at("trajectory").error(f"outcome {self.outcome} with {found}", _AGAIN)
+        self._check_share(at)
         if self.trajectory is None or self.arm is None:
             return
         at, arm, knots = at.at("arm"), self.arm, len(self.trajectory.modes)
@@ -256,9 +273,21 @@ def _stored(located: Located) -> StoredPlan:
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
     own = document.meanings(located, scope_of(planned))
     plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
+    _check_accepted(plan, problem, located)
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)
     return StoredPlan(plan, problem, document.version, located.source)
+
+
+def _check_accepted(plan: Plan, problem: Problem, at: Located) -> None:
+    """Refuse a plan that says it is solved although verification would not have accepted it."""
+    share, confidence = plan.success_probability, problem.settings.confidence
+    if plan.outcome != "solved" or share is None:
+        return
+    least = least_share(confidence, plan.verification_trials)
+    if share < least:
+        problem_text = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
+        raise at.at("success_probability").error(f"{problem_text} the confidence {confidence:g} asks for", _AGAIN)
 
 
 def _array(value: Any, shape: tuple[int, ...], at: Located) -> NDArray[np.float64]:
@@ -268,6 +297,8 @@ def _array(value: Any, shape: tuple[int, ...], at: Located) -> NDArray[np.float6
         raise at.error(f"expected shape {shape}, found ragged rows", _AGAIN) from None
     if result.shape != shape:
         raise at.error(f"expected shape {shape}, found {result.shape}", _AGAIN)
+    if result.size and np.abs(result).max() > _LARGEST:
+        raise at.error(f"expected numbers of at most {_LARGEST:g} in size, found {np.abs(result).max():g}", _AGAIN)
     return result
 
 
@@ -288,17 +319,37 @@ def _digest(data: dict[str, Any]) -> str:
 
 def _parsed(content: bytes, source: str) -> Any:
     try:
-        data = json.loads(content.decode("utf-8"))
+        data = json.loads(content.decode("utf-8"), object_pairs_hook=_once)
     except UnicodeDecodeError:
         raise InputError("expected a plan (JSON), found bytes that are no text", source=source, remedy=_AGAIN) from None
     except json.JSONDecodeError as error:
         where, problem = f"line {error.lineno}", f"not valid JSON, damaged or cut short: {error.msg}"
         raise InputError(problem, source=source, where=where, remedy=_AGAIN) from None
+    except _TwiceError as twice:
+        problem = f"the key {shown(twice.key)} is given twice"
+        raise InputError(problem, source=source, remedy=_AGAIN) from None
     except (RecursionError, ValueError):  # ValueError: an integer of thousands of digits
         raise InputError("not a plan: nested too deep or a number too long", source=source, remedy=_AGAIN) from None
     if _depth(data) > _DEEPEST:
         raise InputError("not a plan: nested too deep", source=source, remedy=_AGAIN)
     return data
+
+
+class _TwiceError(Exception):
+    """A key is given twice in one object."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__(key)
+        self.key = key
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The object of these pairs: JSON lets a key be there twice, and readers differ in which of them they take."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise _TwiceError(next(key for i, key in enumerate(keys) if key in keys[:i]))
+    return found
 
 
 def _depth(data: Any) -> int:

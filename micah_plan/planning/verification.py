@@ -14,12 +14,11 @@ from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.quantities import percent, plain, quantity
+from micah_plan.task.acceptance import least_share
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 
-# The share of successes may fall short of the confidence by that many of its standard errors.
-_STANDARD_ERRORS = 2.0
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
 # Where a sequential verification ends early it errs with at most this probability.
@@ -126,15 +125,6 @@ def _evidence(confidence: float) -> tuple[float, float]:
     failing = 1.0 - confidence
     worse = min(2.0 * failing, 0.5 * (1.0 + failing))
     return math.log(confidence / (1.0 - worse)), math.log(failing / worse)
-
-
-def least_share(confidence: float, trials: int) -> float:
-    """The smallest share of successes among the roll-outs with which a plan is accepted.
-
-    It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
-    standard error of the observed share would vanish where nothing succeeds.
-    """
-    return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
 
 
 def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Finding]:

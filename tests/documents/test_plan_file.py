@@ -81,6 +81,13 @@ def plan() -> Plan:
     )
 
 
+def rewrite(path: Path, data: dict) -> None:
+    """Write a plan whose digest is right, as somebody who knows how it is made could."""
+    content = {key: value for key, value in data.items() if key != "digest"}
+    digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    path.write_text(json.dumps({**content, "digest": digest}))
+
+
 def assert_same(stored: StoredPlan, plan: Plan, problem: Problem) -> None:
     for item in fields(Plan):
         if item.name not in ("trajectory", "timings"):
@@ -247,6 +254,51 @@ def test_what_does_not_agree_is_not_written(plan: Plan, problem: Problem, change
 def test_outcome_and_trajectory_must_agree(plan: Plan, problem: Problem) -> None:
     assert "outcome solved with no trajectory" in told(plan_text, replace(plan, trajectory=None), problem)
     assert "outcome no_plan with a trajectory" in told(plan_text, replace(plan, outcome="no_plan"), problem)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        (
+            "success_probability",
+            0.0,
+            "key 'success_interval': expected an interval that holds the share 0, found 0.957",
+        ),
+        ("success_probability", None, "key 'success_probability': expected the share of 200 roll-outs, found nothing"),
+        ("success_probability", 7.0, "key 'success_probability': expected a number <= 1, found 7"),
+        ("success_interval", [0.995, 0.957], "key 'success_interval': expected an interval that holds the share 0.985"),
+        ("outcome", "no_plan", "key 'trajectory': outcome no_plan with a trajectory"),
+        ("mode_sequence", ["rigid"], "key 'mode_sequence': does not agree with the trajectory's modes"),
+    ],
+)
+def test_a_plan_that_contradicts_itself_is_told_whatever_its_digest(
+    plan: Plan, problem: Problem, tmp_path: Path, key: str, value: object, expected: str
+) -> None:
+    rewrite(tmp_path / "plan.json", json.loads(plan_text(plan, problem)) | {key: value})
+    assert expected in told(load_plan, tmp_path / "plan.json")
+
+
+def test_a_plan_is_solved_only_if_its_roll_outs_say_so(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+    data = json.loads(plan_text(plan, problem))
+    rewrite(tmp_path / "plan.json", data | {"success_probability": 0.0, "success_interval": [0.0, 0.02]})
+    line = told(load_plan, tmp_path / "plan.json")
+    assert "outcome solved, but its share of successes 0 is less than the 0.858 that the confidence 0.9 asks" in line
+    rewrite(tmp_path / "plan.json", data | {"success_probability": 0.86, "success_interval": None})
+    assert load_plan(tmp_path / "plan.json").plan.success_probability == 0.86
+
+
+def test_numbers_of_a_trajectory_are_those_of_something_physical(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+    data = json.loads(plan_text(plan, problem))
+    data["trajectory"]["means"][1][0] = 1e300
+    rewrite(tmp_path / "plan.json", data)
+    line = told(load_plan, tmp_path / "plan.json")
+    assert "key 'trajectory.means': expected numbers of at most 1e+09 in size, found 1e+300" in line
+
+
+def test_a_key_that_is_there_twice_is_told(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+    text = plan_text(plan, problem)
+    (tmp_path / "plan.json").write_text(text.replace('"seed": 7', '"seed": 8, "seed": 7'))
+    assert told(load_plan, tmp_path / "plan.json").endswith("the key 'seed' is given twice; solve the problem again")
 
 
 def test_a_goal_that_the_file_cannot_hold_is_not_written(plan: Plan, problem: Problem) -> None:
