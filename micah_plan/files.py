@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from micah_plan.errors import InputError, shown
 
 LARGEST_FILE_BYTES = 256 * 1024 * 1024
+_PERMISSIONS = 0o777
 
 
 def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
@@ -82,28 +85,57 @@ def require_directory(path: str | Path) -> None:
 
 
 def replace_file(path: str | Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new, never half of it.
+    """Write a file so that a reader sees the old content or the new, never half of it; permissions stay.
 
     Raises:
         InputError: if the file cannot be written.
     """
-    target = Path(os.path.realpath(path))  # a link keeps pointing to its file
+    replace_files({Path(path): data})
+
+
+def replace_files(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: all are on the disk before the first is replaced, and then one after the other.
+
+    Raises:
+        InputError: if one cannot be written; then none is replaced, but for a failure between the replacements.
+    """
+    waiting: list[tuple[Path, Path]] = []
+    path: str | Path = ""
     try:
-        if target.exists() and not target.is_file() and not target.is_dir():
-            target.write_bytes(data)  # a pipe or device such as /dev/stdout must never be replaced
-            return
-        temporary = target.with_name(f".{os.urandom(8).hex()}.tmp")
-        try:
-            with temporary.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
+        for path, data in contents.items():
+            target = Path(os.path.realpath(path))  # a link keeps pointing to its file
+            if target.exists() and not target.is_file() and not target.is_dir():
+                target.write_bytes(data)  # a pipe or device such as /dev/stdout must never be replaced
+                continue
+            temporary = target.with_name(f".{os.urandom(8).hex()}.tmp")
+            waiting.append((temporary, target))
+            _write(temporary, data, target)
+        for temporary, target in waiting:
+            path = target
             temporary.replace(target)
-        finally:
-            temporary.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
         remedy = "name a file in a directory that exists and may be written"
         raise InputError(f"cannot be written ({_reason(error)})", source=path, remedy=remedy) from None
+    finally:
+        for temporary, _ in waiting:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def _write(temporary: Path, data: bytes, target: Path) -> None:
+    """Write a new file, onto the disk, with the permissions of the one that it will replace."""
+    mode = stat.S_IMODE(target.stat().st_mode) & _PERMISSIONS if target.is_file() else None
+    with open(temporary, "xb", opener=None if mode is None else _open_private) as file:
+        if mode is not None:
+            os.fchmod(file.fileno(), mode)
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _open_private(path: str, flags: int) -> int:
+    """Open a file that nobody else can read until it has its own permissions."""
+    return os.open(path, flags, 0o600)
 
 
 def _reason(error: OSError | ValueError) -> str:

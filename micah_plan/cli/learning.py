@@ -53,9 +53,9 @@ def learn(
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
     from micah_plan import workflow
-    from micah_plan.documents.model import dump_model
+    from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts
-    from micah_plan.files import replace_file
+    from micah_plan.files import replace_files
     from micah_plan.learn.settings import FEWEST_ROWS
 
     written = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
@@ -66,17 +66,19 @@ def learn(
         with located_in(recording):
             found = workflow.learn(measured, method=method, seed=seed, parts=shapes, progress=progress)
     print_warnings(found.warnings)
+    contents: dict[Path, bytes] = {}
     if found.automaton is not None:
-        dump_model(found.automaton, output)
+        contents[output] = model_text(found.automaton).encode()
     if figure is not None:
-        from micah_plan.view.figures import save_figure
+        from micah_plan.view.figures import png
         from micah_plan.view.learning_figure import learning_figure
 
-        save_figure(learning_figure(found.recording, found.graph), figure)
+        contents[figure] = png(learning_figure(found.recording, found.graph))
     if html is not None:
         from micah_plan.view.recording_page import recording_page
 
-        replace_file(html, recording_page(found.recording, found.graph, title=recording.stem).encode())
+        contents[html] = recording_page(found.recording, found.graph, title=recording.stem).encode()
+    replace_files(contents)
     files = (output if found.automaton is not None else None, figure, html)
     print_summary(as_json, learned(found, seed), lambda: _print_learned(found, files))
     if found.automaton is None:

@@ -54,9 +54,9 @@ def solve(
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
-    from micah_plan.documents.plan import timings_path, write_plan, write_timings
+    from micah_plan.documents.plan import plan_text, timings_path, timings_text
     from micah_plan.documents.problem import load_problem
-    from micah_plan.files import replace_file
+    from micah_plan.files import replace_files
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
@@ -67,16 +67,16 @@ def solve(
     with progress_bar(as_json) as progress:
         plan = workflow.solve(asked, seed=seed, progress=progress)
     print_warnings(plan.warnings)
-    write_plan(plan, asked, output)
-    write_timings(plan, output)
+    contents = {output: plan_text(plan, asked).encode(), timings_path(output): timings_text(plan).encode()}
     if html is not None:
         from micah_plan.view.plan_page import plan_page
 
-        replace_file(html, plan_page(plan, asked, title=title_of(problem)).encode())
+        contents[html] = plan_page(plan, asked, title=title_of(problem)).encode()
     if figure is not None and plan.trajectory is not None:
-        from micah_plan.view.figures import belief_figure, save_figure
+        from micah_plan.view.figures import belief_figure, png
 
-        save_figure(belief_figure(asked, plan), figure)
+        contents[figure] = png(belief_figure(asked, plan))
+    replace_files(contents)
     written = (output, html, figure if plan.trajectory is not None else None)
     print_summary(as_json, _solved(plan), lambda: _print_solved(plan, asked, written))
     if plan.outcome != "solved":

@@ -160,8 +160,9 @@ def calibrate(
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
     from micah_plan import workflow
-    from micah_plan.documents.model import dump_model, load_model
+    from micah_plan.documents.model import load_model, model_text
     from micah_plan.documents.model_difference import differences
+    from micah_plan.files import replace_files
 
     check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
     automaton = load_model(model)
@@ -169,12 +170,12 @@ def calibrate(
     begin = time.perf_counter()
     with progress_bar(as_json) as progress, located_in(recording):
         found = workflow.calibrate(automaton, measured, progress=progress)
-    dump_model(found.automaton, output)
+    contents = {output: model_text(found.automaton).encode()}
     if report is not None:
-        from micah_plan.files import replace_file
         from micah_plan.view.calibration_page import calibration_page
 
-        replace_file(report, calibration_page(found, title=recording.stem).encode())
+        contents[report] = calibration_page(found, title=recording.stem).encode()
+    replace_files(contents)
     changes = differences(automaton, found.automaton)
     summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
     print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, (output, report)))

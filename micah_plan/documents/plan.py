@@ -232,7 +232,12 @@ def write_timings(plan: Plan, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
-    replace_file(timings_path(path), (json.dumps(dict(plan.timings), indent=2) + "\n").encode())
+    replace_file(timings_path(path), timings_text(plan).encode())
+
+
+def timings_text(plan: Plan) -> str:
+    """The text of the file of the plan's times."""
+    return json.dumps(dict(plan.timings), indent=2) + "\n"
 
 
 def load_plan(path: str | Path) -> StoredPlan:

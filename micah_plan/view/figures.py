@@ -134,9 +134,14 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
+    replace_file(path, png(figure))
+
+
+def png(figure: Figure) -> bytes:
+    """What `save_figure` writes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=_DPI, format="png", metadata={"Software": None})
-    replace_file(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def empty_figure(size: tuple[float, float], **options: Any) -> Figure:
