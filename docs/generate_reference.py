@@ -16,7 +16,7 @@ from typing import Any
 
 from typer.testing import CliRunner
 
-from micah_plan.cli import app
+from micah_plan.cli.application import app
 from micah_plan.documents.kind import schema
 from micah_plan.execution.mujoco.parameters import defaults
 

@@ -133,10 +133,14 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.planning.tightening import verified_plan
 
-    deadline = Deadline(problem.settings.solve_time_limit_s)
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
-    found = verified_plan(problem, partial(_planner(method), seed=seed, progress=progress), seed, rounds, deadline)
+    planner = partial(_planner(method), seed=seed, progress=progress)
+    if problem.robot is not None:
+        import micah_plan.robot.along_plan  # noqa: F401
+    # Only now: what it takes to load libraries says nothing about the problem.
+    deadline = Deadline(problem.settings.solve_time_limit_s)
+    found = verified_plan(problem, planner, seed, rounds, deadline)
     warnings = left_out(problem.automaton, method != "pomdp-hd")
     return replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
 

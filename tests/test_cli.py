@@ -383,3 +383,24 @@ def test_an_unexpected_exception_says_that_it_is_a_bug(stopped):
     line, *trace = printed.err.splitlines()
     assert trace[0].startswith("Traceback")
     assert line.startswith("error: RuntimeError: no such thing; this is a bug")
+
+
+_INTERRUPT = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from micah_plan.cli import main
+main()
+"""
+
+
+def test_an_interrupt_while_libraries_are_loaded_is_one_line() -> None:
+    done = subprocess.run([sys.executable, "-c", _INTERRUPT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "error: interrupted; no file was left half-written\n"
+    command = [sys.executable, "-c", _INTERRUPT, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, '{"error": "interrupted; no file was left half-written"}\n')

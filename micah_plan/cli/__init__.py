@@ -4,6 +4,15 @@ Results go to stdout (with --json exactly one JSON object), progress and errors 
 line, before any work, and so are outputs of a wrong kind or that would overwrite an input or one another.
 """
 
-from micah_plan.cli.application import app, main
+from micah_plan.cli.interrupted import end_interrupted
 
-__all__ = ["app", "main"]
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point of `micah-plan`. Ctrl-C is answered with one line from here on, also while libraries are loaded."""
+    try:
+        from micah_plan.cli.application import main as run
+    except KeyboardInterrupt:
+        end_interrupted()
+    run()

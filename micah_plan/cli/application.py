@@ -11,8 +11,9 @@ import typer
 
 from micah_plan import __version__
 from micah_plan.cli.checking import check, diff, doctor
-from micah_plan.cli.console import BAD_INPUT, INTERRUPTED, NO_RESULT, OUR_BUG, Interrupted, err, out
+from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
 from micah_plan.cli.files import convert, new, schema
+from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE
 from micah_plan.cli.learning import learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
@@ -54,7 +55,7 @@ def main() -> None:
         traceback.print_exception(error)
         code = OUR_BUG
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
-        _fail("interrupted; no file was left half-written", INTERRUPTED)
+        _fail(SENTENCE, INTERRUPTED)
     sys.exit(code)
 
 

@@ -25,7 +25,6 @@ NO_RESULT = 1
 BAD_INPUT = 2
 OUR_BUG = 70
 """A bug: an error that no input should cause (EX_SOFTWARE of sysexits.h)."""
-INTERRUPTED = 130
 
 out = Console(soft_wrap=True, highlight=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False)

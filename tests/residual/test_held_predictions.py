@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
-from micah_plan.cli import app
+from micah_plan.cli.application import app
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.closed_loop import Episode, execute

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,12 @@ def test_what_is_no_request_harms_nobody(server: PageServer, capsys: pytest.Capt
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
     assert answer(server.port) == (200, "first")
     assert capsys.readouterr().err == ""
+
+
+def test_many_requests_at_once_are_all_answered(server: PageServer) -> None:
+    with ThreadPoolExecutor(300) as browsers:
+        answers = list(browsers.map(lambda _: answer(server.port), range(300)))
+    assert answers == [(200, "first")] * 300
 
 
 def test_a_port_that_is_taken_is_bad_input(server: PageServer) -> None:
