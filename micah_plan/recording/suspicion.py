@@ -8,6 +8,11 @@ Rules, each of them with what it cannot see:
   that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
   its rows, so that outliers do not count), or is farther than `FARTHEST_M` from the origin in most rows, was probably
   given in millimetres. A part that moves by less than 20 mm close to the origin does not show it.
+- **Outliers.** A row farther than `LARGEST_EXTENT_M` from where its part is in the middle of its rows was not measured.
+- **Actions.** A hand that is told to move more than `LARGEST_ACTION_M` per row, and a hundred times as far as the part
+  moves (90 % of the rows each), was probably told millimetres. Parts that move less than 0.3 mm per row do not show it.
+- **Gaps.** One row more than `LONGEST_GAP_S` after the one before, in the same run, is a clock that was set or two
+  recordings in one.
 - **Time.** One pose in more than `LONGEST_STEP_S` (median) does not show how a part moves; a clock in milliseconds,
   microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it.
 - **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
@@ -28,6 +33,8 @@ from micah_plan.recording.value import Recording
 LARGEST_EXTENT_M = 20.0
 FARTHEST_M = 50.0
 LONGEST_STEP_S = 5.0
+LARGEST_ACTION_M = 0.3
+LONGEST_GAP_S = 3600.0
 
 _FEWEST_ROWS = 10
 _CLOCKS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
@@ -38,6 +45,8 @@ _LEAST_TURN = 0.3
 # The given order must leave much of the motion of the origin unexplained, and the other one at most half of that.
 _UNEXPLAINED = 0.2
 _FAR_BETTER = 0.5
+# Millimetres are a thousand times metres; noise makes steps of the part look larger than they are.
+_FAR_MORE = 100.0
 
 
 def suspicions(recording: Recording) -> tuple[str, ...]:
@@ -45,7 +54,8 @@ def suspicions(recording: Recording) -> tuple[str, ...]:
     found: list[str] = []
     for part in recording.parts:
         rows = recording.select(part=part)
-        found += [line for line in (_length(rows, part), _quaternion(rows, part)) if line]
+        lines = (_length(rows, part) or _outlier(rows, part), _actions(rows, part), _quaternion(rows, part))
+        found += [line for line in lines if line]
     return (*found, *([line] if (line := _time(recording)) else []))
 
 
@@ -61,6 +71,34 @@ def _length(rows: Recording, part: str) -> str:
     return f"{seen}; positions and actions are in m: are these millimetres? then divide x,y,z (and ax,ay,az) by 1000"
 
 
+def _outlier(rows: Recording, part: str) -> str:
+    distance = np.linalg.norm(rows.position - np.median(rows.position, axis=0), axis=1)
+    far = np.flatnonzero(distance > LARGEST_EXTENT_M)
+    if not len(far) or len(rows) < _FEWEST_ROWS:
+        return ""
+    first = int(far[0])
+    others = f" (and in {len(far) - 1} more rows)" if len(far) > 1 else ""
+    seen = f"part '{part}' is {quantity(float(distance[first]), 'm')} away from its other rows"
+    return f"{seen} at t = {rows.time[first]:g}{others}; was it lost by the tracker? then remove the row"
+
+
+def _actions(rows: Recording, part: str) -> str:
+    if rows.action is None or len(rows) < _FEWEST_ROWS:
+        return ""
+    told = np.linalg.norm(rows.action, axis=1)
+    told = told[told > 0.0]  # false for the empty one at the end of a run
+    if not len(told):
+        return ""
+    asked = float(np.quantile(told, 0.9))
+    moved = float(np.quantile(np.linalg.norm(np.diff(rows.position, axis=0), axis=1), 0.9))
+    if asked <= LARGEST_ACTION_M or asked <= _FAR_MORE * moved:
+        return ""
+    return (
+        f"part '{part}' moves by {quantity(moved, 'm')} per row where actions ask for {quantity(asked, 'm')}; actions "
+        "are in m: are these millimetres? then divide ax,ay,az by 1000"
+    )
+
+
 def _time(recording: Recording) -> str:
     _, part = np.unique(np.array(recording.part), return_inverse=True)
     order = np.lexsort((part, recording.run))  # stable: rows of one run and part stay in the order of time
@@ -68,7 +106,11 @@ def _time(recording: Recording) -> str:
     steps = np.diff(recording.time[order])[(group[1:] == group[:-1]).all(axis=1)]
     step = float(np.median(steps)) if len(steps) + 1 >= _FEWEST_ROWS else 0.0
     if step <= LONGEST_STEP_S:
-        return ""
+        longest = float(steps.max(initial=0.0))
+        if longest <= LONGEST_GAP_S:
+            return ""
+        remedy = "was a clock set, or are these two recordings? then give each its number in a column 'run'"
+        return f"a row is {quantity(longest, 's')} after the one before it; {remedy}"
     clock = next((name for name, ticks in _CLOCKS if step / ticks <= _SLOWEST_S), "nanoseconds")
     return f"rows are {quantity(step, 's')} apart; times are in s: are these {clock}? then convert the column t"
 

@@ -74,7 +74,34 @@ def test_one_in_a_hall_of_a_hundred_is() -> None:
 def test_outliers_alone_are_no_unit() -> None:
     position = door().position.copy()
     position[::10] += 500.0
-    assert suspicions(replace(door(), position=position, quaternion=None)) == ()
+    (line,) = suspicions(replace(door(), position=position, quaternion=None))
+    assert line.startswith("part 'part' is 866 m away from its other rows at t = 0 (and in 7 more rows); was it lost")
+
+
+def test_one_row_far_away_is_told_with_its_time() -> None:
+    position = door().position.copy()
+    position[40, 1] += 100.0
+    (line,) = suspicions(replace(door(), position=position, quaternion=None))
+    assert line.startswith("part 'part' is 100 m away from its other rows at t = 4.05063; was it lost by the tracker?")
+
+
+def with_actions(factor: float) -> Recording:
+    steps = np.diff(door(noise=0.0).position, axis=0, append=np.nan)
+    return replace(door(), action=factor * steps)
+
+
+def test_actions_in_millimetres_are_named() -> None:
+    assert suspicions(with_actions(1.0)) == suspicions(with_actions(50.0)) == suspicions(with_actions(0.0)) == ()
+    (line,) = suspicions(with_actions(1000.0))
+    assert "per row where actions ask for " in line
+    assert line.endswith("actions are in m: are these millimetres? then divide ax,ay,az by 1000")
+
+
+def test_a_time_that_jumps_is_told() -> None:
+    year = 3.15e7
+    (line,) = suspicions(replace(door(), time=door().time + year * (np.arange(ROWS) > 40)))
+    assert "after the one before it; was a clock set, or are these two recordings?" in line
+    assert suspicions(replace(door(), time=door().time + 60.0 * (np.arange(ROWS) > 40))) == ()
 
 
 @pytest.mark.parametrize("seed", range(10))
