@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from micah_plan.errors import MicahError
-from micah_plan.files import replace_file
+from micah_plan.files import replace_files
 from micah_plan.outputs import TABLE, Output, check_outputs
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun, results_table, timings_path, timings_table
@@ -89,8 +89,8 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
                 _tell(progress, outcomes, len(distinct))
         runs = [journal.finished[case.key] for case in cases]
     results = tuple(run.result for run in runs)
-    replace_file(output, results_table(sweep, cases, results, output.suffix))
-    replace_file(timings_path(output), timings_table(runs, output.suffix))
+    table, timings = results_table(sweep, cases, results, output.suffix), timings_table(runs, output.suffix)
+    replace_files({output: table, timings_path(output): timings})
     return SweepResults(cases, results, resumed, (output, timings_path(output), journal_path(output)))
 
 
