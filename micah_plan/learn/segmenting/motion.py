@@ -23,7 +23,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.joints.least_norm import least_norm
 from micah_plan.learn.segmenting.log_add import log_add
-from micah_plan.learn.segmenting.pool import Pool
+from micah_plan.learn.segmenting.pool import AlongNoise, Pool
 
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
@@ -92,13 +92,13 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
     used = pool.hypotheses.used[members]
     weight = (used[:, 1:] & used[:, :-1]).T[:, :, None].astype(float)
     enough = np.maximum(weight.sum(axis=(0, 2)), 1.0)
-    white = pool.white[members]
+    white = pool.along.white[members]
     squares = (weight[..., 0].T * (c[:, 1:] - c[:, :-1]) ** 2).sum(axis=1) / enough
     mean_square = np.maximum(squares, np.maximum(white * 1e-3, _TINY))
     grid = mean_square[:, None] * _STEP_SHARES
     # The last column is the filter of a part that has not moved yet.
     variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
-    innovations, quiet = _innovations(_signals(c, action), white, pool.renewed[members], variances, scale[members])
+    innovations, quiet = innovations_of(_signals(c, action), pool.along.take(members), variances, scale[members])
     waiting = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
     # Without gaps: NumPy is slow at rows of three numbers.
     innovations, quiet = np.ascontiguousarray(innovations[..., :-1]), np.ascontiguousarray(quiet[:, :, :-1])
@@ -142,25 +142,37 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
     return log_add(log_rest, log_go)
 
 
-def _innovations(signals: Floats, white: Floats, renewed: Floats, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g)."""
+def innovations_of(signals: Floats, along: AlongNoise, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g).
+
+    A Kalman filter of the configuration, which takes steps of the variances `grid` and with which the slow wander goes,
+    and of the fast wander, which is forgotten.
+    """
     n, g = signals.shape[1], grid.shape[1]
-    noise = (white[:, None] * scale).T[1:, :, None]
-    added = grid + renewed[:, None]
+    noise = (along.white[:, None] * scale).T[1:, :, None]
+    added = grid + (along.slow * (1 - along.slow_kept**2))[:, None]
+    kept, fast = along.fast_kept[:, None], along.fast[:, None]
+    shape = (n - 1, *added.shape)
     # How far to trust a row does not depend on the signals.
-    ahead = np.empty((n - 1, len(signals), g))
-    ahead[0] = white[:, None] + added
-    for t in range(1, n - 1):
-        before = ahead[t - 1]
-        np.add(before * noise[t - 1] / (before + noise[t - 1]), added, out=ahead[t])
-    trust = ahead / (ahead + noise)
+    of_place, of_wander, total = np.empty(shape), np.empty(shape), np.empty(shape)
+    place, both, wander = along.white[:, None] + fast, -fast, fast
+    for t in range(n - 1):
+        place, both, wander = place + added, kept * both, kept**2 * wander + (1 - kept**2) * fast
+        seen_place, seen_wander = place + both, both + wander
+        total[t] = seen_place + seen_wander + noise[t]
+        of_place[t], of_wander[t] = seen_place / total[t], seen_wander / total[t]
+        place, both = place - of_place[t] * seen_place, both - of_place[t] * seen_wander
+        wander = wander - of_wander[t] * seen_wander
     rows = np.ascontiguousarray(signals.transpose(1, 2, 0))[..., None]
     innovations = np.empty((n - 1, signals.shape[2], len(signals), g))
-    state = np.repeat(rows[0], g, axis=2)
+    state, error = np.repeat(rows[0], g, axis=2), np.zeros((signals.shape[2], len(signals), g))
     for t in range(1, n):
+        error *= kept
         np.subtract(rows[t], state, out=innovations[t - 1])
-        state += trust[t - 1] * innovations[t - 1]
-    return innovations.transpose(1, 0, 2, 3), ahead - grid + noise
+        innovations[t - 1] -= error
+        state += of_place[t - 1] * innovations[t - 1]
+        error += of_wander[t - 1] * innovations[t - 1]
+    return innovations.transpose(1, 0, 2, 3), total - grid
 
 
 def _freely(

@@ -90,7 +90,7 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     block = np.maximum(rows / _BLOCKS, 1.0)
     inside, count = _blocks(used)
     travel = _span(inside, count, pool.seen.configuration[:, None])
-    noises = np.sqrt(pool.white[:, None] / block + pool.renewed[:, None] * rows / _BLOCKS / 3)
+    noises = np.sqrt(pool.along.white[:, None] / block + pool.along.renewed[:, None] * rows / _BLOCKS / 3)
     travel = travel / np.where(pool.moving, noises[:, 0], 1.0)
     # The wander of a tracker goes on over all rows of a rest.
     drift = pool.seen.error / np.sqrt(noise.white / block + noise.renewed * rows)[..., None]

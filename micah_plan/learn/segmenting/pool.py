@@ -7,7 +7,7 @@ row; so segments that obey one joint share its parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -24,6 +24,7 @@ _LEVELS = 4
 _FEWEST_ROWS = 8
 _MOTION_STDS = 3.0  # a window that spans less than so many stds of noise cannot tell a joint
 _ITERATIONS = 4
+_TINY = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,28 +54,51 @@ def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
 
 
 @dataclass(frozen=True, eq=False)
+class AlongNoise:
+    """Noise of one configuration under h hypotheses, as `NoiseModel` has it of a pose.
+
+    Attributes:
+        white, fast, slow: (h,) variances of the white noise and of two wanders [rad² or m²].
+        fast_kept, slow_kept: (h,) correlation of a wander in neighbouring rows.
+    """
+
+    white: Floats
+    fast: Floats
+    slow: Floats
+    fast_kept: Floats
+    slow_kept: Floats
+
+    @property
+    def renewed(self) -> Floats:
+        """(h,) variance of the wander that is new in each row."""
+        return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
+
+    def take(self, some: slice | Ints) -> AlongNoise:
+        """Of some hypotheses."""
+        return AlongNoise(*(getattr(self, one.name)[some] for one in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
 class Pool:
     """All n rows of a track as h hypotheses see them under a noise.
 
     Attributes:
         hypotheses: the h joints.
         seen: most likely configurations, errors and directions.
-        white, renewed: (h,) variances of one configuration's white noise and of what each row adds to its wander.
+        along: noise of one configuration.
         lever: (h, 3) J⁻¹ for the part's translation, in the frame of the track's actions [rad or m per m].
         moving: (h,) which are not rigid.
     """
 
     hypotheses: Hypotheses
     seen: Compared
-    white: Floats
-    renewed: Floats
+    along: AlongNoise
     lever: Floats
     moving: Booleans
 
     def part(self, some: slice, hypotheses: Hypotheses) -> Pool:
         """As some of the hypotheses see the rows."""
-        numbers = self.white[some], self.renewed[some], self.lever[some], self.moving[some]
-        return Pool(hypotheses, self.seen.take(some), *numbers)
+        return Pool(hypotheses, self.seen.take(some), self.along.take(some), self.lever[some], self.moving[some])
 
 
 def pool_of(hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel) -> Pool:
@@ -87,9 +111,13 @@ def pool_of(hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel) -> Pool
     # The closed form weighs position against rotation by one number; one Newton step brings in the whole covariance.
     step = (weighed * seen.error).sum(axis=1) / information
     seen = Compared(seen.configuration + step, seen.error - step[:, None] * seen.direction, seen.direction)
-    parts = np.stack([noise.white, noise.renewed], axis=1) @ (weighed / information[:, None]) ** 2
-    white, renewed = np.median(parts, axis=2).T
-    return Pool(hypotheses, seen, white, renewed, levers(joints, track.quaternion is not None), joints.moving)
+    # A tracker's axes show across a joint, not along it: there its noise is that of all axes together.
+    share = (weighed / information[:, None]) ** 2
+    of_pose = noise.white, noise.fast, noise.slow, noise.fast * noise.fast_kept, noise.slow * noise.slow_kept
+    white, fast, slow, *neighbours = np.median(np.stack(of_pose, axis=1) @ share, axis=2).T
+    kept = (covariance / np.maximum(own, _TINY) for covariance, own in zip(neighbours, (fast, slow), strict=True))
+    along = AlongNoise(white, fast, slow, *kept)
+    return Pool(hypotheses, seen, along, levers(joints, track.quaternion is not None), joints.moving)
 
 
 def windows(rows: int) -> list[tuple[int, int]]:
