@@ -130,6 +130,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
+    from micah_plan.automaton.certainty import doubts
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.planning.tightening import verified_plan
 
@@ -141,7 +142,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     # Only now: what it takes to load libraries says nothing about the problem.
     deadline = Deadline(problem.settings.solve_time_limit_s)
     found = verified_plan(problem, planner, seed, rounds, deadline)
-    warnings = left_out(problem.automaton, method != "pomdp-hd")
+    warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
     return replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
 
 

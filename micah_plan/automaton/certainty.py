@@ -8,10 +8,13 @@ Sources: Fearnhead and Liu, JRSS B 2007 (posterior over changepoints); MICAH, se
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from micah_plan.automaton.joint import JointKind, Vector3
+from micah_plan.quantities import count, percent
 
+DOUBTFUL = 0.6  # less sure answers are worth a warning where they are used
 CHANNEL_NAMES = ("frame_rotation_1", "frame_rotation_2", "frame_rotation_3", "gain", "delay")
 
 
@@ -158,3 +161,39 @@ class LearnedEdge:
     child: str
     segments: tuple[LearnedSegment, ...]
     certainty: EdgeCertainty | None = None
+
+
+def doubts(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
+    """One line for each answer of learning that a model rests on although it is less than `DOUBTFUL` sure."""
+    return tuple(line for edge in learned for line in (*_doubtful_kinds(edge), *_doubtful_counts(edge)))
+
+
+def _doubtful_kinds(edge: LearnedEdge) -> list[str]:
+    found = []
+    for one in edge.segments:
+        kinds = {} if one.certainty is None else dict(one.certainty.kinds)
+        sure = kinds.pop(one.kind, 1.0)
+        if sure < DOUBTFUL and kinds:
+            other = max(kinds, key=lambda kind: kinds[kind])
+            found.append(
+                f"learning was only {percent(sure, 0)} sure that {edge.child} is {one.kind} relative to {edge.parent} "
+                f"(rows {one.start} to {one.end}); {other} has {percent(kinds[other], 0)}. A longer motion, or more "
+                "runs, would tell"
+            )
+    return found
+
+
+def _doubtful_counts(edge: LearnedEdge) -> list[str]:
+    found = []
+    counted = () if edge.certainty is None else edge.certainty.changepoint_counts
+    runs = dict.fromkeys(one.run for one in edge.segments)
+    for run, counts in zip(runs, counted, strict=False):
+        changes = sum(one.run == run for one in edge.segments) - 1
+        sure = counts[changes] if changes < len(counts) else 0.0
+        if sure < DOUBTFUL:
+            likely, chance = max(enumerate(counts), key=lambda one: one[1])
+            found.append(
+                f"learning was only {percent(sure, 0)} sure that the joint of {edge.child} relative to {edge.parent} "
+                f"changes {count(changes, 'time')} in run {run}; {count(likely, 'time')} has {percent(chance, 0)}"
+            )
+    return found

@@ -129,7 +129,8 @@ class Plan:
         findings: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
             part.
         arm: the robot along the trajectory; None if the problem has none.
-        warnings: one line for each thing in the model that the plan does not take into account.
+        warnings: one line for each thing in the model that the plan does not take into account, or that learning
+            was not sure of.
     """
 
     outcome: Outcome

@@ -14,7 +14,7 @@ withdraws. A latched object cannot be pressed into the face; where it latched ag
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,6 +110,7 @@ def with_contacts(
         edges=(*edges, *hits),
         noise=Noise((*noise.process, joint.process_std), (*noise.observation, joint.observation_std)),
         provenance=learned.provenance,
+        learned=tuple(replace(one, parent=grip.held.name, child=grip.moving.name) for one in learned.learned),
     )
     check_automaton(automaton)
     return automaton
