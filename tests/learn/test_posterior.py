@@ -22,6 +22,8 @@ from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
+from micah_plan.learn.segmenting.segmentation import segment_track
+from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 
@@ -222,3 +224,26 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
         np.testing.assert_allclose(found.starts, expected, atol=1e-10)
         any_count = np.exp(logsumexp(rows, axis=(0, 1)) - logsumexp(totals))
         np.testing.assert_allclose(found.changepoint, any_count, atol=1e-10)
+
+
+@pytest.mark.parametrize("stopped", [None, 40])
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, stopped: int | None) -> None:
+    """What had no rival was stated as certain: also where a stop was tried last, each joint has its rivals."""
+    c = TRAVEL[kind] * np.linspace(0, 1, 80)
+    c = c if stopped is None else np.concatenate([c, np.full(stopped, c[-1])])
+    step = np.append(np.diff(c), 0.0)
+    step[step == 0] = step.max()
+    recording = recorded([(JOINTS[kind], c)], np.random.default_rng(3), Noise(0.003, 0.03), commanded=[step])
+    settings = LearnSettings()
+    track = part_track(recording, 0, recording.parts[0])
+    steps = steps_of(track, np.ones(len(track), dtype=bool), settings)
+    found = segment_track(steps.track, settings.of_steps(steps.size), use_actions=True)
+    pool = found.table.pool.hypotheses
+    for used in {piece.hypothesis for piece in found.segmentation.pieces}:
+        rows = np.zeros(len(steps.track), dtype=bool)
+        for piece in found.segmentation.pieces:
+            if piece.hypothesis == used:
+                rows[piece.start : piece.end + 1] = True
+        rivals = [name for name, own in zip(pool.joints.kinds, pool.used, strict=True) if np.array_equal(own, rows)]
+        assert set(rivals) >= {"rigid", "prismatic", "revolute", kind}

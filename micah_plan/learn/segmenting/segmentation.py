@@ -85,7 +85,7 @@ def segment_track(
     best = max(settled, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
         best = _unless_stopped(best, prior, settings)
-    return best
+    return _beside_rivals(best, prior, settings, use_actions)
 
 
 def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
@@ -158,7 +158,9 @@ def _settled(
     for _ in range(_MOST_ROUNDS):
         if not open_ones:
             break
-        renewed = _renewed(list(open_ones.values()), prior, settings, use_actions)
+        now_open = list(open_ones.values())
+        noises = noises_left([(one.table.pool, one.segmentation.which) for one in now_open], settings)
+        renewed = _renewed(now_open, noises, prior, settings, use_actions)
         for i, now in zip(tuple(open_ones), renewed, strict=True):
             grown = now.log_probability - best[i].log_probability
             best[i], open_ones[i] = now if grown > 0 else best[i], now
@@ -167,12 +169,31 @@ def _settled(
     return best
 
 
+def _beside_rivals(found: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool) -> Segmented:
+    """The same segments, or better ones, in a table where every kind of joint is fitted to the rows of each.
+
+    What is said of an answer compares it with these.
+    """
+    (now,) = _renewed([found], [found.noise], prior, settings, use_actions)
+    if now.log_probability > found.log_probability:
+        return now
+    used, _ = _rows_of_joints(found)
+    pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
+    return replace(now, segmentation=replace(found.segmentation, pieces=pieces))
+
+
 def _renewed(
-    found: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
+    found: Sequence[Segmented],
+    noises: Sequence[NoiseModel],
+    prior: LengthPrior,
+    settings: LearnSettings,
+    use_actions: bool,
 ) -> list[Segmented]:
-    """Each with the noise that it leaves, its joints and their rivals fitted under that, and segments of these."""
+    """Each under a noise, its joints and their rivals fitted under that, and segments of these.
+
+    The joints in use come first in the new table, in the order of `_rows_of_joints`.
+    """
     track, kinds = found[0].track, list(settings.kinds)
-    noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
     in_use = [_rows_of_joints(one) for one in found]
     wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]
     rivals = all_refitted(wanted, track, stacked(noises, [1] * len(noises)))
