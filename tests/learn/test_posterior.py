@@ -107,11 +107,8 @@ def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
     assert misses <= binom.ppf(1 - RARELY, len(right), max(1 - float(np.mean(given)), 0.03))
 
 
-TOO_CAREFUL = pytest.mark.xfail(strict=True, reason="0.89: screws get 20 to 30 % beside a hinge, rare as they are")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [pytest.param(own, marks=TOO_CAREFUL if own == "champ" else ()) for own in METHODS])
+@pytest.mark.parametrize("method", METHODS)
 def test_kinds_are_stated_with_nine_tenths_on_average(many, method: Method) -> None:
     given = [dict(edges[METHODS.index(method)].segments[0].certainty.kinds)[kind] for kind, _, *edges in many]
     assert np.mean(given) > 0.9

@@ -19,7 +19,7 @@ from micah_plan.learn.track import PartTrack
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
-RARE_SCREW = 4.6  # nats: one in a hundred joints is a screw
+RARE_SCREW = 2.7  # nats: one in fifteen joints is a screw
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
 _BLOCKS = 8  # in which the rows are averaged to see so
 _TRAVEL = 7.0  # a motion, in the noise of these means

@@ -16,6 +16,7 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, t
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
+from micah_plan.learn.segmenting.occam import RARE_SCREW
 from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
@@ -29,7 +30,7 @@ _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 _SAME_ROWS = 0.6  # of the rows of either
 # By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
-# be followed by any kind, and by a pause. And how many times too large the log odds of kinds are: joints and noise are
+# be followed by any kind, and by a pause. And how many times too large the evidence for kinds is: joints and noise are
 # fitted to the rows that they are judged by. Both from simulations of short and noisy motions (reliability.py).
 _ENDS_AT_REST = 2.7  # nats
 LOG_ODDS_OVERSTATED = 6.0
@@ -271,19 +272,21 @@ def kind_probabilities(
     # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
     held = bool(moving[elsewhere].any())
     sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
+    rare = RARE_SCREW * table.pool.hypotheses.joints.twisting
+    evidence = (sums + rare) / LOG_ODDS_OVERSTATED
     # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
-    sums -= ANOTHER_JOINT * (moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere))
-    sums -= ANOTHER_JOINT * (~moving & any(not moving[one] for one in beside - {hypothesis}))
+    another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
+    another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
+    worth = evidence - rare - ANOTHER_JOINT * another
     # Rivals are those fitted to much the same rows: others were paid for by other rows.
     used = table.pool.hypotheses.used
     shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
     rival = shared_rows >= _SAME_ROWS
     rival[hypothesis] = True
-    best = np.array(
-        [max((sums[i] for i, name in enumerate(names) if name == kind and rival[i]), default=-np.inf) for kind in kinds]
-    )
-    share = np.exp((best - best.max()) / LOG_ODDS_OVERSTATED)
+    of_kind = [rival & (np.array(names) == kind) for kind in kinds]
+    best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
+    share = np.exp(best - best.max())
     share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
 
