@@ -86,7 +86,7 @@ def segment_track(
     best = max(settled, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
         best = _unless_stopped(best, prior, settings)
-    return _beside_rivals(best, prior, settings, use_actions)
+    return _beside_rivals(best, settings, use_actions)
 
 
 def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
@@ -159,10 +159,11 @@ def _settled(
     for _ in range(_MOST_ROUNDS):
         if not open_ones:
             break
-        now_open = list(open_ones.values())
-        noises = noises_left([(one.table.pool, one.segmentation.which) for one in now_open], settings)
-        renewed = _renewed(now_open, noises, prior, settings, use_actions)
-        for i, now in zip(tuple(open_ones), renewed, strict=True):
+        found = list(open_ones.values())
+        noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
+        tables = _tables(found, noises, settings, use_actions)
+        for i, noise, table in zip(tuple(open_ones), noises, tables, strict=True):
+            now = Segmented(starts[0].track, noise, selections(table, prior, settings)[0], table)
             grown = now.log_probability - best[i].log_probability
             best[i], open_ones[i] = now if grown > 0 else best[i], now
             if grown <= _CONVERGED:
@@ -170,30 +171,20 @@ def _settled(
     return best
 
 
-def _beside_rivals(found: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool) -> Segmented:
-    """The same segments, or better ones, in a table where every kind of joint is fitted to the rows of each.
-
-    What is said of an answer compares it with these.
+def _beside_rivals(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
+    """The same segments in a table where every kind of joint is fitted to the rows of each: what is said of them
+    compares them with these.
     """
-    (now,) = _renewed([found], [found.noise], prior, settings, use_actions)
-    if now.log_probability > found.log_probability:
-        return now
+    (table,) = _tables([found], [found.noise], settings, use_actions)
     used, _ = _rows_of_joints(found)
     pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
-    return replace(now, segmentation=replace(found.segmentation, pieces=pieces))
+    return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
 
 
-def _renewed(
-    found: Sequence[Segmented],
-    noises: Sequence[NoiseModel],
-    prior: LengthPrior,
-    settings: LearnSettings,
-    use_actions: bool,
-) -> list[Segmented]:
-    """Each under a noise, its joints and their rivals fitted under that, and segments of these.
-
-    The joints in use come first in the new table, in the order of `_rows_of_joints`.
-    """
+def _tables(
+    found: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings, use_actions: bool
+) -> list[EvidenceTable]:
+    """Of each answer, under a noise: its joints, in the order of `_rows_of_joints`, and their rivals of every kind."""
     track, kinds = found[0].track, list(settings.kinds)
     in_use = [_rows_of_joints(one) for one in found]
     wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]
@@ -202,11 +193,7 @@ def _renewed(
         one.table.pool.hypotheses.take(used).joined(more)
         for one, (used, _), more in zip(found, in_use, rivals, strict=True)
     ]
-    tables = all_tabulated(pools, track, noises, use_actions, settings.rest, found[0].table.trust)
-    return [
-        Segmented(track, noise, selections(table, prior, settings)[0], table)
-        for noise, table in zip(noises, tables, strict=True)
-    ]
+    return all_tabulated(pools, track, noises, use_actions, settings.rest, found[0].table.trust)
 
 
 def _rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:
