@@ -19,7 +19,9 @@ from micah_plan.learn.track import PartTrack
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
-RARE_SCREW = 2.7  # nats: one in fifteen joints is a screw
+# Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
+# not ideal. So a screw is chosen as if there were one in a hundred.
+RARE_SCREW, SCREW_CHOSEN = 2.7, 4.6
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
 _BLOCKS = 8  # in which the rows are averaged to see so
 _TRAVEL = 7.0  # a motion, in the noise of these means
@@ -54,7 +56,7 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     narrower = np.linalg.slogdet(np.eye(len(widths)) + trust * information)[1]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
-    return np.asarray(far + RARE_SCREW * joints.twisting + 0.5 * narrower)
+    return np.asarray(far + SCREW_CHOSEN * joints.twisting + 0.5 * narrower)
 
 
 def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:

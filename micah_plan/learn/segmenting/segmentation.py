@@ -16,7 +16,7 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, t
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
-from micah_plan.learn.segmenting.occam import RARE_SCREW
+from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
 from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
@@ -259,13 +259,13 @@ def kind_probabilities(
     # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
     held = bool(moving[elsewhere].any())
     sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
-    rare = RARE_SCREW * table.pool.hypotheses.joints.twisting
-    evidence = (sums + rare) / LOG_ODDS_OVERSTATED
+    twisting = table.pool.hypotheses.joints.twisting
+    evidence = (sums + SCREW_CHOSEN * twisting) / LOG_ODDS_OVERSTATED
     # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
     another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
     another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
-    worth = evidence - rare - ANOTHER_JOINT * another
+    worth = evidence - RARE_SCREW * twisting - ANOTHER_JOINT * another
     # Rivals are those fitted to much the same rows: others were paid for by other rows.
     used = table.pool.hypotheses.used
     shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
