@@ -30,6 +30,7 @@ def random_joint(kind: str, seed: int) -> Joint:
 def moved(joint: Joint, numbers: np.ndarray) -> Joint:
     """The joint with its named parameters changed, as learning means them."""
     names = NAMES[joint.kind] + POSE
+    steps = np.zeros((11, len(names)))
     after = stepped(joint, Chart(names, np.eye(len(names)), steps, steps, axis_basis(joint.axis)), numbers)
     assert after is not None
     return after
