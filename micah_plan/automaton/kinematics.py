@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, turning
+from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.errors import InputError
 
 ROTATION_LENGTH = 0.2
@@ -63,23 +64,17 @@ def placements(joint: Joint, c: ArrayLike) -> Floats:
     The same as `forward` by Rodrigues' formula, for loops that ask for a few poses many times: SciPy's transforms take
     a hundred times as long for one of them as the arithmetic does.
     """
-    configurations = np.atleast_1d(np.asarray(c, dtype=float))
-    slide, cross, squared, center, start = _rodrigues(joint)
-    sine, versine = np.sin(configurations)[:, None, None], (1.0 - np.cos(configurations))[:, None, None]
-    turn = np.eye(3) + sine * cross + versine * squared
-    moved = np.broadcast_to(start, (configurations.size, 4, 4)).copy()
-    moved[:, :3, :3] = turn @ start[:3, :3]
-    moved[:, :3, 3] = center + turn @ (start[:3, 3] - center) + configurations[:, None] * slide
+    turn, translation = turns_and_translations(joint, c)
+    moved = np.zeros((len(turn), 4, 4))
+    moved[:, :3, :3] = turn @ _start(joint)
+    moved[:, :3, 3], moved[:, 3, 3] = translation, 1.0
     return moved
 
 
 @lru_cache(maxsize=1024)
-def _rodrigues(joint: Joint) -> tuple[Floats, ...]:
-    """The slide per unit (3,), the matrix of the rotation (3, 3), its square, the centre (3,), the pose at 0 (4, 4)."""
-    slide = (1.0 if joint.kind == "prismatic" else joint.pitch) * np.array(joint.axis)
-    x, y, z = twist(joint)[:3].tolist()
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return slide, cross, cross @ cross, np.array(joint.center), origin(joint).as_matrix()
+def _start(joint: Joint) -> Floats:
+    """(3, 3) orientation of the part at configuration 0."""
+    return np.asarray(origin(joint).rotation.as_matrix())
 
 
 def inverse(

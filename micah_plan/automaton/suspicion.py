@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.kinematics import part_poses
+from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.quantities import quantity
 
 LARGEST_JUMP_M = 0.2
@@ -39,24 +39,21 @@ def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:
 
 
 def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
-    """Parts that a transition moves by itself, each told where its own joint does it."""
+    """Parts that a transition moves by itself, relative to the parts that they are linked to."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     before = _crossing(automaton, edge)
     after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
     for pin in target.pins:
         after[pin.coordinate] = pin.value
-    left, entered = part_poses(automaton, source, before), part_poses(automaton, target, after)
-    moved: set[str] = set()
-    for link in automaton.links:
-        jump = float(np.linalg.norm(left[link.child].translation - entered[link.child].translation))
-        if jump <= LARGEST_JUMP_M:
-            continue
-        if link.parent not in moved:
+    for link, left, entered in zip(automaton.links, source.joints, target.joints, strict=True):
+        _, old = turns_and_translations(left, before[link.coordinate])
+        _, new = turns_and_translations(entered, after[link.coordinate])
+        jump = float(np.linalg.norm(new - old))
+        if jump > LARGEST_JUMP_M:
             yield (
                 f"transition {edge.name}: part {link.child} jumps by {quantity(jump, 'm')} between the joints of "
                 "its modes; check position, axis and center of both"
             )
-        moved.add(link.child)
 
 
 def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
