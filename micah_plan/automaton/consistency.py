@@ -16,7 +16,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
 
-LARGEST = 1e6
+LARGEST = 1e6  # m or rad; beyond it a number is a mistake of units or of keys, not a place
 _UNIT_OF = {"prismatic": "m", "revolute": "rad", "screw": "rad"}
 Place = tuple[str | int, ...]
 

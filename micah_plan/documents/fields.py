@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
+from micah_plan.automaton.consistency import LARGEST
 from micah_plan.documents.layout import Mark, Scope, unique
 from micah_plan.documents.located import Located
 from micah_plan.errors import InputError
@@ -19,7 +20,6 @@ _LONGEST_NAME = 100
 _UNIT_TOLERANCE = 1e-3
 _SYMMETRY_TOLERANCE = 1e-6
 # Beyond these a number is a mistake of units or of keys, not a place, a spread or a quantity in SI units.
-LARGEST = 1e6
 LARGEST_STD = 1e3
 _LARGEST_QUANTITY = 1e12
 _SMALLEST = 1e-12

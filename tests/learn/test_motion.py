@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import multivariate_normal
 
 from micah_plan.learn.segmenting.motion import innovations_of
-from micah_plan.learn.segmenting.pool import AlongNoise
+from micah_plan.learn.segmenting.noise import NoiseScales
 
 
 def test_innovations_are_those_of_the_normal_density_of_all_rows() -> None:
@@ -16,7 +16,7 @@ def test_innovations_are_those_of_the_normal_density_of_all_rows() -> None:
     walk = np.array([[0.0, 0.3, 2.0], [0.1, 0.0, 0.5]])
     scale = rng.uniform(0.5, 2.0, (2, n))
     rows = np.cumsum(rng.normal(size=(2, n)), axis=1)
-    along = AlongNoise(white, fast, slow, fast_kept, slow_kept)
+    along = NoiseScales(white, fast, slow, fast_kept, slow_kept)
     innovation, variance = innovations_of(rows[..., None], along, walk, scale)
 
     index = np.arange(n)

@@ -23,7 +23,8 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.joints.least_norm import least_norm
 from micah_plan.learn.segmenting.log_add import log_add
-from micah_plan.learn.segmenting.pool import AlongNoise, Pool
+from micah_plan.learn.segmenting.noise import NoiseScales
+from micah_plan.learn.segmenting.pool import Pool
 
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
@@ -142,7 +143,7 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
     return log_add(log_rest, log_go)
 
 
-def innovations_of(signals: Floats, along: AlongNoise, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
+def innovations_of(signals: Floats, along: NoiseScales, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g).
 
     A Kalman filter of the configuration, which takes steps of the variances `grid` and with which the slow wander goes,

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.special import gammaln
@@ -43,18 +44,12 @@ class MeasurementNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Noise of one pose measurement over d = 6 channels [rotation vector (rad), position (m)], or 3 of position.
-
-    m noises at once: one for each of m hypotheses, or one (m = 1) for all of them.
+class NoiseScales:
+    """Noise of m poses or configurations, by channel (m, d) or along m joints (m,).
 
     Attributes:
-        white, fast, slow: (m, d) variances of the white noise and of two wanders.
-        fast_kept, slow_kept: (m, d) correlation of a wander in neighbouring rows.
-        correlation: (m, d, d) of the channels' innovations; 1 is the mean of its diagonal over the axes of a vector.
-        dof: (m,) degrees of freedom of the innovations' tails.
-        coefficients: (m, p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
-        left: (m, p + 1, d) variances of what they leave.
+        white, fast, slow: variances of the white noise and of two wanders.
+        fast_kept, slow_kept: correlation of a wander in neighbouring rows.
     """
 
     white: Floats
@@ -62,6 +57,33 @@ class NoiseModel:
     slow: Floats
     fast_kept: Floats
     slow_kept: Floats
+
+    def take(self, index: slice | Sequence[int] | Ints) -> Self:
+        """Some of them, or one of them several times."""
+        return type(self)(**{name: value[index] for name, value in self._arrays().items()})
+
+    def _arrays(self) -> dict[str, Floats]:
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    @property
+    def renewed(self) -> Floats:
+        """Variance of the wander that is new in each row."""
+        return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel(NoiseScales):
+    """Noise of one pose measurement over d = 6 channels [rotation vector (rad), position (m)], or 3 of position.
+
+    m noises at once: one for each of m hypotheses, or one (m = 1) for all of them.
+
+    Attributes:
+        correlation: (m, d, d) of the channels' innovations; 1 is the mean of its diagonal over the axes of a vector.
+        dof: (m,) degrees of freedom of the innovations' tails.
+        coefficients: (m, p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
+        left: (m, p + 1, d) variances of what they leave.
+    """
+
     correlation: Floats
     dof: Floats
     coefficients: Floats
@@ -70,23 +92,11 @@ class NoiseModel:
     def __len__(self) -> int:
         return len(self.dof)
 
-    def take(self, index: Sequence[int] | Ints) -> NoiseModel:
-        """Some of them, or one of them for several hypotheses."""
-        return NoiseModel(**{name: value[index] for name, value in self._arrays().items()})
-
-    def _arrays(self) -> dict[str, Floats]:
-        return {one.name: getattr(self, one.name) for one in fields(self)}
-
     @cached_property
     def innovation(self) -> Floats:
         """(m, d, d) covariance of a row's error, given those before."""
         std = np.sqrt(self.left[:, -1])
         return np.asarray(std[:, :, None] * self.correlation * std[:, None])
-
-    @property
-    def renewed(self) -> Floats:
-        """(m, d) variance of the wander that is new in each row."""
-        return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
 
     @property
     def information_share(self) -> Floats:

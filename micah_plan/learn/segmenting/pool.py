@@ -7,7 +7,7 @@ row; so segments that obey one joint share its parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.comparison import Compared, compare_arrays, levers
 from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
 from micah_plan.learn.joints.linear_fits import linear_fits
-from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.noise import NoiseModel, NoiseScales
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood
 from micah_plan.learn.track import PartTrack
 
@@ -54,45 +54,20 @@ def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
 
 
 @dataclass(frozen=True, eq=False)
-class AlongNoise:
-    """Noise of one configuration under h hypotheses, as `NoiseModel` has it of a pose.
-
-    Attributes:
-        white, fast, slow: (h,) variances of the white noise and of two wanders [rad² or m²].
-        fast_kept, slow_kept: (h,) correlation of a wander in neighbouring rows.
-    """
-
-    white: Floats
-    fast: Floats
-    slow: Floats
-    fast_kept: Floats
-    slow_kept: Floats
-
-    @property
-    def renewed(self) -> Floats:
-        """(h,) variance of the wander that is new in each row."""
-        return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
-
-    def take(self, some: slice | Ints) -> AlongNoise:
-        """Of some hypotheses."""
-        return AlongNoise(*(getattr(self, one.name)[some] for one in fields(self)))
-
-
-@dataclass(frozen=True, eq=False)
 class Pool:
     """All n rows of a track as h hypotheses see them under a noise.
 
     Attributes:
         hypotheses: the h joints.
         seen: most likely configurations, errors and directions.
-        along: noise of one configuration.
+        along: noise of one configuration [rad² or m²].
         lever: (h, 3) J⁻¹ for the part's translation, in the frame of the track's actions [rad or m per m].
         moving: (h,) which are not rigid.
     """
 
     hypotheses: Hypotheses
     seen: Compared
-    along: AlongNoise
+    along: NoiseScales
     lever: Floats
     moving: Booleans
 
@@ -116,7 +91,7 @@ def pool_of(hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel) -> Pool
     of_pose = noise.white, noise.fast, noise.slow, noise.fast * noise.fast_kept, noise.slow * noise.slow_kept
     white, fast, slow, *neighbours = np.median(np.stack(of_pose, axis=1) @ share, axis=2).T
     kept = (covariance / np.maximum(own, _TINY) for covariance, own in zip(neighbours, (fast, slow), strict=True))
-    along = AlongNoise(white, fast, slow, *kept)
+    along = NoiseScales(white, fast, slow, *kept)
     return Pool(hypotheses, seen, along, levers(joints, track.quaternion is not None), joints.moving)
 
 
