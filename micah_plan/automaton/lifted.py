@@ -1,17 +1,20 @@
-"""Operations on whole automata: change all modes or edges alike, enlarge the state by coordinates, take them out again.
+"""Operations on whole automata: change all modes or edges alike, enlarge the state by coordinates, give these values.
 
 Memories of inputs and the places of uncertain boundaries are coordinates of a larger state (`input_memory`,
 `thresholds`). They stand behind the others. Neither inputs nor noise move them, no sensor shows them, and transitions
 keep them. Which half-spaces depend on them is for the caller to say.
+
+An automaton over (x, e) stands for one automaton over x for each value of e: `restricted` is that for given values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import mul
 from typing import TypeVar
 
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
 from micah_plan.automaton.region import HalfSpace, Region
 
 Weights = Callable[[HalfSpace, Mode | None], Sequence[float]]
@@ -38,23 +41,36 @@ def lifted(automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Wei
     return _resized(automaton, (*automaton.coordinates, *added), weights)
 
 
-def restricted(automaton: HybridAutomaton, n: int) -> HybridAutomaton:
-    """The automaton over its first n coordinates: the inverse of `lifted` without weights."""
-    return _resized(automaton, automaton.coordinates[:n])
+def restricted(automaton: HybridAutomaton, n: int, values: Sequence[float] = ()) -> HybridAutomaton:
+    """The automaton over its first n coordinates x that steps as the one over (x, e) does with e at values.
+
+    Args:
+        values: (k,) of the coordinates e behind them; none: nothing depends on e, as after `lifted` without weights.
+    """
+    return _resized(automaton, automaton.coordinates[:n], values=values)
 
 
 def _resized(
-    automaton: HybridAutomaton, coordinates: tuple[Coordinate, ...], weights: Weights | None = None
+    automaton: HybridAutomaton,
+    coordinates: tuple[Coordinate, ...],
+    weights: Weights | None = None,
+    values: Sequence[float] = (),
 ) -> HybridAutomaton:
+    """With more coordinates, of these weights; or with fewer, where those left out are at values."""
     n, nothing, noise = len(coordinates), (0.0,) * automaton.m, automaton.noise
 
     def plain(region: Region) -> Region:
-        return region.mapped(lambda h: replace(h, a=_fit(h.a, n, 0.0)))
+        return region.mapped(lambda h: replace(h, a=_fit(h.a, n, 0.0), c=h.c - sum(map(mul, h.a[n:], values))))
 
     def dependent(region: Region, mode: Mode | None = None) -> Region:
         if weights is None:
             return plain(region)
         return region.mapped(lambda h: replace(h, a=(*h.a, *map(float, weights(h, mode)))))
+
+    def at_value(pin: Pin) -> Pin:
+        if pin.follows is None or not values:
+            return pin
+        return replace(pin, value=pin.value + values[pin.follows - n], follows=None)
 
     def resized_mode(mode: Mode) -> Mode:
         return replace(
@@ -62,6 +78,7 @@ def _resized(
             input_matrix=_fit(mode.input_matrix, n, nothing),
             invariant=dependent(mode.invariant, mode),
             inputs=plain(mode.inputs),
+            pins=tuple(map(at_value, mode.pins)),
             ties=tuple(replace(tie, weights=_fit(tie.weights, n, 0.0)) for tie in mode.ties),
         )
 

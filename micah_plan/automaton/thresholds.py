@@ -5,10 +5,10 @@ says how well the model knows it. So a boundary moves as a whole: in all guards 
 it the pins of the modes that are entered there. Joints stay as they are: where poses are drawn from a configuration,
 those of the moving joints count.
 
-`with_shifted_thresholds` moves b uncertain boundaries by known amounts s (b,). `with_boundary_states` makes s a part of
-the state (x, s) instead, which is what a filter needs to learn where they are: a half-space ``a'x >= c`` whose
-threshold grows by g for each unit of s_i becomes ``a'x - g s_i >= c``, and a pin at a boundary follows its coordinate.
-A step of (x, s) is exactly a step of x with the boundaries shifted by s.
+`with_boundary_states` makes the shifts s (b,) of the uncertain boundaries a part of the state (x, s), which is what a
+filter needs to learn where they are: a half-space ``a'x >= c`` whose threshold grows by g for each unit of s_i becomes
+``a'x - g s_i >= c``, and a pin at a boundary follows its coordinate. `with_boundaries` gives s a value: a step of its
+automaton over x is exactly a step of (x, s).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin
-from micah_plan.automaton.lifted import lifted, mapped
+from micah_plan.automaton.lifted import lifted, mapped, restricted
 from micah_plan.automaton.memo import memoised, sharing_motion
 from micah_plan.automaton.region import HalfSpace
 
@@ -30,76 +30,51 @@ Boundary = tuple[float, ...]
 """Weights and threshold of a half-space's boundary, scaled so that both sides of it are the same value."""
 
 
-def with_drawn_thresholds(automaton: HybridAutomaton, rng: np.random.Generator) -> HybridAutomaton:
-    """An automaton that the object may truly be: thresholds drawn around the model's, independently per boundary.
-
-    The automaton itself, without a draw from `rng`, where all thresholds are certain.
-    """
-    stds = threshold_stds(automaton)
-    return with_shifted_thresholds(automaton, stds * rng.standard_normal(stds.size)) if stds.size else automaton
-
-
 def threshold_stds(automaton: HybridAutomaton) -> Floats:
     """(b,) std of each boundary that is not certain, in the unit of its scaled threshold, in the order of the edges."""
     return np.array(list(boundary_stds(automaton).values()))
 
 
-def with_shifted_thresholds(automaton: HybridAutomaton, by: Floats) -> HybridAutomaton:
-    """The automaton with its uncertain boundaries moved by (b,) amounts, in the order of `threshold_stds`."""
-    shifts = dict(zip(boundary_stds(automaton), map(float, by), strict=True))
+def drawn_shifts(automaton: HybridAutomaton, rng: np.random.Generator, count: int) -> Floats:
+    """(count, b) by how much the boundaries of that many objects are moved, in the order of `threshold_stds`.
 
-    def moved(half_space: HalfSpace, mode: Mode | None = None) -> HalfSpace:
-        growth = _growth(automaton, half_space, mode)
-        return half_space if growth is None else half_space.moved(growth[1] * shifts[growth[0]])
-
-    def moved_mode(mode: Mode) -> Mode:
-        at = _uncertain_pins(automaton, mode)
-        region = mode.invariant.mapped(lambda h: moved(h, mode))
-        if not at and region is mode.invariant:
-            return mode
-        pins = (replace(p, value=p.value + shifts[at[p]]) if p in at else p for p in mode.pins)
-        return replace(mode, invariant=region, pins=tuple(pins))
-
-    def moved_edge(edge: Edge) -> Edge:
-        guard = edge.guard.mapped(moved)
-        return edge if guard is edge.guard else replace(edge, guard=guard)
-
-    return mapped(automaton, moved_mode, moved_edge)
+    Nothing is drawn from `rng` where all thresholds are certain.
+    """
+    stds = threshold_stds(automaton)
+    return stds * rng.standard_normal((count, stds.size))
 
 
-def with_known_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats) -> HybridAutomaton:
-    """The automaton with its uncertain boundaries moved by (b,) amounts, and known to (b,) stds instead of its own.
+def with_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats | None = None) -> HybridAutomaton:
+    """The automaton with its uncertain boundaries moved by (b,) amounts; itself where that changes nothing.
 
-    The variance of a pin at a boundary falls by as much as that of its boundary. The automaton itself where nothing has
-    been learned of them.
+    Args:
+        by: in the order of `threshold_stds`.
+        stds: (b,) to which they are known now; None: as before. The variance of a pin at a boundary falls by as much as
+            that of its boundary.
     """
     before = boundary_stds(automaton)
-    if not np.any(by) and np.array_equal(stds, list(before.values())):
+    now = before if stds is None else dict(zip(before, map(float, stds), strict=True))
+    if now == before and not np.any(by):
         return automaton
-    now = dict(zip(before, map(float, stds), strict=True))
-    moved = with_shifted_thresholds(automaton, by)
-
-    def edge_std(edge: Edge) -> float:
-        at = [boundary_of(h)[0] for h in edge.guard.half_spaces]
-        return edge.threshold_std * max((now[b] / before[b] for b in at if b in before), default=1.0)
+    moved = restricted(with_boundary_states(automaton), automaton.n, by.tolist())
 
     def pin_std(pin: Pin, at: Boundary | None) -> float:
         gained = 0.0 if at is None else before[at] ** 2 - now[at] ** 2
         return float(max(pin.std**2 - gained, _SMALLEST_STD**2) ** 0.5)
 
-    def better_mode(old: Mode, new: Mode) -> Mode:
+    def known_mode(old: Mode, new: Mode) -> Mode:
         at = _uncertain_pins(automaton, old)
         pairs = zip(old.pins, new.pins, strict=True)
         return replace(new, pins=tuple(replace(after, std=pin_std(pin, at.get(pin))) for pin, after in pairs))
 
-    known_better = replace(
-        moved,
-        modes=tuple(map(better_mode, automaton.modes, moved.modes)),
-        edges=tuple(
-            replace(new, threshold_std=edge_std(old)) for old, new in zip(automaton.edges, moved.edges, strict=True)
-        ),
-    )
-    return sharing_motion(known_better, automaton)
+    def known_edge(old: Edge, new: Edge) -> Edge:
+        at = [boundary_of(h)[0] for h in old.guard.half_spaces]
+        narrowed = max((now[b] / before[b] for b in at if b in before), default=1.0)
+        return replace(new, threshold_std=old.threshold_std * narrowed)
+
+    modes = tuple(map(known_mode, automaton.modes, moved.modes))
+    edges = tuple(map(known_edge, automaton.edges, moved.edges))
+    return sharing_motion(replace(moved, modes=modes, edges=edges), automaton)
 
 
 @memoised

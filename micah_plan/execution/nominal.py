@@ -11,7 +11,7 @@ from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian, placements
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.step_noise import drawn_gains, with_gains
-from micah_plan.automaton.thresholds import with_drawn_thresholds
+from micah_plan.automaton.thresholds import drawn_shifts, with_boundaries
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.mujoco.parameters import parameters_of
@@ -49,8 +49,8 @@ class NominalPlant:
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
-        gains = drawn_gains(self.automaton, rng, 1)[0]
-        self._true = with_drawn_thresholds(with_gains(self.automaton, gains), rng)
+        gains, shifts = (drawn(self.automaton, rng, 1)[0] for drawn in (drawn_gains, drawn_shifts))
+        self._true = with_gains(with_boundaries(self.automaton, shifts), gains)
         self._mode, self._x = sample_start(self._true, self.start, rng)
         self._rng, self._channel, self._time = rng, InputChannel(self._true), 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)

@@ -9,7 +9,7 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.automaton.thresholds import with_known_boundaries
+from micah_plan.automaton.thresholds import with_boundaries
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
 from micah_plan.planning.input_memory import with_input_memory
@@ -69,7 +69,7 @@ def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
     start = Start(tuple(map(float, belief.means[index])), tuple(map(float, stds)), mode)
     automaton = problem.automaton
     if belief.shifts is not None and belief.shift_stds is not None:
-        automaton = with_known_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
+        automaton = with_boundaries(automaton, belief.shifts[index], belief.shift_stds[index])
     return replace(problem, start=start, automaton=automaton)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.step_noise import drawn_gains
-from micah_plan.automaton.thresholds import threshold_stds
+from micah_plan.automaton.thresholds import drawn_shifts
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
@@ -67,8 +67,7 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     """Everything random of that many roll-outs; the same seed gives the same."""
     problem = without_input_memory(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)
-    stds = threshold_stds(automaton)
-    shifts = stds * rng.standard_normal((trials, stds.size))
+    shifts = drawn_shifts(automaton, rng, trials)
     objects = TransitionBatch(automaton, shifts, drawn_gains(automaton, rng, trials))
     mode = automaton.mode(trajectory.modes[0])
     drawn = draw_states(automaton, mode, problem.start, rng, shifts)

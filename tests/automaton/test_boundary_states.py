@@ -10,8 +10,16 @@ from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Reset
-from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states, with_shifted_thresholds
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.thresholds import (
+    boundaries_of_pins,
+    boundary_of,
+    boundary_stds,
+    threshold_stds,
+    with_boundaries,
+    with_boundary_states,
+)
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
 
@@ -30,6 +38,25 @@ def thrown() -> HybridAutomaton:
     return replace(automaton, edges=(first, *automaton.edges[1:]))
 
 
+def shifted_object(automaton: HybridAutomaton, by: np.ndarray) -> HybridAutomaton:
+    """The reference: each half-space and pin at an uncertain boundary moved by itself, no state added."""
+    shifts = dict(zip(boundary_stds(automaton), by.tolist(), strict=True))
+
+    def moved(h: HalfSpace, at: dict[int, tuple[float, ...]]) -> HalfSpace:
+        boundary, scale = boundary_of(h)
+        if boundary not in shifts and h.bound is not None:
+            boundary, scale = at.get(h.bound.coordinate, ()), h.a[h.bound.coordinate]
+        return h.moved(scale * shifts.get(boundary, 0.0))
+
+    def moved_mode(mode: Mode) -> Mode:
+        at = boundaries_of_pins(automaton, mode)
+        pins = tuple(replace(p, value=p.value + shifts.get(at.get(p.coordinate, ()), 0.0)) for p in mode.pins)
+        return replace(mode, pins=pins, invariant=mode.invariant.mapped(lambda h: moved(h, at)))
+
+    edges = (replace(edge, guard=edge.guard.mapped(lambda h: moved(h, {}))) for edge in automaton.edges)
+    return replace(automaton, modes=tuple(map(moved_mode, automaton.modes)), edges=tuple(edges))
+
+
 OBJECTS = {"two rails": two_rails, "door": door, "cabinet": cabinet, "detent": detent, "thrown": thrown}
 
 
@@ -40,7 +67,8 @@ def test_a_step_is_that_of_the_shifted_object(name: str, seed: int) -> None:
     automaton, rng = blurred(OBJECTS[name]()), np.random.default_rng(seed)
     whole, n = with_boundary_states(automaton), automaton.n
     shift = 0.03 * rng.standard_normal(threshold_stds(automaton).size)
-    object_ = with_shifted_thresholds(automaton, shift)
+    object_ = shifted_object(automaton, shift)
+    assert with_boundaries(automaton, shift) == object_
     mode, x = automaton.modes[rng.integers(len(automaton.modes))].name, rng.uniform(-0.1, 1.3, n)
     for mine, other in zip(whole.modes, object_.modes, strict=True):
         margins = mine.invariant.margins(np.concatenate([x, shift]), np.zeros(automaton.m))
@@ -60,7 +88,7 @@ def test_the_state_slides_along_an_uncertain_boundary_and_leaves_it_where_it_is(
     edges = [Edge(*names, region, threshold_std=0.1) for names, region in zip(("ab", "ba"), half_spaces, strict=True)]
     facing = plain({"a": [[1.0, 0.0], [0.0, 1.0]], "b": [[-1.0, 0.0], [0.0, 0.5]]}, edges)
     shift = np.array([0.07])
-    expected = step(with_shifted_thresholds(facing, shift), "a", [-0.25, 0.0], [1.0, 0.2])
+    expected = step(shifted_object(facing, shift), "a", [-0.25, 0.0], [1.0, 0.2])
     assert expected.mode == "b"
     assert expected.x @ [1.0, 0.5] == pytest.approx(0.07)
     found = step(with_boundary_states(facing), "a", [-0.25, 0.0, *shift], [1.0, 0.2])

@@ -10,7 +10,7 @@ from uncertain_joints import LEVER, NAMES, POSE, known_to, swinging, unsure_door
 from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.step_noise import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains
-from micah_plan.automaton.thresholds import with_shifted_thresholds
+from micah_plan.automaton.thresholds import with_boundaries
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.learn.joints.parametrization import Chart, stepped
@@ -120,7 +120,7 @@ def test_many_objects_at_once_move_as_each_does_by_itself() -> None:
     ends, states = objects.step(modes, x, u, disturbance)
     names = [mode.name for mode in automaton.modes]
     for i in range(count):
-        own = with_shifted_thresholds(with_gains(automaton, gains[i]), shifts[i])
+        own = with_boundaries(with_gains(automaton, gains[i]), shifts[i])
         after = step(own, names[modes[i]], x[i], u[i], disturbance[i])
         assert names[ends[i]] == after.mode
         assert states[i] == pytest.approx(after.x, abs=1e-12)

@@ -50,6 +50,19 @@ def test_they_can_be_taken_out_again(name: str) -> None:
     assert mapped(automaton) == automaton
 
 
+@pytest.mark.parametrize("name", OBJECTS)
+def test_with_values_it_steps_as_the_larger_one_does_from_there(name: str) -> None:
+    automaton, rng = OBJECTS[name](), np.random.default_rng(1)
+    whole = lifted(automaton, ADDED, lambda h, _: (0.3 * sum(h.a), -0.2 * sum(h.a)))
+    for _ in range(40):
+        mode = automaton.modes[rng.integers(len(automaton.modes))].name
+        x, u, e = rng.uniform(-0.2, 1.5, automaton.n), rng.uniform(-0.5, 0.5, automaton.m), 0.3 * rng.normal(size=2)
+        alone = step(restricted(whole, automaton.n, e.tolist()), mode, x, u)
+        together = step(whole, mode, [*x, *e], u)
+        assert alone.mode == together.mode
+        np.testing.assert_allclose(alone.x, together.x[: automaton.n], atol=1e-12)
+
+
 def test_invariants_and_guards_may_depend_on_them() -> None:
     automaton, seen = thrown(), []
 

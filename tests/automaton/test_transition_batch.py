@@ -11,7 +11,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import without_memory_states
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.step_noise import drawn_gains, uncertain_gains, with_gains
-from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.documents.problem import load_problem
@@ -34,7 +34,7 @@ def same_as_one_by_one(
     names, events = [mode.name for mode in automaton.modes], []
     for i, mode in enumerate(modes):
         own = with_gains(automaton, gains[i]) if uncertain_gains(automaton) else automaton
-        after = step(with_shifted_thresholds(own, shifts[i]), names[mode], x[i], u[i], pushed[i])
+        after = step(with_boundaries(own, shifts[i]), names[mode], x[i], u[i], pushed[i])
         assert names[ends[i]] == after.mode
         assert states[i] == pytest.approx(after.x, abs=1e-10)
         events.append(len(after.events))

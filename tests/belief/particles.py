@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.transition_batch import TransitionBatch
 
 
@@ -24,9 +24,7 @@ class ParticleFilter:
             self.x[wanted] = self.rng.normal(mean, std, (wanted.size, automaton.n))
             at_rest = np.zeros(automaton.m)
             held = [
-                with_shifted_thresholds(automaton, self.objects.shifts[i])
-                .modes[0]
-                .invariant.contains(self.x[i], at_rest)
+                with_boundaries(automaton, self.objects.shifts[i]).modes[0].invariant.contains(self.x[i], at_rest)
                 for i in wanted
             ]
             wanted = wanted[~np.array(held)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem
 
-from micah_plan.automaton.thresholds import boundary_stds, with_known_boundaries, with_shifted_thresholds
+from micah_plan.automaton.thresholds import boundary_stds, with_boundaries
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
@@ -134,10 +134,10 @@ def test_a_new_plan_goes_past_where_the_threshold_is_now_believed_to_be() -> Non
 
 def test_known_boundaries_are_shifted_ones_with_their_stds() -> None:
     automaton = latching().automaton
-    same = with_known_boundaries(automaton, np.zeros(1), np.array([STD]))
+    same = with_boundaries(automaton, np.zeros(1), np.array([STD]))
     assert (same.modes, same.edges) == (automaton.modes, automaton.edges)
-    known = with_known_boundaries(automaton, np.array([0.1]), np.array([0.01]))
-    moved = with_shifted_thresholds(automaton, np.array([0.1]))
+    known = with_boundaries(automaton, np.array([0.1]), np.array([0.01]))
+    moved = with_boundaries(automaton, np.array([0.1]))
     assert [edge.guard for edge in known.edges] == [edge.guard for edge in moved.edges]
     assert list(boundary_stds(known).values()) == pytest.approx([0.01])
     assert known.mode("shut").pins[0].value == pytest.approx(DOOR_SHUT + 0.1)

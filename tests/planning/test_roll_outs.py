@@ -19,7 +19,7 @@ from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
 from micah_plan.automaton.sensing import Light
-from micah_plan.automaton.thresholds import threshold_stds, with_shifted_thresholds
+from micah_plan.automaton.thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots
@@ -51,7 +51,7 @@ def one_roll_out(
     """The scalar twin: the true mode and state at the end, and the belief."""
     automaton, limits = problem.automaton, limits_of(problem)
     certain = not threshold_stds(automaton).size
-    truth = automaton if certain else with_shifted_thresholds(automaton, chances.objects.shifts[trial])
+    truth = automaton if certain else with_boundaries(automaton, chances.objects.shifts[trial])
     mode, x = trajectory.modes[0], chances.starts[trial]
     belief = scalar.initial_belief(automaton, problem.start.mean, problem.start.std, mode)
     for number, knot in enumerate(time_knots(trajectory)):
