@@ -28,7 +28,7 @@ def described(segment: Segment) -> str:
     """One segment in a few words: its joint and where its axis is."""
     joint = segment.joint
     if joint.kind == "rigid":
-        return f"rigid at {joint.held:.3f}"
+        return f"rigid at {joint.fixed_at:.3f}"
     text = f"{joint.kind} axis ({', '.join(f'{v:+.2f}' for v in joint.axis)})"
     return text if joint.kind == "prismatic" else f"{text} radius {radius(joint):.3f} m"
 

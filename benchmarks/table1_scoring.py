@@ -103,7 +103,7 @@ def score(edge: KinematicEdge, truth: Demonstration, epsilon: float = EPSILON) -
         correct, strict = errors.correct(epsilon), errors.strict(epsilon)
         return Score(kinds, edge.changepoints, True, correct, strict, None, None, errors)
     rows = abs(int(edge.changepoints[0]) - truth.changepoints[0])
-    configuration = float(abs(edge.segments[-1].joint.held - truth.scene.travel))
+    configuration = float(abs(edge.segments[-1].joint.fixed_at - truth.scene.travel))
     near = configuration <= epsilon
     correct, strict = near and errors.correct(epsilon), near and errors.strict(epsilon)
     return Score(kinds, edge.changepoints, True, correct, strict, rows, configuration, errors)

@@ -97,7 +97,7 @@ def cabinet() -> HybridAutomaton:
     reach = box([0.0, 0.0], [DOOR_OPEN, CABINET_TRAVEL], 2, names)
     shut_and_any = Region((above(0, DOOR_OPEN, 2, 2), above(1, 0.0, 2, 2), below(1, CABINET_TRAVEL, 2, 2)))
     swinging = Mode("swinging", (swing, slide, handle), free, reach)
-    fixed = replace(handle, held=DOOR_OPEN)
+    fixed = replace(handle, fixed_at=DOOR_OPEN)
     latched = Mode("latched", (shut, slide, fixed), held, shut_and_any, pins=(Pin(0, DOOR_OPEN, 1e-3),))
     coordinates = (Coordinate("door", "rad"), Coordinate("drawer", "m"))
     return HybridAutomaton(

@@ -53,7 +53,7 @@ def _rotated(joint: Joint, axis: Floats, rotation: Rotation) -> ParameterCovaria
 def _rebuilt(joint: Joint, axis: ArrayLike, point: ArrayLike, pose: RigidTransform) -> Joint:
     position, quaternion = pose.translation, pose.rotation.as_quat()
     if joint.kind == "rigid":
-        return rigid(position, quaternion, joint.held)
+        return rigid(position, quaternion, joint.fixed_at)
     if joint.kind == "prismatic":
         return prismatic(axis, position, quaternion)
     if joint.kind == "revolute":

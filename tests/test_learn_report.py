@@ -30,7 +30,7 @@ def sure_graph() -> KinematicGraph:
     covariance = ParameterCovariance(("axis_1", "center_2"), ((4e-4, 0.0), (0.0, 9e-6)))
     hinge = replace(revolute([0, 0, -1], [-0.24, 0, 0], [0.07, 0, 0]), covariance=covariance)
     shut = forward(hinge, 1.2)
-    latch = rigid(shut.translation[0], shut.rotation[0].as_quat(), held=1.2)
+    latch = rigid(shut.translation[0], shut.rotation[0].as_quat(), fixed_at=1.2)
     kinds = (("rigid", 0.001), ("prismatic", 0.0), ("revolute", 0.98), ("screw", 0.019))
     start = RowPosterior((98, 99, 100, 102), (0.02, 0.1, 0.8, 0.08))
     segments = (

@@ -9,7 +9,7 @@ transitions, resets are the identity. Where it differs, and why:
   every local model starts at 0. Here all models of an edge share one coordinate (`graph.Segment`), x⁺ = x + B u, and a
   value means the same in every mode: beliefs, goals and guards need no translation, the identity reset is really one.
 - **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
-  coordinate is pinned to the configuration at which the part was held (being there is information), and it is left
+  coordinate is pinned to the configuration at which the part was fixed (being there is information), and it is left
   by pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a
   pinned x would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
 - **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
@@ -140,7 +140,7 @@ def _mode(
     models = [chain[k] for chain, k in zip(chains, choice, strict=True)]
     n = len(models)
     slack = [RESOLUTION * _pin_std(model) if model.is_rigid else 0.0 for model in models]
-    pins = tuple(Pin(i, m.joint.held, _pin_std(m)) for i, m in enumerate(models) if m.is_rigid)
+    pins = tuple(Pin(i, m.joint.fixed_at, _pin_std(m)) for i, m in enumerate(models) if m.is_rigid)
     flow = np.diag([0.0 if model.is_rigid else 1.0 for model in models])
     lower = [model.lower - wide for model, wide in zip(models, slack, strict=True)]
     upper = [model.upper + wide for model, wide in zip(models, slack, strict=True)]
@@ -155,8 +155,8 @@ def _mode(
 
 
 def _joint(model: LocalModel, fixed: Joint | None) -> Joint:
-    """A link's joint; a fixed one stands for the configuration at which its carrier is held, if it is."""
-    return model.joint if fixed is None else replace(fixed, held=model.joint.held if model.is_rigid else 0.0)
+    """A link's joint; a fixed one stands for the configuration at which its carrier is fixed, if it is."""
+    return model.joint if fixed is None else replace(fixed, fixed_at=model.joint.fixed_at if model.is_rigid else 0.0)
 
 
 def _edges(

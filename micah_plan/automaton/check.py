@@ -23,7 +23,7 @@ from micah_plan.errors import InputError, shown
 
 UNITS = ("rad", "m")
 _PIN_ROOM = 1e-9
-_HELD_ROOM = 1e-6
+_PIN_ROOM = 1e-6
 _ENTRY_ROOM = 1e-6
 _EVERYTHING = (-math.inf, math.inf)
 Place = tuple[str | int, ...]
@@ -35,7 +35,7 @@ def check_automaton(automaton: HybridAutomaton) -> None:
     Raises:
         InputError: names that are not unique or not known, dimensions that do not fit, an invariant, guard or set of
             inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
-            held elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
+            fixed elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
             without effect, a mode that is not connected, process noise below 0, observation noise not above 0; and what
             contradicts itself (`consistency`).
     """
@@ -62,7 +62,7 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
             name = automaton.coordinates[pin.coordinate].name
             yield ("modes", mode.name, "pins", name, "value"), partial(_check_pin, automaton, mode, pin)
         for k, link in enumerate(automaton.links):
-            yield ("modes", mode.name, "joints", link.child, "held"), partial(_check_held, automaton, mode, k)
+            yield ("modes", mode.name, "joints", link.child, "held"), partial(_check_fixed_at, automaton, mode, k)
     for i, effect in enumerate(automaton.effects):
         yield ("effects", i), partial(check_effect, automaton, effect)
     for i, edge in enumerate(automaton.edges):
@@ -205,14 +205,14 @@ def _check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
         )
 
 
-def _check_held(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
+def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
     """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
     joint, index = mode.joints[link], automaton.links[link].coordinate
     for pin in mode.pins:
-        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.held - pin.value) <= _HELD_ROOM:
+        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _PIN_ROOM:
             coordinate = automaton.coordinates[index]
             raise InputError(
-                f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is held at {joint.held:.9g} "
+                f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is fixed at {joint.fixed_at:.9g} "
                 f"{coordinate.unit}, but the pin of {coordinate.name} says {pin.value:.9g} {coordinate.unit}",
                 remedy="give both the same value",
             )

@@ -50,7 +50,7 @@ class Joint:
         axis: unit vector of motion or rotation in the base frame; (0, 0, 0) for rigid.
         center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) for rigid and prismatic.
         pitch: translation along the axis per angle [m/rad]; 0 unless screw.
-        held: configuration at which a rigid joint keeps its part [rad or m]; 0 for others.
+        fixed_at: configuration at which a rigid joint fixes its part [rad or m]; 0 for others.
         covariance: of the parameters, if they were estimated.
 
     The configuration c is in rad for revolute and screw, in m for prismatic.
@@ -62,13 +62,13 @@ class Joint:
     axis: Vector3 = (0.0, 0.0, 0.0)
     center: Vector3 = (0.0, 0.0, 0.0)
     pitch: float = 0.0
-    held: float = 0.0
+    fixed_at: float = 0.0
     covariance: ParameterCovariance | None = None
 
 
-def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, held: float = 0.0) -> Joint:
-    """A part that rests at a pose; `held` is the configuration of that pose [rad or m]."""
-    return Joint("rigid", _vector(position, "position"), _unit_quaternion(quaternion), held=float(held))
+def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, fixed_at: float = 0.0) -> Joint:
+    """A part that rests at a pose; `fixed_at` is the configuration of that pose [rad or m]."""
+    return Joint("rigid", _vector(position, "position"), _unit_quaternion(quaternion), fixed_at=float(fixed_at))
 
 
 def prismatic(axis: ArrayLike, position: ArrayLike, quaternion: ArrayLike = IDENTITY) -> Joint:

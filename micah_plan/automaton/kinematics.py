@@ -106,7 +106,7 @@ def inverse(
     if measured.ndim != 2 or measured.shape[1] != 3:
         raise InputError(f"positions must have shape (k, 3). Got {np.shape(position)}")
     if joint.kind == "rigid":
-        return np.full(len(measured), joint.held)
+        return np.full(len(measured), joint.fixed_at)
     axis = np.array(joint.axis)
     along = (measured - joint.position) @ axis
     if joint.kind == "prismatic":
@@ -198,7 +198,7 @@ def shifted(joint: Joint, offset: float) -> Joint:
     Carries the covariance along: the origin there depends on the axis, and is again compared where poses are closest.
     """
     if joint.kind == "rigid":
-        return replace(joint, held=joint.held - offset)
+        return replace(joint, fixed_at=joint.fixed_at - offset)
     pose = forward(joint, offset)[0]
     position, quaternion = pose.translation, pose.rotation.as_quat()
     if joint.kind == "prismatic":
@@ -243,7 +243,7 @@ def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
 def reversed_direction(joint: Joint) -> Joint:
     """The same motion counted the other way: c' = -c, so f'(c') = f(c). Carries the covariance along."""
     if joint.kind == "rigid":
-        return replace(joint, held=-joint.held)
+        return replace(joint, fixed_at=-joint.fixed_at)
     # The basis of -axis is (-b1, b2), so the parameters along b1 change their sign.
     covariance = joint.covariance
     if covariance is not None:

@@ -71,7 +71,7 @@ class _Group:
 
     @property
     def center(self) -> float:
-        return self.leading.joint.held if self.is_rigid else (self.lower + self.upper) / 2
+        return self.leading.joint.fixed_at if self.is_rigid else (self.lower + self.upper) / 2
 
     @property
     def blur(self) -> float:

@@ -112,11 +112,11 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
     start, end = margin + doors.far @ std >= 0.0
     reached = doors.all_hold(start | end)
     if events and np.count_nonzero(reached):
-        known = ~np.isnan(pieces.held)
-        held = margin[0]
+        known = ~np.isnan(pieces.pinned_at)
+        start_margin = margin[0]
         if np.count_nonzero(known):
-            held = doors.rows.a @ np.where(known, pieces.held, pieces.mean[0]) - offset
-        reached &= doors.any_holds(margin[1] - margin[0] > SMALLEST_STD) | doors.all_hold(held > SMALLEST_STD)
+            start_margin = doors.rows.a @ np.where(known, pieces.pinned_at, pieces.mean[0]) - offset
+        reached &= doors.any_holds(margin[1] - margin[0] > SMALLEST_STD) | doors.all_hold(start_margin > SMALLEST_STD)
     return reached
 
 

@@ -70,7 +70,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         u=pieces.u,
         fraction=share * pieces.fraction,
         displacement=displacement,
-        held=_held(mode, pieces, way, at_once),
+        pinned_at=_pinned_at(mode, pieces, way, at_once),
         entered=entered,
     )
     return arrived if noise is None else _settled(layout, arrived, way, width, noise)
@@ -94,15 +94,15 @@ def _motion(automaton: HybridAutomaton, mode: ModeLayout, mean: Floats, u: Float
     return np.asarray(displaced(automaton, mode.mode, mean.T, u.T)[0].T)
 
 
-def _held(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Floats:
+def _pinned_at(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Floats:
     """(n, p) where pieces that take an exit of a mode at once were pinned before; a reset moves them elsewhere."""
     if way.reset is not None or not np.count_nonzero(at_once):
-        return np.full(pieces.held.shape, np.nan)
-    held = np.where(at_once, pieces.held, np.nan)
+        return np.full(pieces.pinned_at.shape, np.nan)
+    pinned_at = np.where(at_once, pieces.pinned_at, np.nan)
     for pin in mode.mode.pins:
         place = pin.value if pin.follows is None else pin.value + pieces.mean[0, pin.follows]
-        held[pin.coordinate] = np.where(at_once, place, np.nan)
-    return held
+        pinned_at[pin.coordinate] = np.where(at_once, place, np.nan)
+    return pinned_at
 
 
 def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, way: Exit) -> tuple[Ints, Floats]:

@@ -77,9 +77,9 @@ def initial_belief(
     q, b = len(layout.modes), layout.stds.size
     factor = np.block([[factor, np.zeros((n, b))], [np.zeros((b, n)), np.diag(layout.stds)]])
     center = np.concatenate([center, np.zeros(b)])
-    held = condition_on_pins(center[:, None], factor[:, :, None], layout.modes[index].mode.pins)
+    at_pins = condition_on_pins(center[:, None], factor[:, :, None], layout.modes[index].mode.pins)
     weights, means, factors = np.zeros((q, 1)), np.zeros((n + b, q, 1)), np.zeros((n + b, n + b, q, 1))
-    weights[index], means[:, index], factors[:, :, index] = 1.0, held[0], lower_factors(held[1])
+    weights[index], means[:, index], factors[:, :, index] = 1.0, at_pins[0], lower_factors(at_pins[1])
     return _completed(layout, BeliefBatch.of(weights, means, factors, n)).alone(0)
 
 
@@ -190,9 +190,9 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
     for mode in layout.modes:
         own = lacking[mode.index].nonzero()[0]
         if own.size:
-            held = hold_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
-            means[:, mode.index, own] = held[0]
-            factors[:, :, mode.index, own] = lower_factors(held[1]) if mode.pinned else held[1]
+            at_pins = hold_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
+            means[:, mode.index, own] = at_pins[0]
+            factors[:, :, mode.index, own] = lower_factors(at_pins[1]) if mode.pinned else at_pins[1]
     return BeliefBatch.of(weights, means, factors, beliefs.n)
 
 

@@ -46,7 +46,7 @@ class Pieces:
         u: (m, p) inputs that reach the mode.
         fraction: (p,) expected share of the step that is left.
         displacement: (n, p) nominal motion from start to end, without noise.
-        held: (n, p) where the modes left at the present instant pinned the coordinates; NaN: they did not.
+        pinned_at: (n, p) where the modes left at the present instant pinned the coordinates; NaN: they did not.
         entered: (q, p) modes that it was in at the present instant; none is entered twice at one instant (no
             chattering).
     """
@@ -58,7 +58,7 @@ class Pieces:
     u: Floats
     fraction: Floats
     displacement: Floats
-    held: Floats
+    pinned_at: Floats
     entered: Booleans
 
     def where(self, chosen: Ints) -> Pieces:
@@ -79,7 +79,7 @@ class Pieces:
             u=those(self.u, chosen),
             fraction=self.fraction[chosen],
             displacement=those(self.displacement, chosen),
-            held=those(self.held, chosen),
+            pinned_at=those(self.pinned_at, chosen),
             entered=those(self.entered, chosen),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class CovarianceDocument(Document):
 
 class JointDocument(Document):
     makes = Joint
+    renamed: ClassVar = {"held": "fixed_at"}
 
     kind: JointKind = doc("rigid, prismatic, revolute or screw.")
     position: Vector3 = doc("Origin of the part in the base frame at configuration 0 [m].")

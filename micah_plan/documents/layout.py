@@ -27,8 +27,8 @@ Scope = Mapping[str, Sequence[str]]
 class Document(BaseModel):
     """Base of every layout: unknown keys are errors, types are not converted, numbers are finite.
 
-    Keys are called like the attributes of the value that the entry describes, wherever both mean the same. Where they
-    do not, a layout has a `read` and a `written` of its own, each of which undoes the other.
+    Keys are called like the attributes of the value that the entry describes, or as `renamed` says, wherever both mean
+    the same. Where they do not, a layout has a `read` and a `written` of its own, each of which undoes the other.
     """
 
     # Validators are built when a file is first read with them, and only those that this file needs.
@@ -38,6 +38,8 @@ class Document(BaseModel):
     """The class of the value; a dict if it is the layout around it that makes one."""
     always_written: ClassVar[Collection[str]] = ()
     """Keys to write even where their value is the default."""
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """What the value calls keys that older files made permanent."""
 
     def read(self, at: Located, scope: Scope) -> Any:
         """The value that the entry describes.
@@ -55,16 +57,17 @@ class Document(BaseModel):
         """Raise an InputError if the entry contradicts itself, whatever names there are."""
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
-        """What the entry says, by key, without the format: marks interpreted, inner entries as values."""
+        """What the entry says, by attribute, without the format: marks interpreted, inner entries as values."""
         self.check(at)
         meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
         own = {key: value for key, value in self if key != "format"}
-        return own | {key: _read(kind, own[key], at.at(key), scope) for key, kind in meant.items()}
+        own |= {key: _read(kind, own[key], at.at(key), scope) for key, kind in meant.items()}
+        return {self.renamed.get(key, key): value for key, value in own.items()}
 
     @classmethod
     def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
         """What to write of a value, by key; keys that are not there are left out."""
-        return {key: getattr(value, key) for key in cls.model_fields}
+        return {key: getattr(value, cls.renamed.get(key, key)) for key in cls.model_fields}
 
 
 def doc(description: str, default: Any = ..., **further: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -88,6 +88,8 @@ class BodyDocument(Document):
 
 
 class RobotDocument(Document):
+    renamed: ClassVar = {"held": "locked"}
+
     path: Line = doc("URDF or MJCF file, relative to this file.")
     tool: Name = doc("Frame that holds the part: a link, body or site of the robot.")
     position: Vector3 = doc("Position of the robot's root in the base frame [m].", ZERO)
@@ -116,7 +118,7 @@ class RobotDocument(Document):
     @classmethod
     def written(cls, value: RobotDescription, scope: Scope) -> Mapping[str, Any]:
         """The robot's data with the content of its files but for the meshes."""
-        return {**vars(value), "srdf": None, "srdf_text": value.srdf or None}
+        return {**vars(value), "held": value.locked, "srdf": None, "srdf_text": value.srdf or None}
 
 
 class GraspDocument(Document):

@@ -350,6 +350,6 @@ def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
     def fit(mode: Mode) -> tuple[int, float, float]:
         distance = sum(abs(pin.value - float(x[pin.coordinate])) for pin in mode.pins)
         margin = float(mode.invariant.margins(x, still).min(initial=0.0))
-        return -int((mode.free == truth.held).sum()), -distance, margin
+        return -int((mode.free == truth.latched).sum()), -distance, margin
 
     return max(automaton.modes, key=fit).name, x

@@ -142,7 +142,7 @@ class _Trial:
     def _hides_truth(self, seen: Measurement, truth: Truth) -> Iterator[str]:
         """A referee that does not say what the tracker shows."""
         rows, n = len(self._parts), self._plain.n
-        shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "held": (n,)}
+        shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "latched": (n,)}
         found = {name: np.shape(getattr(truth, name)) for name in shapes}
         for name, shape in shapes.items():
             if found[name] != shape:

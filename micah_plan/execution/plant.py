@@ -70,10 +70,10 @@ class Truth:
     """The true state, for scores and logs only: nothing that decides on inputs may read it.
 
     Attributes:
-        mode: the true mode; None if the plant has no modes (physics), then `held` says what is latched.
+        mode: the true mode; None if the plant has no modes (physics), then `latched` says what is latched.
         x: (n,) true configuration [rad or m], in the coordinates of the plant's own automaton.
         position, quaternion: (l, 3) [m] and (l, 4), the true poses of the parts in the base frame.
-        held: (n,) whether each coordinate is held by a latch.
+        latched: (n,) whether a latch has caught each coordinate.
         incident: what went wrong in between and cannot be seen at the end, such as a collision; empty if nothing.
     """
 
@@ -81,7 +81,7 @@ class Truth:
     x: Floats
     position: Floats
     quaternion: Floats
-    held: NDArray[np.bool_]
+    latched: NDArray[np.bool_]
     incident: str = ""
 
 

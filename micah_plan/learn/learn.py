@@ -189,7 +189,7 @@ def _aligned(
     track, noise = run.track, run.noise
     if longest is None:
         held = float(np.median(configurations(reference, np.flatnonzero(run.inlier), track, noise)))
-        return [replace(one, joint=replace(one.joint, held=held)) for one in chain]
+        return [replace(one, joint=replace(one.joint, fixed_at=held)) for one in chain]
     backwards, offset = _alignment(longest.joint, reference, longest.index(run.inlier), track, noise)
     return [replace(one, joint=_counted_along(one.joint, backwards, offset)) for one in chain]
 
@@ -201,7 +201,7 @@ def _aligned_segments(
     backwards, offset = False, 0.0
     if longest is None:
         held = float(np.median(configurations(reference, np.arange(len(track)), track, noise)))
-        offset = held - found[0].joint.held
+        offset = held - found[0].joint.fixed_at
     else:
         rows = np.flatnonzero((track.rows >= longest.start) & (track.rows <= longest.end))
         backwards, offset = _alignment(longest.joint, reference, rows, track, noise)

@@ -74,13 +74,13 @@ def chained(
         if one.settled:
             chain.append(one)
             rigid = one.joint.kind == "rigid"
-            reached = one.joint.held if rigid else _near(one.joint, one.end, one, track, inlier, noise)
+            reached = one.joint.fixed_at if rigid else _near(one.joint, one.end, one, track, inlier, noise)
             continue
         if one.joint.kind == "rigid":
             moving = _last_moving(chain)
             if moving is not None and last is not None and last.kind != "rigid":
                 reached = _configuration_of(one.joint, moving, noise)
-            chain.append(replace(one, joint=replace(one.joint, held=reached)))
+            chain.append(replace(one, joint=replace(one.joint, fixed_at=reached)))
             continue
         joint = _directed(one, chain, track, inlier, noise)
         start = _near(joint, one.start, one, track, inlier, noise)
@@ -107,8 +107,8 @@ def to_segment(
     joint, used = one.joint, one.index(inlier)
     c = configurations(joint, used, track, noise)
     if joint.kind == "rigid":
-        start = end = joint.held
-        limits = (joint.held, joint.held)
+        start = end = joint.fixed_at
+        limits = (joint.fixed_at, joint.fixed_at)
         process = 0.0
     else:
         observed = _observation_std(joint, joint, used, track, noise)

@@ -70,13 +70,13 @@ def problem_clearance(problem: Problem) -> ClearanceModel:
         raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
     parts = [part for part in problem.automaton.parts if part.shapes]
     with_shapes = {part.name for part in parts}
-    held = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in with_shapes]
+    carried = [name for name in carried_parts(problem.automaton, problem.grasp.part) if name in with_shapes]
     if problem.hold is not None:
         # The tool follows the hand; what it has between its fingers is the held part, which may turn there.
-        held = [problem.hold.grip.held.name, problem.hold.grip.moving.name]
+        carried = [problem.hold.grip.held.name, problem.hold.grip.moving.name]
     elif problem.grasp.part not in with_shapes:
-        parts, held = [*parts, Part(problem.grasp.part)], [problem.grasp.part, *held]
-    return clearance_model(load_arm(problem.robot), problem.scene, parts, held)
+        parts, carried = [*parts, Part(problem.grasp.part)], [problem.grasp.part, *carried]
+    return clearance_model(load_arm(problem.robot), problem.scene, parts, carried)
 
 
 def tool_path(problem: Problem, modes: Sequence[str], states: Floats) -> ToolPath:

@@ -37,7 +37,7 @@ class Arm:
         rest: (n,) posture to prefer.
         colors: ``"#rrggbb"`` by name of geometry.
         separate: pairs of links, sorted by name, that a file declares to need no check.
-        locked: (joint, position [rad or m]) of the robot's joints that are held still.
+        locked: (joint, position [rad or m]) of the robot's joints that do not move.
     """
 
     name: str
@@ -133,7 +133,7 @@ def symbolic_forward(arm: Arm) -> Any:
     """A CasADi function from q (n, 1) [rad or m] to the tool's pose T (4, 4) in the base frame [m].
 
     Pinocchio's own CasADi bindings are not in its wheels. The chain has one joint after the other, because all joints
-    that do not move the tool are held still.
+    that do not move the tool are locked.
     """
     from micah_plan.symbolic.kinematics import ChainJoint, chain_forward
 

@@ -57,7 +57,7 @@ class ClearanceModel:
         geometry: Pinocchio geometry of arm, scene and parts, with the pairs that are checked.
         names: (P, 2) names of each pair.
         parts: numbers of geometries by part, and their poses in the part's frame.
-        held: parts that move with the tool.
+        carried: parts that move with the tool.
         first, second: (P,) numbers of the geometries of each pair.
     """
 
@@ -65,7 +65,7 @@ class ClearanceModel:
     geometry: Any
     names: tuple[Pair, ...]
     parts: Mapping[str, tuple[tuple[int, Any], ...]]
-    held: frozenset[str]
+    carried: frozenset[str]
     first: NDArray[np.int64]
     second: NDArray[np.int64]
 
@@ -126,7 +126,7 @@ class ClearanceModel:
 
     def gradient(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[Clearance, Floats]:
         """The smallest distance and its derivative by q (n,): the relative velocity of the nearest points along the
-        normal. Parts that are held move with the tool, others stand still."""
+        normal. Parts that are carried move with the tool, others stand still."""
         index, distance = self._closest(q, parts, ignored)
         if index is None:
             return Clearance(distance, ("", "")), np.zeros(self.arm.n)
@@ -141,7 +141,7 @@ class ClearanceModel:
     def _point_jacobian(self, geometry: int, point: Floats) -> Floats:
         """(3, n) derivative of a point of a solid by q, the point in the base frame."""
         joint = int(self.geometry.geometryObjects[geometry].parentJoint)
-        if any(geometry == number for name in self.held for number, _ in self.parts[name]):
+        if any(geometry == number for name in self.carried for number, _ in self.parts[name]):
             joint = self.arm.tool_joint
         if joint == 0:
             return np.zeros((3, self.arm.n))
@@ -150,7 +150,7 @@ class ClearanceModel:
 
 
 def clearance_model(
-    arm: Arm, scene: Sequence[Body] = (), parts: Sequence[Part] = (), held: Sequence[str] = ()
+    arm: Arm, scene: Sequence[Body] = (), parts: Sequence[Part] = (), carried: Sequence[str] = ()
 ) -> ClearanceModel:
     """Arm, scene and the object's parts, with the pairs that must not meet.
 
@@ -162,7 +162,7 @@ def clearance_model(
         scene: bodies that do not move.
         parts: of the object, with their shapes; their poses are given in every call. The one called `base` stands
             still.
-        held: names of the parts that move with the tool; the first is the grasped one.
+        carried: names of the parts that move with the tool; the first is the grasped one.
 
     Raises:
         InputError: for names that occur twice.
@@ -180,7 +180,7 @@ def clearance_model(
     part_numbers = [(name, number) for name, group in moved.items() for number, _ in group]
     pairs = _arm_pairs(arm, geometry, links)
     pairs += [(a, b) for a, b in product(links, scene_numbers) if geometry.geometryObjects[a].parentJoint > 0]
-    grasped = held[0] if held else None
+    grasped = carried[0] if carried else None
     pairs += [
         (a, b)
         for a, (name, b) in product(links, part_numbers)
@@ -193,7 +193,7 @@ def clearance_model(
         geometry=geometry,
         names=tuple((labels[a], labels[b]) for a, b in pairs),
         parts={name: tuple(group) for name, group in moved.items()},
-        held=frozenset(held),
+        carried=frozenset(carried),
         first=np.array([a for a, _ in pairs], dtype=np.int64),
         second=np.array([b for _, b in pairs], dtype=np.int64),
     )

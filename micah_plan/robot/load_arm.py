@@ -35,7 +35,7 @@ def describe_robot(
 
 
 def load_arm(description: RobotDescription) -> Arm:
-    """The chain of joints from the root to the tool; all other joints are held still.
+    """The chain of joints from the root to the tool; all other joints are locked.
 
     Raises:
         InputError: if the file is no URDF or MJCF, has a mistake, leads out of its folder, or the tool, a joint or the
@@ -147,7 +147,7 @@ def _held_positions(model: Any, description: RobotDescription) -> Any:
     q = pin.neutral(model)
     single = [model.idx_qs[joint] for joint in range(1, model.njoints) if model.joints[joint].nq == 1]
     q[single] = middle(model.lowerPositionLimit, model.upperPositionLimit)[single]
-    for name, value in description.held:
+    for name, value in description.locked:
         index = _index(model, name, description)
         if index in single:
             q[index] = value

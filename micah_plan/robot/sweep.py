@@ -41,7 +41,7 @@ class MotionBound:
 
     Attributes:
         levers: (g, n) largest distance of a geometry's points from each joint's axis that moves it, else 0 [m]; 1 for a
-            joint that slides. Those of held parts count to the tool's frame.
+            joint that slides. Those of carried parts count to the tool's frame.
         radii: (g,) radius of the sphere around each geometry [m].
         centers: (g, 3) its centre, in the frame of the joint or of the part [m].
         joints: (g,) number of the joint that moves it; 0 for none.
@@ -61,7 +61,7 @@ class MotionBound:
             name, placement = of_part.get(number, ("", item.placement))
             self.centers[number] = placement.act(item.geometry.aabb_center)
             self.radii[number] = item.geometry.aabb_radius
-            if name in model.held:
+            if name in model.carried:
                 joint, distance = arm.tool_joint, tool
             elif not name:
                 distance = float(np.linalg.norm(self.centers[number])) + self.radii[number]
@@ -81,7 +81,7 @@ def sweep(
 ) -> Swept:
     """The smallest distance while arm and parts move from one configuration to another.
 
-    Parts that are held move relative to the tool, others relative to the base frame, by one screw motion.
+    Parts that are carried move relative to the tool, others relative to the base frame, by one screw motion.
 
     Args:
         bound: of the model.
@@ -129,22 +129,22 @@ class _Path:
         self._q, self._step = start[0], end[0] - start[0]
         tools = [pin.SE3(model.arm.matrix(q)) for q in (start[0], end[0])]
         self._relative: dict[str, tuple[Any, Any]] = {}
-        spin, slide, reach, is_held = (np.zeros(len(bound.radii)) for _ in range(4))
+        spin, slide, reach, is_carried = (np.zeros(len(bound.radii)) for _ in range(4))
         for name, group in model.parts.items():
             first, last = (pin.SE3(parts[name].as_matrix()) for parts in (start[1], end[1]))
-            if name in model.held:
+            if name in model.carried:
                 first, last = tools[0].actInv(first), tools[1].actInv(last)
             screw = pin.log6(last * first.inverse())
             self._relative[name] = first, screw
             for number, _ in group:
                 spin[number], slide[number] = np.linalg.norm(screw.angular), np.linalg.norm(screw.linear)
                 reach[number] = np.linalg.norm(first.act(bound.centers[number])) + bound.radii[number] + slide[number]
-                is_held[number] = name in model.held
+                is_carried[number] = name in model.carried
         # (g,) bound on the speed of a part's points by its own screw, and by the joints about its distance.
         self._own = spin * reach + slide
         steps = np.abs(self._step)
         turned = float(steps @ bound.turning)
-        carried = turned * reach * is_held
+        carried = turned * reach * is_carried
         # (P,) how far the solids of each pair move against each other at most: a joint that moves both does not count.
         first_levers, second_levers = bound.levers[model.first], bound.levers[model.second]
         both = (first_levers > 0) & (second_levers > 0)
@@ -158,9 +158,9 @@ class _Path:
     def at(self, share: float) -> tuple[Floats, dict[str, Any]]:
         """Configuration and poses of the parts at a share of the way."""
         q = self._q + share * self._step
-        tool = pin.SE3(self._model.arm.matrix(q)) if self._model.held else pin.SE3.Identity()
+        tool = pin.SE3(self._model.arm.matrix(q)) if self._model.carried else pin.SE3.Identity()
         parts = {name: pin.exp6(share * screw) * first for name, (first, screw) in self._relative.items()}
-        return q, {name: tool * pose if name in self._model.held else pose for name, pose in parts.items()}
+        return q, {name: tool * pose if name in self._model.carried else pose for name, pose in parts.items()}
 
     def moves(self, q: Floats, parts: Mapping[str, Any], half: float, pairs: NDArray[np.int64]) -> Floats:
         """(p,) bound on how far the two solids of each pair move against each other from here, in the time `half`."""
@@ -174,7 +174,7 @@ class _Path:
         pin.forwardKinematics(arm.model, arm.data, q, self._step)
         centers = bound.centers.copy()
         for name, group in self._model.parts.items():
-            into = arm.data.oMi[arm.tool_joint].actInv(parts[name]) if name in self._model.held else parts[name]
+            into = arm.data.oMi[arm.tool_joint].actInv(parts[name]) if name in self._model.carried else parts[name]
             for number, _ in group:
                 centers[number] = into.act(bound.centers[number])
         velocity = np.array([velocity.vector for velocity in arm.data.v])[bound.joints]

@@ -21,7 +21,7 @@ class RobotDescription:
         text: content of the file, URDF or MJCF.
         tool: name of the frame that grasps: a link, body or site.
         position, quaternion: pose of the robot's root in the base frame.
-        held: (joint, value [rad or m]) of joints that do not belong to the arm, such as fingers; others stand in the
+        locked: (joint, value [rad or m]) of joints that do not belong to the arm, such as fingers; others stand in the
             middle of their range.
         rest: (joint, value [rad or m]) of a posture to prefer; empty: the middle of the ranges.
         packages: (name, folder, relative to `root`) that ``package://name/`` in mesh paths stands for.
@@ -35,7 +35,7 @@ class RobotDescription:
     tool: str
     position: Vector3 = (0.0, 0.0, 0.0)
     quaternion: Quaternion = IDENTITY
-    held: tuple[tuple[str, float], ...] = ()
+    locked: tuple[tuple[str, float], ...] = ()
     rest: tuple[tuple[str, float], ...] = ()
     packages: tuple[tuple[str, str], ...] = ()
     srdf: str = ""

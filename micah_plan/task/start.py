@@ -86,10 +86,11 @@ def draw_states(
         shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
     """
     n, whole = automaton.n, with_boundary_states(automaton)
-    rows, held = whole.mode(mode.name).invariant.half_spaces, whole.mode(mode.name).pins
+    own = whole.mode(mode.name)
+    rows = own.invariant.half_spaces
     normals, growth = np.split(np.array([h.a for h in rows]).reshape(-1, whole.n), [n], axis=1)
-    pins = np.zeros((len(shifts), len(held)))
-    for k, pin in enumerate(held):
+    pins = np.zeros((len(shifts), len(own.pins)))
+    for k, pin in enumerate(own.pins):
         pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
     pinned = [pin.coordinate for pin in mode.pins]
     # Thresholds for the drawn coordinates alone, in each half-space of each object.

@@ -111,7 +111,7 @@ def _same_joint(a: Joint, b: Joint, span: float) -> bool:
     apart = np.subtract(b.position, a.position)
     if a.kind == "rigid":
         by_pose = float(np.linalg.norm(apart)) <= _SAME_PLACE_M
-        return abs(a.held - b.held) <= _SAME_SHARE * span if span > 0 else by_pose
+        return abs(a.fixed_at - b.fixed_at) <= _SAME_SHARE * span if span > 0 else by_pose
     if abs(float(np.dot(a.axis, b.axis))) < _SAME_DIRECTION:
         return False
     between = np.subtract(b.center, a.center)

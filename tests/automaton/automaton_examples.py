@@ -28,7 +28,7 @@ def chain(child: str, bounds: Sequence[float], kinds: Sequence[str]) -> Kinemati
     segments = []
     for k, (kind, start, end) in enumerate(zip(kinds, bounds[:-1], bounds[1:], strict=True)):
         joint = {
-            "rigid": rigid([start, 0, 0], held=start),
+            "rigid": rigid([start, 0, 0], fixed_at=start),
             "prismatic": prismatic([1, 0, 0], [0, 0, 0]),
             "revolute": revolute([0, 0, 1], [0, 0, 0], [1, 0, 0]),
         }[kind]

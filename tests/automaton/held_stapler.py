@@ -34,7 +34,7 @@ def stapler(latches: bool = True) -> HybridAutomaton:
     modes = [Mode("revolute", (swing,), ((1.0,),), box([-9.0], [LATCH], 1, ["arm"]))]
     edges = []
     if latches:
-        held = rigid((0.1, 0.0, 0.0), held=LATCH)
+        held = rigid((0.1, 0.0, 0.0), fixed_at=LATCH)
         shut = Region((above(0, LATCH, 1, 1, name="arm"),))
         modes.append(Mode("rigid", (held,), ((0.0,),), shut, pins=(Pin(0, LATCH, 0.01),)))
         edges = [

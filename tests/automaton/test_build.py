@@ -21,7 +21,7 @@ HINGE = revolute([0, 0, 1], [0, 0, 0], [1, 0, 0])
 
 
 def held(at: float) -> object:
-    return rigid([at, 0, 0], held=at)
+    return rigid([at, 0, 0], fixed_at=at)
 
 
 def edge_of(*segments: Segment) -> KinematicEdge:
@@ -145,7 +145,7 @@ class TestLocalModels:
         )
         models = local_models(edge_of(*segments))
         assert [m.name for m in models] == ["rigid", "prismatic"]
-        assert models[0].joint.held == 0.005
+        assert models[0].joint.fixed_at == 0.005
 
     def test_neighbouring_rigid_models_are_one(self) -> None:
         segments = (

@@ -74,7 +74,7 @@ class TestThresholds:
         assert stds["prismatic_1 -> prismatic_2"] == stds["prismatic_2 -> prismatic_1"] == pytest.approx(expected)
 
     def test_switches_average_but_the_tracker_stays(self) -> None:
-        slide, stop = prismatic([1, 0, 0], [0, 0, 0]), rigid([0.4, 0, 0], held=0.4)
+        slide, stop = prismatic([1, 0, 0], [0, 0, 0]), rigid([0.4, 0, 0], fixed_at=0.4)
         sure = SegmentCertainty(RowPosterior((20, 21), (0.5, 0.5)), (("rigid", 1.0),))
         again = SegmentCertainty(RowPosterior((38, 39, 40), (0.25, 0.5, 0.25)), (("prismatic", 1.0),))
         segments = (

@@ -60,10 +60,10 @@ MISTAKES = {
     "edge ajar -> rigid: unknown mode 'ajar'": with_edge(Edge("ajar", "rigid", IN)),
     "edge rigid -> revolute: a guard must have at least one half-space": with_edge(Edge("rigid", "revolute", Region())),
     "mode rigid: the pin of door, 1.3 rad, lies outside of the mode's invariant [1.17, 1.23]; move": shut(
-        pins=(Pin(0, 1.3, 0.01),), joints=(rigid([1.2, 0, 0], held=1.3),)
+        pins=(Pin(0, 1.3, 0.01),), joints=(rigid([1.2, 0, 0], fixed_at=1.3),)
     ),
-    "mode rigid: the rigid joint of door is held at 1.2001 rad, but the pin of door says 1.2 rad; give": shut(
-        joints=(rigid([1.2, 0, 0], held=1.2001),)
+    "mode rigid: the rigid joint of door is fixed at 1.2001 rad, but the pin of door says 1.2 rad; give": shut(
+        joints=(rigid([1.2, 0, 0], fixed_at=1.2001),)
     ),
     "edge revolute -> rigid: enters mode rigid at door = 1, outside of its invariant [1.17, 1.23]; move the guard or "
     "the invariant, or give a reset": with_edge(Edge("revolute", "rigid", guard(([2], [0], 2.0)))),
@@ -152,7 +152,7 @@ def test_one_mode_needs_no_transition() -> None:
 
 
 def test_small_differences_of_numbers_written_by_hand_pass() -> None:
-    check_automaton(shut(joints=(rigid([1.2, 0, 0], held=1.2000005),)))
+    check_automaton(shut(joints=(rigid([1.2, 0, 0], fixed_at=1.2000005),)))
     check_automaton(shut(invariant=guard(([1], [0], 1.205))))
 
 

@@ -50,7 +50,7 @@ def random_joint(kind: str, seed: int) -> Joint:
     axis = rng.uniform(0.5, 3.0) * unit(rng)
     pitch = rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.3)
     if kind == "rigid":
-        return rigid(position, quaternion, held=0.7)
+        return rigid(position, quaternion, fixed_at=0.7)
     if kind == "prismatic":
         return prismatic(axis, position, quaternion)
     if kind == "revolute":
@@ -220,7 +220,7 @@ class TestInverse:
         np.testing.assert_allclose(inverse(on_axis, [[0, 0, 0.5]], Rotation.from_rotvec([0, 0, 1.1])), [1.1])
         bolt = screw([0, 0, 1], [0, 0, 0], 0.01, [0, 0, 0])
         np.testing.assert_allclose(inverse(bolt, [[0, 0, 0.123]]), [12.3])
-        np.testing.assert_array_equal(inverse(rigid([1, 2, 3], held=0.4), np.zeros((3, 3))), [0.4, 0.4, 0.4])
+        np.testing.assert_array_equal(inverse(rigid([1, 2, 3], fixed_at=0.4), np.zeros((3, 3))), [0.4, 0.4, 0.4])
 
     def test_no_rows_and_single_rows(self) -> None:
         joint = revolute([0, 0, 1], [0, 0, 0], [1, 0, 0])
@@ -300,9 +300,9 @@ class TestChanges:
         assert reversed_direction(turned) == joint
 
     def test_a_rigid_joint_changes_what_it_stands_for_but_not_where_it_is(self) -> None:
-        joint = rigid([1, 2, 3], held=0.5)
-        assert shifted(joint, 0.2) == rigid([1, 2, 3], held=0.3)
-        assert reversed_direction(joint) == rigid([1, 2, 3], held=-0.5)
+        joint = rigid([1, 2, 3], fixed_at=0.5)
+        assert shifted(joint, 0.2) == rigid([1, 2, 3], fixed_at=0.3)
+        assert reversed_direction(joint) == rigid([1, 2, 3], fixed_at=-0.5)
 
     @given(seeds)
     @quick

@@ -43,7 +43,7 @@ def door() -> HybridAutomaton:
             ),
             Mode(
                 "rigid",
-                (rigid((0.1, 0.2, 0.1), held=1.2),),
+                (rigid((0.1, 0.2, 0.1), fixed_at=1.2),),
                 ((0.0,),),
                 Region((above(0, 1.2, 1, 1, name="door"),)),
                 inputs,

@@ -216,7 +216,7 @@ def test_shipped_models_read_back(repository: Path) -> None:
     ("old", "new", "expected"),
     [
         ("value: 1.2", "value: 1.1", "key 'modes.rigid.pins.door.value': mode rigid: the pin of door, 1.1 rad, lies"),
-        ("held: 1.2", "held: 1.1", "key 'modes.rigid.joints.door.held': mode rigid: the rigid joint of door is held"),
+        ("held: 1.2", "held: 1.1", "key 'modes.rigid.joints.door.held': mode rigid: the rigid joint of door is fixed"),
         (
             "guard: [door >= 1.2]",
             "guard: [door >= 1.0]",

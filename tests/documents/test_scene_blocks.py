@@ -79,7 +79,7 @@ def test_the_blocks_become_values(folder: Path) -> None:
         "<robot/>",
         "hand",
         (0.0, 1.0, 0.0),
-        held=(("finger", 0.01),),
+        locked=(("finger", 0.01),),
         rest=(("elbow", -1.5),),
         packages=(("pkg", "some/where"),),
         srdf="<robot name='s'/>",

@@ -28,7 +28,7 @@ EXACT = {"position_noise": 0.0, "rotation_noise": 0.0, "spread": 0.0}
 def stamp() -> Problem:
     """A case in the hand with a pin below it that slides up by 3 cm and latches there when it is pressed on a table."""
     inputs = input_box([-0.01], [0.01], 1, ["pin"])
-    latched = rigid((0.0, 0.0, TRAVEL), held=TRAVEL)
+    latched = rigid((0.0, 0.0, TRAVEL), fixed_at=TRAVEL)
     threshold = Region((above(0, TRAVEL, 1, 1),))
     learned = HybridAutomaton(
         coordinates=(Coordinate("pin", "m"),),

@@ -118,7 +118,7 @@ def test_joints_that_do_not_move_the_tool_stay(problem, posture):
         'velocity="1" effort="5"/>'
     )
     text = robot.text.replace('<joint name="left_finger_mount" type="fixed">', sliding)
-    fingered = replace(problem, robot=replace(robot, text=text, held=(("left_finger_mount", 0.006),)))
+    fingered = replace(problem, robot=replace(robot, text=text, locked=(("left_finger_mount", 0.006),)))
     plant = HeldPlant(fingered, posture=posture)
     plant.reset(np.random.default_rng(6))
     move(plant, [0.0, 0.03, 0.03])

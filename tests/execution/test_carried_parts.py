@@ -63,7 +63,7 @@ def test_in_physics_the_handle_stays_on_the_door(cabinet: HybridAutomaton) -> No
     truth = plant.truth()
     plant.close()
     assert truth.x == pytest.approx([1.2, 0.14], abs=0.01)
-    assert truth.held.tolist() == [True, False]
+    assert truth.latched.tolist() == [True, False]
     after = apart(truth.position, truth.quaternion)
     assert after.translation == pytest.approx(before.translation, abs=1e-6)
     assert (after.rotation * before.rotation.inv()).magnitude() == pytest.approx(0.0, abs=1e-6)

@@ -134,7 +134,7 @@ class Elsewhere(Wrong):
 
 class ShortTruth(Wrong):
     def truth(self):
-        return replace(super().truth(), held=np.zeros(3, dtype=bool))
+        return replace(super().truth(), latched=np.zeros(3, dtype=bool))
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ class ShortTruth(Wrong):
         (WallClock, "time must count from the reset"),
         (Unrepeatable, "must start alike for the same seed"),
         (Elsewhere, "m from its true place"),
-        (ShortTruth, "Truth.held must have shape (1,). Got (3,)"),
+        (ShortTruth, "Truth.latched must have shape (1,). Got (3,)"),
     ],
 )
 def test_each_way_to_be_wrong_is_named(kind, said):

@@ -40,7 +40,7 @@ def test_a_sliding_pin_is_pressed_in_by_the_table_as_the_model_says_and_latches(
         # The pin stays where it was until it touches, and then follows the hand's height.
         assert truth.x[3] == pytest.approx(max(0.004, float(tie.value(truth.x))), abs=1.5e-3)
     last = found[-1][1]
-    assert (last.mode, last.held.tolist(), last.incident) == ("latched", [False, False, False, True], "")
+    assert (last.mode, last.latched.tolist(), last.incident) == ("latched", [False, False, False, True], "")
     assert last.x[3] == pytest.approx(TRAVEL, abs=1e-3)
     assert last.x[2] > 0.1
 
@@ -55,7 +55,7 @@ def test_coordinates_may_come_in_any_order():
     expected = led(stamp(), inputs)
     for (measured, truth), (seen, same) in zip(led(reordered(stamp(), order), inputs), expected, strict=True):
         np.testing.assert_array_equal(truth.x, same.x[list(order)])
-        np.testing.assert_array_equal(truth.held, same.held[list(order)])
+        np.testing.assert_array_equal(truth.latched, same.latched[list(order)])
         np.testing.assert_array_equal(truth.position, same.position)
         np.testing.assert_array_equal(measured.position, seen.position)
         assert truth.mode == same.mode
@@ -72,7 +72,7 @@ def test_a_rigid_tool_on_slanted_rails_goes_where_its_two_coordinates_say():
         np.testing.assert_allclose(truth.position[3], truth.position[2], atol=1e-9)
         x = configuration(problem.automaton, "free", measured.position, measured.quaternion, truth.x)
         np.testing.assert_allclose(x, truth.x, atol=1e-4)
-        assert not truth.held.any()
+        assert not truth.latched.any()
 
 
 def test_a_rigid_tool_hits_what_may_not_be_touched():

@@ -58,7 +58,7 @@ def assert_same(leaping, careful):
         np.testing.assert_array_equal(measured.position, expected.position)
         np.testing.assert_array_equal(measured.quaternion, expected.quaternion)
         np.testing.assert_array_equal(truth.x, true.x)
-        np.testing.assert_array_equal(truth.held, true.held)
+        np.testing.assert_array_equal(truth.latched, true.latched)
         assert (truth.mode, truth.incident) == (true.mode, true.incident)
 
 

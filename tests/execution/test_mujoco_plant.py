@@ -110,27 +110,27 @@ def test_kinetic_energy_comes_from_the_hands_work():
 
 def test_the_latch_catches_the_door_and_holds_it():
     plant = plant_at(door(), [1.1])
-    assert not plant.truth().held.any()
+    assert not plant.truth().latched.any()
     apply(plant, 0.094)  # 2 mm short at the handle: within the capture, and the hand holds back with 6 N only
     truth = plant.truth()
-    assert truth.held.all()
+    assert truth.latched.all()
     assert truth.x[0] == pytest.approx(SHUT, abs=1e-4)
 
 
 @pytest.mark.parametrize(("share", "released"), [(0.9, False), (1.1, True)])
 def test_the_latch_opens_at_its_force(share, released):
     plant = plant_at(door(), [SHUT], mode="shut")
-    assert plant.truth().held.all()
+    assert plant.truth().latched.all()
     pull = share * IDEAL.latch_force / IDEAL.stiffness / 0.35
     apply(plant, -pull)
-    assert plant.truth().held.all() != released
+    assert plant.truth().latched.all() != released
 
 
 def test_a_push_into_the_stop_does_not_open_the_latch():
     plant = plant_at(door(), [SHUT], mode="shut")
     apply(plant, 0.1)
     truth = plant.truth()
-    assert truth.held.all()
+    assert truth.latched.all()
     assert truth.x[0] == pytest.approx(SHUT, abs=2e-4)
 
 
@@ -139,15 +139,15 @@ def test_the_latch_catches_again_after_the_door_was_opened():
     apply(plant, -0.1)
     assert plant.truth().x[0] == pytest.approx(SHUT - 0.1, abs=1e-3)
     apply(plant, 0.11)
-    assert plant.truth().held.all()
+    assert plant.truth().latched.all()
 
 
 def test_a_released_door_pushed_back_before_it_left_is_caught():
     plant = plant_at(door(), [SHUT], replace(IDEAL, latch_capture=0.02), mode="shut")
     apply(plant, -0.03)
-    assert not plant.truth().held.any()
+    assert not plant.truth().latched.any()
     apply(plant, 0.025)
-    assert plant.truth().held.all()
+    assert plant.truth().latched.all()
 
 
 def test_the_same_seed_gives_the_same_measurements():
@@ -168,7 +168,7 @@ def test_a_reset_leaves_nothing_of_the_last_trial():
     again = plant.reset(np.random.default_rng(1))
     np.testing.assert_array_equal(first.position, again.position)
     assert again.time == 0.0
-    assert plant.truth().held.all()
+    assert plant.truth().latched.all()
     np.testing.assert_array_equal(apply(plant, -0.1).position, after.position)
 
 

@@ -58,7 +58,7 @@ def test_the_true_state_is_the_automatons():
         truth = plant.truth()
         assert truth.mode == mode
         np.testing.assert_array_equal(truth.x, x)
-        assert truth.held.all() == (mode == "shut")
+        assert truth.latched.all() == (mode == "shut")
 
 
 def test_the_process_noise_has_the_models_std():

@@ -45,8 +45,8 @@ def test_moving_then_rigid_is_found_with_its_parameters(kind: str) -> None:
     assert radius(moving.joint) == pytest.approx(radius(truth), abs=0.01)
     assert moving.joint.pitch == pytest.approx(truth.pitch, abs=0.01)
     assert moving.configuration_start == pytest.approx(0.0, abs=1e-6)
-    assert rigid.joint.held == pytest.approx(c[-1], abs=0.01)
-    assert moving.configuration_end == pytest.approx(rigid.joint.held, abs=0.03)
+    assert rigid.joint.fixed_at == pytest.approx(c[-1], abs=0.01)
+    assert moving.configuration_end == pytest.approx(rigid.joint.fixed_at, abs=0.03)
     assert (moving.start, moving.end + 1, rigid.end) == (0, rigid.start, len(c) - 1)
 
 
@@ -107,7 +107,7 @@ def test_a_part_that_never_moves_is_one_rigid_segment() -> None:
     for recording in (noisy, exact):
         found = edge(recording)
         assert kinds(found) == ["rigid"]
-        assert found.segments[0].joint.held == 0.0
+        assert found.segments[0].joint.fixed_at == 0.0
         assert np.allclose(found.segments[0].joint.position, JOINTS["prismatic"].position, atol=2e-3)
 
 

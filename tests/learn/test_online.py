@@ -99,7 +99,7 @@ def test_closed_and_open_are_one_model_each_however_often_they_are_held() -> Non
     recording = opened_and_held(cycles=4, moving=60, held=700)
     segments = learned(recording, len(recording), settings=LearnSettings()).segments()
     assert kinds(segments) == ["revolute", "rigid"] * 8
-    held = [segment.joint.held for segment in segments if segment.joint.kind == "rigid"]
+    held = [segment.joint.fixed_at for segment in segments if segment.joint.kind == "rigid"]
     assert np.allclose(held, np.tile([0.9, 0.0], 4), atol=0.02)
     assert len({segment.joint for segment in segments}) <= 4
     stops, starts = segments[1::2], segments[2::2]

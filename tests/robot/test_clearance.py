@@ -20,9 +20,9 @@ ROCK = Body("rock", (Hull(BOX),), position=(0.5, 0.3, 0.2))
 STICK = Part("stick", (Primitive("box", (0.02, 0.2, 0.02)),))
 
 
-def slider(scene: tuple[Body, ...], parts: tuple[Part, ...] = (), held: tuple[str, ...] = ()) -> ClearanceModel:
+def slider(scene: tuple[Body, ...], parts: tuple[Part, ...] = (), carried: tuple[str, ...] = ()) -> ClearanceModel:
     """The cart, a ball of 0.1 m, on its rail: where it stands is known by hand."""
-    return clearance_model(load_arm(described(SLIDER, "finger")), scene, parts, held)
+    return clearance_model(load_arm(described(SLIDER, "finger")), scene, parts, carried)
 
 
 def cart(q: np.ndarray) -> np.ndarray:

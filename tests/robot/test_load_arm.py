@@ -74,7 +74,7 @@ def test_an_mjcf_arm_stands_alike_in_mujoco_and_its_other_joints_are_held() -> N
         np.testing.assert_allclose(arm.matrix(q)[:3, :3], data.site("tool").xmat.reshape(3, 3), atol=1e-12)
     jaw = next(item for item in arm.geometry.geometryObjects if item.name.startswith("jaw"))
     assert jaw.placement.translation[0] == pytest.approx(0.02)  # the middle of its range
-    shut = load_arm(described(TWO_LINKS, "tool", held=(("grip", 0.0),)))
+    shut = load_arm(described(TWO_LINKS, "tool", locked=(("grip", 0.0),)))
     jaw = next(item for item in shut.geometry.geometryObjects if item.name.startswith("jaw"))
     assert jaw.placement.translation[0] == pytest.approx(0.0, abs=1e-15)
 

@@ -40,7 +40,7 @@ def door(name="door", *, shapes=True, handle=(0.0, -0.03, 0.0)) -> HybridAutomat
         "rigid",
         position=tuple(forward(HINGE, OPEN_AT).translation[0]),
         quaternion=tuple(forward(HINGE, OPEN_AT).rotation.as_quat()[0]),
-        held=OPEN_AT,
+        fixed_at=OPEN_AT,
     )
     swing = Mode("swinging", (HINGE,), ((1.0,),), Region((above(0, 0.0, 1, 1), below(0, OPEN_AT, 1, 1))))
     stop = Mode("stopped", (held,), ((0.0,),), Region((above(0, OPEN_AT, 1, 1),)), pins=(Pin(0, OPEN_AT, 0.005),))

@@ -100,7 +100,7 @@ def _with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) 
             return replace(mode, invariant=moved(mode.invariant))
         pins = (replace(pin, value=pin.value + new - old) if pin.coordinate == i else pin for pin in mode.pins)
         joints = (
-            rigid_at(automaton.moving_joint(number), joint.held + new - old, joint)
+            rigid_at(automaton.moving_joint(number), joint.fixed_at + new - old, joint)
             if link.coordinate == i and joint.kind == "rigid"
             else joint
             for number, (link, joint) in enumerate(zip(automaton.links, mode.joints, strict=True))

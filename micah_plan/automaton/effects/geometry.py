@@ -72,7 +72,7 @@ def _turned_about(joint: Joint, by: Sequence[float] = (0.0, 0.0), pitch: float =
 def rigid_at(moving: Joint, c: float, before: Joint) -> Joint:
     """A rigid joint that stands for configuration c, where a moving one leads; `before` if nothing moves there."""
     if moving.kind == "rigid":
-        return replace(before, held=c)
+        return replace(before, fixed_at=c)
     from micah_plan.automaton.kinematics import forward  # SciPy's transforms take long to load
 
     pose = forward(moving, c)[0]
@@ -86,7 +86,7 @@ def _with_joints(automaton: HybridAutomaton, coordinate: int, change: Callable[[
         if automaton.links[number].coordinate != coordinate:
             return joint
         if joint.kind == "rigid":
-            return rigid_at(change(automaton.moving_joint(number)), joint.held, joint)
+            return rigid_at(change(automaton.moving_joint(number)), joint.fixed_at, joint)
         return change(joint)
 
     def changed_mode(mode: Mode) -> Mode:

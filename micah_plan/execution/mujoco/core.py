@@ -132,12 +132,12 @@ class PhysicalPlant:
 
     def _show(self, x: Floats) -> Flags:
         """Set what joints show in a configuration (n,); (n,) whether a latch holds a coordinate."""
-        held = np.zeros(len(x), dtype=bool)
+        latched = np.zeros(len(x), dtype=bool)
         for joint, address in self._shown:
             if not joint.follows:
                 x[joint.coordinate] = (self.data.qpos[address] - joint.zero) / joint.scale
-        held[[latch.coordinate for latch in self.latches if self._active[latch.equality]]] = True
-        return held
+        latched[[latch.coordinate for latch in self.latches if self._active[latch.equality]]] = True
+        return latched
 
     def _poses(self, bodies: Sequence[int]) -> tuple[Floats, Floats]:
         """(k, 3) positions [m] and (k, 4) quaternions of bodies, scalar last and not negative."""

@@ -222,7 +222,7 @@ def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint
 def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
     """The same motion, counted in the guess's direction from where the guess counts, or as it may be held."""
     if joint.kind == "rigid":
-        return replace(joint, held=guess.held)
+        return replace(joint, fixed_at=guess.fixed_at)
     if np.dot(joint.axis, guess.axis) < 0:
         joint = reversed_direction(joint)
     quaternion = np.array([guess.quaternion]) if has_orientation else None

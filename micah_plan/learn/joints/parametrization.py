@@ -92,7 +92,7 @@ def stepped(joint: Joint, chart: Chart, numbers: Floats) -> Joint | None:
         length = float(np.linalg.norm(half))
         quaternion = times(np.append(np.sinc(length / np.pi) * half, np.cos(length)), quaternion)
     if joint.kind == "rigid":
-        return rigid(position, quaternion, joint.held)
+        return rigid(position, quaternion, joint.fixed_at)
     basis, old = chart.basis, np.array(joint.axis)
     # The basis is right-handed with the axis: a tilt about the first direction moves the axis against the second.
     axis = old + step["axis_2"] * basis[0] - step["axis_1"] * basis[1]
