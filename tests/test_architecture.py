@@ -48,7 +48,7 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),
     "meshcat": (("view.",), True),
-    "mujoco": (("execution.mujoco.core",), True),
+    "mujoco": (("execution.mujoco.world",), True),
     "matplotlib": (("view.",), False),
     "jinja2": (("view.",), True),
     "ruamel": (("documents.",), True),

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,16 +12,15 @@ from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
-from micah_plan.execution.mujoco.core import check_stable, import_mujoco
+from micah_plan.execution.mujoco.core import check_stable
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.standing_object import standing_bodies
-from micah_plan.execution.mujoco.world import standing_mjcf
+from micah_plan.execution.mujoco.world import import_mujoco
 from micah_plan.execution.pose import chain, command, components, moving_joints
 from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 
-from micah_plan.execution.mujoco.standing import StandingPlant
+from micah_plan.execution.mujoco.standing import StandingPlant, standing_world
 
 IDEAL = PhysicalParameters(damping=0.0, friction=0.0, position_noise=0.0, rotation_noise=0.0)
 
@@ -175,20 +173,19 @@ def test_a_reset_leaves_nothing_of_the_last_trial():
 def test_the_mass_is_shared_among_the_shapes_by_volume():
     shapes = (Primitive("box", (0.2, 0.1, 0.1)), Primitive("cylinder", (0.05, 0.2)), Primitive("sphere", (0.03,)))
     automaton = replace(drawer(), parts=(Part("drawer", shapes), Part("base", shapes[:1])))
-    text = standing_mjcf(standing_bodies(automaton, PhysicalParameters(mass=3.0)), shapes[:1], 0.0)
-    root = ElementTree.fromstring(text)  # noqa: S314 - our own text
-    masses = [float(geom.get("mass")) for geom in root.findall("worldbody/body/geom")]
+    world, _ = standing_world(automaton, PhysicalParameters(mass=3.0))
+    masses = [geom.mass for geom in world.spec.body("drawer").geoms]
     assert sum(masses) == pytest.approx(3.0)
     assert masses[1] / masses[0] == pytest.approx(np.pi * 0.05**2 * 0.2 / 0.002)
-    assert len(root.findall("worldbody/geom")) == 1
+    assert len(world.spec.worldbody.geoms) == 1
 
 
 def test_without_shapes_a_panel_reaches_from_the_axis_to_the_origin():
     joint = door(0.4).modes[0].joints[0]
-    (panel,) = standing_bodies(door(0.4), IDEAL)[0].shapes
+    (panel,) = standing_world(door(0.4), IDEAL)[0].spec.body("door").geoms
     pose = forward(joint, 0.0)[0]
-    np.testing.assert_allclose(pose.apply(panel.position), np.add(joint.position, joint.center) / 2, atol=1e-12)
-    assert panel.size[0] == pytest.approx(0.35)
+    np.testing.assert_allclose(pose.apply(panel.pos), np.add(joint.position, joint.center) / 2, atol=1e-12)
+    assert 2 * panel.size[0] == pytest.approx(0.35)
 
 
 def test_what_cannot_be_built_is_refused_with_a_reason():
@@ -197,15 +194,15 @@ def test_what_cannot_be_built_is_refused_with_a_reason():
     other = revolute(swing.axis, np.add(swing.center, 0.05), swing.position)
     two_joints = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(other,))))
     with pytest.raises(InputError, match="different joints in different modes"):
-        standing_bodies(two_joints, IDEAL)
+        standing_world(two_joints, IDEAL)
     on_axis = replace(automaton, parts=(Part("door", handle=tuple(np.subtract(swing.center, swing.position))),))
     with pytest.raises(InputError, match="lies on its axis"):
-        standing_bodies(on_axis, IDEAL)
+        standing_world(on_axis, IDEAL)
     with pytest.raises(InputError, match="one link per coordinate"):
-        standing_bodies(replace(automaton, links=()), IDEAL)
+        standing_world(replace(automaton, links=()), IDEAL)
     cone = replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))
     with pytest.raises(InputError, match="unknown shape"):
-        standing_mjcf(standing_bodies(cone, IDEAL), (), 0.0)
+        standing_world(cone, IDEAL)
 
 
 def test_physical_parameters_are_checked():

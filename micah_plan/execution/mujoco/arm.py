@@ -11,9 +11,8 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
-from micah_plan.execution.mujoco.held_object import OBJECT
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE
+from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE, OBJECT, World
 from micah_plan.quantities import quantity
 from micah_plan.robot.along_plan import start_posture
 from micah_plan.robot.arm import Arm
@@ -34,14 +33,14 @@ _NOT_REACHED = 0.002
 
 
 def attach_arm(
-    mujoco: Any, world: Any, hand: Any, problem: Problem, parameters: PhysicalParameters, posture: Floats | None
+    scene: World, hand: Any, problem: Problem, parameters: PhysicalParameters, posture: Floats | None
 ) -> Callable[[PhysicalPlant], Carrier]:
-    """Put a problem's robot into a world (MjSpec), with a position-controlled motor at each joint of its arm.
+    """Put a problem's robot into a world, with a position-controlled motor at each joint of its arm.
 
     The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
 
     Args:
-        hand: body of another MjSpec that the robot's tool grasps.
+        hand: body of another world that the robot's tool grasps.
         posture: (J,) joints of the arm near which it starts; None: one is sought.
 
     Returns:
@@ -53,7 +52,7 @@ def attach_arm(
     description, grasp = problem.robot, problem.grasp
     if description is None or grasp is None:
         raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
-    arm = load_arm(description)
+    arm, mujoco, world = load_arm(description), scene.mujoco, scene.spec
     robot = _read(mujoco, description, arm)
     for body in robot.bodies:
         body.gravcomp = 1.0

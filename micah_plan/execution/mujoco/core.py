@@ -1,7 +1,4 @@
-"""What both plants share: a world in MuJoCo is stepped, latches catch and open, and a tracker sees the parts.
-
-MuJoCo is imported here alone.
-"""
+"""What both plants share: a world in MuJoCo is stepped, latches catch and open, and a tracker sees the parts."""
 
 from __future__ import annotations
 
@@ -11,39 +8,19 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import Latch, WorldBody, latch_name, sensor_name
+from micah_plan.execution.mujoco.world import Flags, Latch, WorldJoint, import_mujoco, latch_name, sensor_name
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.quantities import quantity
-
-Flags = NDArray[np.bool_]
 
 LONGEST_STEP = 0.001
 # After `_CALM` steps without an event the engine leaps again: by `_SHORTEST_LEAP` steps, then by twice as many.
 _CALM, _SHORTEST_LEAP = 20, 32
 _SCALAR_LAST = [1, 2, 3, 0]
-
-
-def import_mujoco() -> ModuleType | Any:
-    """The library. It is kept from writing its warnings to a file in the current folder: `check_stable` reads them.
-
-    Raises:
-        MissingDependencyError: if it is not installed.
-    """
-    try:
-        import mujoco
-        import mujoco.rollout
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
-        ) from error
-    mujoco.set_mju_user_warning(lambda _: None)  # an exception from here would end the process
-    return mujoco
 
 
 def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
@@ -80,14 +57,13 @@ class PhysicalPlant:
         automaton: HybridAutomaton,
         parameters: PhysicalParameters,
         model: Any,
-        bodies: Sequence[WorldBody] = (),
+        joints: Sequence[WorldJoint] = (),
         prefix: str = "",
     ) -> None:
-        """Args: model: the compiled world; bodies: of the object in it; prefix: what their names begin with there."""
+        """Args: model: the compiled world; joints: that show coordinates; prefix: what their names begin with there."""
         self.automaton, self.parameters = automaton, parameters
         self.mujoco = import_mujoco()
         self.model, self.data = model, self.mujoco.MjData(model)
-        joints = [joint for body in bodies for joint in body.joints if joint.coordinate >= 0]
         self._shown = [(joint, int(model.joint(prefix + joint.name).qposadr[0])) for joint in joints]
         self.latches: list[Latch] = []
         for joint, address in self._shown:
@@ -134,7 +110,7 @@ class PhysicalPlant:
         """Set what joints show in a configuration (n,); (n,) whether a latch holds a coordinate."""
         latched = np.zeros(len(x), dtype=bool)
         for joint, address in self._shown:
-            if not joint.follows:
+            if joint.is_shown:
                 x[joint.coordinate] = (self.data.qpos[address] - joint.zero) / joint.scale
         latched[[latch.coordinate for latch in self.latches if self._active[latch.equality]]] = True
         return latched

@@ -9,9 +9,8 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Grip
-from micah_plan.execution.mujoco.core import Flags, PhysicalPlant
-from micah_plan.execution.mujoco.held_object import OBJECT
-from micah_plan.execution.mujoco.world import SCENE
+from micah_plan.execution.mujoco.core import PhysicalPlant
+from micah_plan.execution.mujoco.world import OBJECT, SCENE, Flags, World
 from micah_plan.quantities import quantity
 
 # Deeper than this into a body [m] counts as a collision, and so does any push against a fixed body that may not be
@@ -30,13 +29,14 @@ _BY_BOTH, _BY_IN_HAND, _BY_MOVING = "by both/", "by in hand/", "by moving/"
 _COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
 
 
-def add_contact_sensors(mujoco: Any, world: Any, touchable: Collection[str], grip: Grip) -> None:
-    """Give a world (MjSpec) the sensors of contacts that a `Watch` reads.
+def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) -> None:
+    """Give a world the sensors of contacts that a `Watch` reads.
 
     Args:
         touchable: names of bodies that the object, but no arm, may push against.
         grip: names the two parts of the object, of which an arm could hit the moving one.
     """
+    mujoco, world = scene.mujoco, scene.spec
     in_hand, moving = OBJECT + grip.held.name, OBJECT + grip.moving.name
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 

@@ -6,21 +6,31 @@ The plant reads the model's geometry, but none of its dynamics: what moves, stic
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.execution.mujoco.core import LONGEST_STEP, Flags, PhysicalPlant, import_mujoco
+from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
+from micah_plan.automaton.joint import Joint, Vector3
+from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.core import LONGEST_STEP, PhysicalPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.standing_object import standing_bodies
-from micah_plan.execution.mujoco.world import Latch, WorldBody, lever_name, standing_mjcf
+from micah_plan.execution.mujoco.world import NOTHING, STOPS, Flags, Latch, World, WorldJoint, pose
 from micah_plan.execution.plant import Command, Measurement, Truth
+from micah_plan.quantities import quantity
+from micah_plan.scene.body import vector3
 from micah_plan.task.start import Start, sample_start
 
+_ORIGIN = "/origin"
 _STEPS_PER_RADIAN = 5.0
+_SHORTEST_ARM = 0.005
+_SAME_JOINT = 1e-6
+_PANEL = 0.02
+_UNLIMITED = 1e3
 
 
 class StandingPlant(PhysicalPlant):
@@ -43,26 +53,25 @@ class StandingPlant(PhysicalPlant):
             MissingDependencyError: if MuJoCo is not installed.
             InputError: if the automaton cannot be built as a mechanism.
         """
-        mujoco, parameters = import_mujoco(), parameters or PhysicalParameters()
-        bodies = standing_bodies(automaton, parameters)
-        text = standing_mjcf(bodies, automaton.part(BASE).shapes, parameters.gravity)
-        super().__init__(automaton, parameters, mujoco.MjModel.from_xml_string(text), bodies)
+        parameters = parameters or PhysicalParameters()
+        world, arms = standing_world(automaton, parameters)
+        model = world.spec.compile()
+        super().__init__(automaton, parameters, model, world.joints)
         self.start = start
-        self._bodies = [self.model.body(body.name).id for body in bodies]
+        self._bodies = [model.body(link.child).id for link in automaton.links]
         self._still: Floats = np.zeros(automaton.n)
-        self._motors = 3 * len(bodies)
+        self._motors = 3 * len(self._bodies)
         self._targets = np.zeros((1, self._motors))
-        self._damping = self._tuned(bodies)
+        self._damping = self._tuned(arms)
         # By a latching joint's address: its first sensor's column, whether it is a hinge, and which hands pull at it.
+        latching = [(model.joint(joint.name), joint.name) for joint, _ in self._shown if joint.latches]
         self._levers = {
-            int(self.model.joint(joint.name).qposadr[0]): (
-                int(self.model.sensor(lever_name(joint.name)).adr[0]),
-                joint.attributes["type"] == "hinge",
-                _moved_with(body, bodies),
+            int(joint.qposadr[0]): (
+                int(model.sensor(_lever(name)).adr[0]),
+                joint.type[0] == self.mujoco.mjtJoint.mjJNT_HINGE,
+                self._moved_with(joint.bodyid[0]),
             )
-            for body in bodies
-            for joint in body.joints
-            if joint.latches
+            for joint, name in latching
         }
 
     def reset(self, rng: np.random.Generator) -> Measurement:
@@ -70,8 +79,8 @@ class StandingPlant(PhysicalPlant):
         mode, x = sample_start(self.automaton, self.start, rng)
         self._still = x.copy()
         for joint, _ in self._shown:
-            if not joint.follows:
-                x[joint.coordinate] = np.clip(x[joint.coordinate], *joint.attributes["range"])
+            if joint.is_shown:
+                x[joint.coordinate] = np.clip(x[joint.coordinate], *self.model.joint(joint.name).range)
         self._place(x)
         free = self.automaton.mode(mode).free
         for latch in self.latches:
@@ -138,22 +147,155 @@ class StandingPlant(PhysicalPlant):
             pulls = np.cross(places - seen[:, None, column : column + 3], pulls)
         return np.asarray((seen[:, None, column + 3 : column + 6] * pulls).sum(axis=(1, 2)))
 
-    def _tuned(self, bodies: Sequence[WorldBody]) -> Floats:
+    def _tuned(self, arms: Floats) -> Floats:
         """(3 l,) the motors' critical damping [N s/m]; sets them and a pace that resolves their springs."""
         model, stiffness = self.model, self.parameters.stiffness
-        dofs = {body.name: int(model.joint(body.name).dofadr[0]) for body in bodies if body.joints}
-        inertia = [model.dof_M0[dofs[body.name]] if body.joints else 0.0 for body in bodies]
-        masses = np.array(inertia) / np.square([body.arm for body in bodies])
-        if dofs:
+        dofs = model.body_dofadr[self._bodies]
+        masses = np.where(dofs < 0, 0.0, model.dof_M0[dofs]) / np.square(arms)
+        if masses.any():
             fastest = float(np.sqrt(stiffness / masses[masses > 0].min()))
             self._set_pace(min(LONGEST_STEP, 1 / (_STEPS_PER_RADIAN * fastest)))
         damping = np.repeat(2 * np.sqrt(stiffness * masses), 3)
         model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -stiffness, -damping
         return np.asarray(damping)
 
+    def _moved_with(self, body: int) -> list[int]:
+        """Numbers of the parts that a body's joint moves: its own, and those that are attached to it."""
+        moved = {body}
+        moved.update(other for other in self._bodies if self.model.body_parentid[other] in moved)
+        return [number for number, other in enumerate(self._bodies) if other in moved]
 
-def _moved_with(body: WorldBody, bodies: Sequence[WorldBody]) -> list[int]:
-    """Numbers of the bodies that a body's joint moves: its own, and those that are attached to it."""
-    names = {body.name}
-    names.update(other.name for other in bodies if other.parent in names)
-    return [number for number, other in enumerate(bodies) if other.name in names]
+
+def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[World, Floats]:
+    """A standing object, whose joints' positions are the configurations. Nothing collides.
+
+    Each part has a hand: three motors along the axes of the base frame, whose lengths are the place of its handle [m].
+    Sensors show the lengths of all motors, then their forces [N], then of each joint that can latch position, anchor
+    and axis.
+
+    Returns:
+        the world, and how far each part's handle moves per unit of its joint (l,) [m/rad], or 1 for a slide.
+
+    Raises:
+        InputError: if the automaton cannot be a mechanism of one joint per part, a hand could not turn a part, or a
+            shape has an unknown kind or size.
+    """
+    if len({link.coordinate for link in automaton.links}) != automaton.n:
+        raise InputError(
+            "physics needs one link per coordinate of the model", remedy="use the nominal plant for this model"
+        )
+    world = World()
+    spec, kinds = world.spec, world.mujoco
+    spec.option.gravity = (0.0, 0.0, -parameters.gravity)
+    spec.option.disableflags = int(kinds.mjtDisableBit.mjDSBL_CONTACT)
+    spec.worldbody.add_site(name=_ORIGIN)
+    world.solids(spec.worldbody, automaton.part(BASE).shapes, 0.0, NOTHING)
+    motors = [(link.child, f"{link.child}/{axis}", axis) for link in automaton.links for axis in range(3)]
+    at_site, affine = kinds.mjtTrn.mjTRN_SITE, kinds.mjtBias.mjBIAS_AFFINE
+    for site, name, axis in motors:
+        gear = np.eye(6)[axis]
+        spec.add_actuator(name=name, trntype=at_site, target=site, refsite=_ORIGIN, gear=gear, biastype=affine)
+    for kind in (kinds.mjtSensor.mjSENS_ACTUATORPOS, kinds.mjtSensor.mjSENS_ACTUATORFRC):
+        for _, name, _ in motors:
+            spec.add_sensor(type=kind, objtype=kinds.mjtObj.mjOBJ_ACTUATOR, objname=name)
+    bodies, arms = {BASE: spec.worldbody}, []
+    for number, link in enumerate(automaton.links):
+        joint, part = _only_moving_joint(automaton, number), automaton.part(link.child)
+        handle = part.handle or (0.0, 0.0, 0.0)
+        arms.append(_arm(link.child, joint, handle))
+        above = bodies.get(link.parent, spec.worldbody)
+        body = bodies[link.child] = above.add_body(name=link.child, **pose(joint.position, joint.quaternion))
+        world.solids(body, part.shapes or (_default_box(joint),), parameters.mass, NOTHING)
+        body.add_site(name=link.child, pos=handle)
+        if joint.kind != "rigid":
+            _add_joint(world, body, automaton, number, arms[-1], parameters)
+    return world, np.array(arms)
+
+
+def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
+    """The joint that moves a link in all modes that do not hold it."""
+    joint = automaton.moving_joint(link)
+    places = forward(joint, [0.0, 0.5]).as_matrix()
+    for other in (mode.joints[link] for mode in automaton.modes if mode.joints[link].kind != "rigid"):
+        if other.kind != joint.kind or not np.allclose(
+            places, forward(other, [0.0, 0.5]).as_matrix(), atol=_SAME_JOINT
+        ):
+            name = automaton.links[link].child
+            raise InputError(
+                f"part '{name}' moves by different joints in different modes, which physics cannot build",
+                remedy="use the nominal plant for this model",
+            )
+    return joint
+
+
+def _add_joint(
+    world: World, body: Any, automaton: HybridAutomaton, number: int, arm: float, parameters: PhysicalParameters
+) -> None:
+    """A slide, a hinge, or for a screw a hinge with a slide that follows it; latched where a mode pins it."""
+    joint, link = automaton.moving_joint(number), automaton.links[number]
+    to_part = Rotation.from_quat(joint.quaternion).inv()
+    axis, position = to_part.apply(joint.axis), to_part.apply(np.subtract(joint.center, joint.position))
+    intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
+    lower, upper = min(low for low, _ in intervals), max(high for _, high in intervals)
+    pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
+    capture, release = parameters.latch_capture / arm, parameters.latch_force * arm
+    latches = [
+        Latch(pin, pin - capture, pin + capture, release, pin - lower > capture, upper - pin > capture)
+        for pin in sorted(pins)
+    ]
+    attributes = {
+        "pos": position,
+        "axis": axis,
+        # A hinge's moment is the force at the handle times the arm; its damping relates moment to angular velocity.
+        "damping": parameters.damping * arm**2,
+        "frictionloss": parameters.friction * arm,
+        "range": np.clip([lower, upper], -_UNLIMITED, _UNLIMITED),
+        **STOPS,
+    }
+    kind = "slide" if joint.kind == "prismatic" else "hinge"
+    world.joint(body, kind, WorldJoint(link.child, link.coordinate, latches=latches), **attributes)
+    if joint.kind == "screw":
+        slide = WorldJoint(f"{link.child}/slide", link.coordinate, joint.pitch, is_shown=False)
+        world.joint(body, "slide", slide, axis=axis)
+        world.tie(slide.name, (0.0, joint.pitch), link.child)
+    if latches:
+        name, kinds = _lever(link.child), world.mujoco.mjtSensor
+        at = {"objtype": world.mujoco.mjtObj.mjOBJ_SITE, "objname": name}
+        along = body.add_site(name=name, pos=position).alt
+        along.type, along.zaxis = world.mujoco.mjtOrientation.mjORIENTATION_ZAXIS, axis
+        world.spec.add_sensor(name=name, type=kinds.mjSENS_FRAMEPOS, **at)
+        world.spec.add_sensor(type=kinds.mjSENS_FRAMEZAXIS, **at)
+
+
+def _lever(joint: str) -> str:
+    """Name of the sensor of a latching joint's anchor; that of its axis follows."""
+    return f"{joint}/lever"
+
+
+def _arm(name: str, joint: Joint, handle: Vector3) -> float:
+    if joint.kind == "rigid":
+        return 1.0
+    rotation, translation = np.split(jacobian(joint, 0.0)[0], 2)
+    offset = forward(joint, 0.0)[0].rotation.apply(handle)
+    arm = float(np.linalg.norm(translation + np.cross(rotation, offset)))
+    if arm < _SHORTEST_ARM:
+        raise InputError(
+            f"the handle of part '{name}' lies on its axis (distance {quantity(arm, 'm')}), so no hand can turn it",
+            remedy="give the part a handle away from the axis",
+        )
+    return arm
+
+
+def _default_box(joint: Joint) -> Primitive:
+    """A default shape: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
+    if joint.kind in ("prismatic", "rigid"):
+        return Primitive("box", (0.3, 0.3, 0.15))
+    reach = np.array(joint.position) - np.array(joint.center)
+    length = float(np.linalg.norm(reach))
+    if length < _SHORTEST_ARM:
+        return Primitive("box", (0.1, 0.1, _PANEL))
+    along, axis = reach / length, np.array(joint.axis)
+    to_part = forward(joint, 0.0)[0].rotation.inv()
+    frame = to_part.as_matrix() @ np.column_stack([along, np.cross(axis, along), axis])
+    x, y, z, w = Rotation.from_matrix(frame).as_quat(canonical=True).tolist()
+    return Primitive("box", (length, _PANEL, length), vector3(to_part.apply(-reach / 2)), (x, y, z, w))

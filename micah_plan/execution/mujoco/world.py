@@ -1,16 +1,17 @@
-"""Worlds: bodies on joints with latches, as values and as MJCF text, MuJoCo's model format, in radians and SI units.
+"""Worlds: bodies on joints with latches, built with MuJoCo's model editor (MjSpec), in radians and SI units.
 
-Text only: this file needs no MuJoCo. Bodies of the scene are called `scene/NAME` in the world.
-Source: MuJoCo documentation, "XML reference".
+MuJoCo is imported here alone. Bodies of the scene are called `scene/NAME` in the world, those of a held object
+`object/NAME`.
+Source: MuJoCo documentation, "XML reference": what the attributes of elements mean.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,30 +19,45 @@ from numpy.typing import ArrayLike, NDArray
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, MissingDependencyError, shown
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.scene.body import Body
 
 Flags = NDArray[np.bool_]
 Attributes = dict[str, Any]
-"""Attributes of an element of MJCF: texts, numbers and arrays of numbers."""
-Element = ElementTree.Element
+"""Attributes of an element of a world."""
 
-SCENE = "scene/"
+SCENE, OBJECT = "scene/", "object/"
 # MuJoCo's constraints are springs: these time constants [s] and impedances make end stops, latches and dry friction act
 # as rigid ones within some micrometres under a hand's force, at time steps of 1 ms and less.
-_STIFF = {"solref": "0.004 1", "solimp": "0.99 0.999 0.0001"}
-STOPS = {"limited": "true"} | {f"{key}{kind}": _STIFF[key] for key in _STIFF for kind in ("limit", "friction")}
+_STIFF = {"solref": (0.004, 1.0), "solimp": (0.99, 0.999, 0.0001, 0.5, 2.0)}
+STOPS = {"limited": True} | {f"{key}_{kind}": _STIFF[key] for key in _STIFF for kind in ("limit", "friction")}
 # Contacts give by some hundredths of a millimetre under a hand's force.
-_CONTACT = {"solref": "0.004 1", "solimp": "0.95 0.99 0.0005", "condim": "4"}
+_CONTACT = {"solref": (0.004, 1.0), "solimp": (0.95, 0.99, 0.0005, 0.5, 2.0), "condim": 4}
 # Who meets whom (geoms meet if the type of one is among what the other meets): the scene meets all but what is fixed in
 # it; an arm meets the moving part of the object, but not the part in the hand. Standing objects meet nothing.
-NOTHING = {"contype": "0", "conaffinity": "0"}
-_FIXED, _LOOSE = {"contype": "1", "conaffinity": "2"}, {"contype": "3", "conaffinity": "3"}
-IN_HAND, MOVING = {"contype": "2", "conaffinity": "1"}, {"contype": "6", "conaffinity": "1"}
+NOTHING = {"contype": 0, "conaffinity": 0}
+_FIXED, _LOOSE = {"contype": 1, "conaffinity": 2}, {"contype": 3, "conaffinity": 3}
+IN_HAND, MOVING = {"contype": 2, "conaffinity": 1}, {"contype": 6, "conaffinity": 1}
 ARM_TYPE, ARM_MEETS = 2, 5
 _HAND_MASS, _GRAVITY = 1.0, 9.81
-_ORIGIN = "/origin"
+
+
+def import_mujoco() -> ModuleType | Any:
+    """The library. It is kept from writing its warnings to a file in the current folder: `check_stable` reads them.
+
+    Raises:
+        MissingDependencyError: if it is not installed.
+    """
+    try:
+        import mujoco
+        import mujoco.rollout
+    except ImportError as error:
+        raise MissingDependencyError(
+            "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
+        ) from error
+    mujoco.set_mju_user_warning(lambda _: None)  # an exception from here would end the process
+    return mujoco
 
 
 @dataclass
@@ -87,142 +103,113 @@ class Latch:
 
 @dataclass(frozen=True, eq=False)
 class WorldJoint:
-    """A joint of a body.
+    """A joint that shows a coordinate of the model.
 
     Attributes:
         name: in the world.
-        attributes: of its element.
-        coordinate: of the model, which shows it as position = scale * x[coordinate] + zero; -1: none does.
+        coordinate: of the model; the joint's position is scale * x[coordinate] + zero.
         latches: where it may be locked.
-        follows: name of the joint whose position times `scale` it always has; empty if none.
+        is_shown: whether the coordinate is read from it; else it follows a joint from which it is.
     """
 
     name: str
-    attributes: Attributes
-    coordinate: int = -1
+    coordinate: int
     scale: float = 1.0
     zero: float = 0.0
     latches: Sequence[Latch] = ()
-    follows: str = ""
+    is_shown: bool = True
 
 
-@dataclass(frozen=True, eq=False)
-class WorldBody:
-    """A body of the object, or the hand.
+class World:
+    """A world that is being built.
 
     Attributes:
-        name, parent: its own and that of the body that carries it (None: the world).
-        attributes: of its element.
-        joints: by which it moves.
-        shapes: in its own frame; they share its mass [kg] by volume.
-        surface: attributes of these shapes.
-        handle: where a hand pulls at it, in its frame [m]; None: none does.
-        arm: how far the handle moves per unit of the joint [m/rad], or 1 for a slide.
+        mujoco, spec: the library, and the world in its editor.
+        joints: those that show coordinates, in the order in which they were added.
     """
 
-    name: str
-    parent: str | None
-    attributes: Attributes
-    joints: Sequence[WorldJoint]
-    shapes: Sequence[Primitive]
-    mass: float
-    surface: Attributes = field(default_factory=lambda: NOTHING)
-    handle: ArrayLike | None = None
-    arm: float = 1.0
+    def __init__(self) -> None:
+        self.mujoco = import_mujoco()
+        self.spec = self.mujoco.MjSpec()
+        self.spec.compiler.degree = False
+        self.joints: list[WorldJoint] = []
+
+    def solids(self, body: Any, shapes: Sequence[Primitive], mass: float, surface: Attributes) -> None:
+        """Give a body shapes in its own frame, which share its mass [kg] by volume.
+
+        Raises:
+            InputError: for a shape of unknown kind or size.
+        """
+        solids = [(shape, *_size_and_volume(shape)) for shape in shapes]
+        whole = sum(volume for *_, volume in solids)
+        for shape, size, volume in solids:
+            kind = getattr(self.mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+            place = pose(shape.position, shape.quaternion)
+            body.add_geom(type=kind, size=size, mass=mass * volume / whole, **place, **surface)
+
+    def joint(self, body: Any, kind: str, shows: WorldJoint | str, **attributes: Any) -> None:
+        """Give a body a hinge or slide, by its name or with the coordinate that it shows, and its latches, open.
+
+        A sensor called `sensor_name` shows the position of a joint with latches.
+        """
+        name, latches = (shows, ()) if isinstance(shows, str) else (shows.name, shows.latches)
+        body.add_joint(name=name, type=getattr(self.mujoco.mjtJoint, f"mjJNT_{kind.upper()}"), **attributes)
+        if isinstance(shows, WorldJoint):
+            self.joints.append(shows)
+        for number, latch in enumerate(latches):
+            self.tie(name, (latch.position, 0.0), name=latch_name(name, number), active=False)
+        if latches:
+            on_joint = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": name}
+            self.spec.add_sensor(name=sensor_name(name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **on_joint)
+
+    def tie(self, joint: str, coefficients: Sequence[float], other: str = "", **attributes: Any) -> None:
+        """Hold a joint at a + b q, where q is the position of another joint (without one: 0)."""
+        kind = self.mujoco.mjtEq.mjEQ_JOINT
+        constraint = self.spec.add_equality(type=kind, name1=joint, name2=other, **_STIFF, **attributes)
+        constraint.data[:5] = (*coefficients, 0.0, 0.0, 0.0)
 
 
-def standing_mjcf(bodies: Sequence[WorldBody], base_shapes: Sequence[Primitive], gravity: float) -> str:
-    """A standing object, each of its bodies with a hand: three motors along the axes of the base frame, whose lengths
-    are the place of the body's handle [m]. Nothing collides.
-
-    Sensors: the lengths of all motors, then their forces [N], then of each joint that can latch anchor and axis.
-
-    Raises:
-        InputError: for a shape of unknown kind or size.
-    """
-    root = _root("standing object")
-    _add(_add(root, "option", gravity=(0.0, 0.0, -gravity)), "flag", contact="disable")
-    world, actuator, sensor = _add(root, "worldbody"), _add(root, "actuator"), _add(root, "sensor")
-    _add(world, "site", name=_ORIGIN)
-    _add_solids(world, base_shapes, 0.0, NOTHING)
-    motors = [(body.name, f"{body.name}/{axis}", axis) for body in bodies for axis in range(3)]
-    for site, name, axis in motors:
-        _add(actuator, "general", name=name, site=site, refsite=_ORIGIN, gear=np.eye(6)[axis], biastype="affine")
-    for kind in ("actuatorpos", "actuatorfrc"):
-        for _, name, _ in motors:
-            _add(sensor, kind, actuator=name)
-    elements = _add_bodies(root, world, bodies)
-    for body in bodies:
-        _add(elements[body.name], "site", name=body.name, pos=body.handle)
-        for joint in (joint for joint in body.joints if joint.latches):
-            place = {"pos": joint.attributes["pos"], "zaxis": joint.attributes["axis"]}
-            _add(elements[body.name], "site", name=lever_name(joint.name), **place)
-            _add(sensor, "framepos", name=lever_name(joint.name), objtype="site", objname=lever_name(joint.name))
-            _add(sensor, "framezaxis", objtype="site", objname=lever_name(joint.name))
-    return _text(root)
-
-
-def scene_mjcf(scene: Iterable[Body], parameters: PhysicalParameters) -> str:
+def scene_world(scene: Iterable[Body], parameters: PhysicalParameters) -> World:
     """The world around a held object. Bodies that have a mass are loose.
 
     Raises:
         InputError: for a body that is a mesh.
     """
-    root = _root("scene")
+    world = World()
+    option, kinds = world.spec.option, world.mujoco
     # An arm's joints are stiff and light: their damping is integrated implicitly.
-    option = _add(root, "option", gravity=(0.0, 0.0, -_GRAVITY), cone="elliptic", integrator="implicitfast")
-    _add(option, "flag", filterparent="disable")  # fingers and the part that moves between them do meet
-    world = _add(root, "worldbody")
+    option.gravity, option.cone = (0.0, 0.0, -_GRAVITY), kinds.mjtCone.mjCONE_ELLIPTIC
+    option.integrator = kinds.mjtIntegrator.mjINT_IMPLICITFAST
+    # Fingers and the part that moves between them do meet.
+    option.disableflags = int(kinds.mjtDisableBit.mjDSBL_FILTERPARENT)
     for body in scene:
-        stands = _add(world, "body", name=SCENE + body.name, **pose(body.position, body.quaternion))
+        stands = world.spec.worldbody.add_body(name=SCENE + body.name, **pose(body.position, body.quaternion))
         if body.mass is not None:
-            _add(stands, "freejoint")
+            stands.add_freejoint()
         solids = [shape for shape in body.shapes if isinstance(shape, Primitive)]
         if len(solids) < len(body.shapes):
             raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
-        surface = rubbing(_FIXED if body.mass is None else _LOOSE, parameters)
-        _add_solids(stands, solids, body.mass or 0.0, surface)
-    return _text(root)
+        world.solids(stands, solids, body.mass or 0.0, rubbing(_FIXED if body.mass is None else _LOOSE, parameters))
+    return world
 
 
-def held_mjcf(bodies: Sequence[WorldBody], parameters: PhysicalParameters, *, slides: bool) -> str:
-    """A held object and what carries it, the body "hand" at the origin.
+def add_hand(world: World, parameters: PhysicalParameters, *, slides: bool) -> Any:
+    """The body "hand" at the origin of a world.
 
     Args:
-        slides: whether the hand moves on three position-controlled slides; else an arm is to carry it.
+        slides: whether it moves on three position-controlled slides; else an arm is to carry it.
     """
-    root = _root("held object")
-    hand = WorldBody("hand", None, {"gravcomp": 1}, (), (), 0.0)
-    if slides:
-        along = [WorldJoint(name, {"type": "slide", "axis": axis}) for name, axis in zip(AXES, np.eye(3), strict=True)]
-        hand = replace(hand, joints=along, shapes=(Primitive("sphere", (0.01,)),), mass=_HAND_MASS)
-    _add_bodies(root, _add(root, "worldbody"), [hand, *bodies])
-    actuator, limit = _add(root, "actuator"), parameters.max_force
-    damping = 2 * np.sqrt(parameters.stiffness * (_HAND_MASS + 2 * parameters.mass))
-    motor = {"kp": parameters.stiffness, "kv": damping, "forcelimited": "true", "forcerange": (-limit, limit)}
-    for joint in hand.joints:
-        _add(actuator, "position", name=joint.name, joint=joint.name, **motor)
-    return _text(root)
-
-
-def _add_bodies(root: Element, world: Element, bodies: Sequence[WorldBody]) -> dict[str | None, Element]:
-    """Add bodies, parents first, with constraints for their latches and sensors of where latching joints are."""
-    equality, sensor = _add(root, "equality"), _add(root, "sensor")
-    elements: dict[str | None, Element] = {None: world}
-    for body in bodies:
-        element = elements[body.name] = _add(elements[body.parent], "body", name=body.name, **body.attributes)
-        for joint in body.joints:
-            _add(element, "joint", name=joint.name, **joint.attributes)
-            for number, latch in enumerate(joint.latches):  # inactive until it catches
-                place = {"joint1": joint.name, "polycoef": (latch.position, 0, 0, 0, 0), "active": "false"}
-                _add(equality, "joint", name=latch_name(joint.name, number), **place, **_STIFF)
-            if joint.latches:
-                _add(sensor, "jointpos", name=sensor_name(joint.name), joint=joint.name)
-            if joint.follows:
-                place = {"joint1": joint.name, "joint2": joint.follows, "polycoef": (0, joint.scale, 0, 0, 0)}
-                _add(equality, "joint", **place, **_STIFF)
-        _add_solids(element, body.shapes, body.mass, body.surface)
-    return elements
+    hand = world.spec.worldbody.add_body(name="hand", gravcomp=1)
+    if not slides:
+        return hand
+    damping, limit = 2 * np.sqrt(parameters.stiffness * (_HAND_MASS + 2 * parameters.mass)), parameters.max_force
+    world.solids(hand, (Primitive("sphere", (0.01,)),), _HAND_MASS, NOTHING)
+    for name, axis in zip(AXES, np.eye(3), strict=True):
+        world.joint(hand, "slide", name, axis=axis)
+        on_joint = {"trntype": world.mujoco.mjtTrn.mjTRN_JOINT, "target": name}
+        motor = world.spec.add_actuator(name=name, forcelimited=True, forcerange=(-limit, limit), **on_joint)
+        motor.set_to_position(kp=parameters.stiffness, kv=damping)
+    return hand
 
 
 def latch_name(joint: str, number: int) -> str:
@@ -235,47 +222,14 @@ def sensor_name(joint: str) -> str:
     return f"{joint}/position"
 
 
-def lever_name(joint: str) -> str:
-    """Name of the sensor of a standing body's latching joint that shows its anchor; that of its axis follows."""
-    return f"{joint}/lever"
-
-
-def _add(above: Element, tag: str, **attributes: Any) -> Element:
-    """A new element; attributes are texts, numbers or arrays of numbers."""
-
-    def text(value: Any) -> str:
-        return value if isinstance(value, str) else " ".join(repr(float(number)) for number in np.ravel(value))
-
-    return ElementTree.SubElement(above, tag, {name: text(value) for name, value in attributes.items()})
-
-
 def pose(position: ArrayLike, quaternion: ArrayLike) -> Attributes:
-    """A pose with its quaternion (scalar last) as MJCF has it."""
+    """A pose with its quaternion (scalar last) as MuJoCo has it."""
     return {"pos": position, "quat": np.roll(quaternion, 1)}
 
 
 def rubbing(meets: Attributes, parameters: PhysicalParameters) -> Attributes:
     """The surface of what meets others."""
     return {**meets, **_CONTACT, "friction": (parameters.contact_friction, 0.005, 0.0001)}
-
-
-def _root(name: str) -> Element:
-    root = ElementTree.Element("mujoco", model=name)
-    _add(root, "compiler", angle="radian")
-    return root
-
-
-def _text(root: Element) -> str:
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _add_solids(body: Element, shapes: Sequence[Primitive], mass: float, attributes: Attributes) -> None:
-    solids = [(shape, *_size_and_volume(shape)) for shape in shapes]
-    whole = sum(volume for *_, volume in solids)
-    for shape, size, volume in solids:
-        place = pose(shape.position, shape.quaternion)
-        _add(body, "geom", type=shape.kind, size=size, mass=mass * volume / whole, **place, **attributes)
 
 
 def _size_and_volume(shape: Primitive) -> tuple[tuple[float, ...], float]:
