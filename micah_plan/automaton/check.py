@@ -23,7 +23,7 @@ from micah_plan.errors import InputError, shown
 
 UNITS = ("rad", "m")
 _PIN_ROOM = 1e-9
-_PIN_ROOM = 1e-6
+_FIXED_ROOM = 1e-6
 _ENTRY_ROOM = 1e-6
 _EVERYTHING = (-math.inf, math.inf)
 Place = tuple[str | int, ...]
@@ -209,7 +209,7 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
     """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
     joint, index = mode.joints[link], automaton.links[link].coordinate
     for pin in mode.pins:
-        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _PIN_ROOM:
+        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _FIXED_ROOM:
             coordinate = automaton.coordinates[index]
             raise InputError(
                 f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is fixed at {joint.fixed_at:.9g} "
