@@ -173,24 +173,30 @@ def _stds(weights: Floats, factor: Floats) -> Floats:
 
 
 def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Floats:
-    """(p,) probability of ending within all half-spaces but the binding one, of what crosses; cut there, in place.
+    """(p,) probability of being within all half-spaces but the binding one, of what crosses; cut there, in place.
 
-    It is the product of those of one after the other, each given the ones before.
+    A half-space that the path leads out of must hold where it crosses the binding one, any other at the end: a hand
+    that may take hold now has done so, wherever it goes in that step. The probability is the product of those of one
+    after the other, each given the ones before.
     """
     mean, factor = shares.mean[0], shares.factor[0]
     within = np.ones(mean.shape[-1])
+    before, after = binding.along(mean.swapaxes(0, 1)) - binding.offset
+    way_there = np.where(before < 0.0, np.clip(before / np.minimum(before - after, -_NOTHING), 0.0, 1.0), 0.0)
     for number, offset in enumerate(way.on_state.offsets(u) + SMALLEST_STD):
         weights = way.on_state.a[number]
-        ahead = weights @ mean[1] - offset
-        std = np.maximum(_stds(weights[None], factor[1])[0], _NOTHING)
+        start, end = (weights @ place - offset for place in mean)
+        at = np.where(end < start, way_there, 1.0)
+        ahead = start + at * (end - start)
+        rows = weighted(weights, factor[0]) * (1.0 - at) + weighted(weights, factor[1]) * at
+        std = np.maximum(np.sqrt(np.einsum("kp,kp->p", rows, rows)), _NOTHING)
         cut = ((binding.number != number) & (ahead < REACH * std) & (within > 0.0)).nonzero()[0]
         if not cut.size:
             continue
         inside = ndtr(ahead[cut] / std[cut])
         within[cut] *= np.where(inside >= NEGLIGIBLE, inside, 0.0)
         cut = cut[inside >= NEGLIGIBLE]
-        own = those(factor, cut)
-        row = weighted(weights, own[1])
+        own, row = those(factor, cut), those(rows, cut)
         mean[..., cut], factor[..., cut] = truncated(those(mean, cut), own, ahead[cut], row)
     return within
 

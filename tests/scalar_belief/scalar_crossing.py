@@ -152,7 +152,7 @@ def _binding(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> HalfSpace
 
 
 def _cut(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> tuple[Part, Part]:
-    """The share within all half-spaces at the end, entering through the binding one.
+    """The share within all half-spaces, entering through the binding one: at the end, or on the way where it leaves.
 
     For several half-spaces the probability is the product of those of one after the other, each given the ones
     before, and what stays keeps the moments of the whole (the complement of a corner is no half-space).
@@ -165,9 +165,14 @@ def _cut(piece: Piece, half_spaces: list[HalfSpace], u: Floats) -> tuple[Part, P
     for half_space in half_spaces:
         if half_space is binding or probability <= 0.0:
             continue
-        _, after = _rows(half_space, piece, u)
-        never = (np.zeros_like(after[0]), 1.0)
-        inner, _ = split(taken.mean, taken.factor, never, after)
+        (before, offset), (after, _) = _rows(half_space, piece, u)
+        at = 1.0
+        if (after - before) @ taken.mean < 0.0:
+            starts, ends = (weights @ taken.mean - c for weights, c in _rows(binding, piece, u))
+            at = 0.0 if starts >= 0.0 else min(1.0, -starts / max(ends - starts, 1e-30))
+        there = (1.0 - at) * before + at * after, offset
+        never = (np.zeros_like(before), 1.0)
+        inner, _ = split(taken.mean, taken.factor, never, there)
         probability *= inner.probability
         taken = inner
     return Part(probability, taken.mean, taken.factor), Part(1.0 - probability, piece.mean, piece.factor)
