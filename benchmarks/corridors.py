@@ -24,6 +24,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.roadmap import motions_of, obstacles_on_state, roadmap_of
 from micah_plan.planning.search.samples import inside_any, sample_modes
@@ -90,7 +91,7 @@ def counts(problem: Problem, samples: int, seeds: int) -> tuple[int, Counter[str
     """How many states the planner's roadmap has, and how often as many of each kind join start and goal."""
     problem = replace(problem, settings=replace(problem.settings, samples_per_mode=samples))
     limits, found = limits_of(problem), Counter[str]()
-    motion = motions_of(problem, limits)["free"]
+    motion, leaves = motions_of(problem, limits)["free"], leaves_of(problem.automaton.mode("free"), limits)
     for seed in range(seeds):
         faces = sample_modes(problem, limits, "free", np.random.default_rng(seed)).points["free"]
         rng, states = np.random.default_rng(seed), mode_states(problem.automaton.mode("free"), limits)
@@ -100,7 +101,7 @@ def counts(problem: Problem, samples: int, seeds: int) -> tuple[int, Counter[str
         bridges = bridge_states(problem, rng, len(faces) // 2)
         mixed = np.vstack([bridges, uniform[len(bridges) :]])
         for kind, points in (("uniform", uniform), ("bridges", mixed), ("faces", faces)):
-            parts = connected_components(roadmap_of(np.vstack([ends, points]), limits.speed, motion))[1]
+            parts = connected_components(roadmap_of(np.vstack([ends, points]), leaves, motion))[1]
             found[kind] += int(parts[0] == parts[1])
     return len(faces), found
 

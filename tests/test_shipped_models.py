@@ -14,8 +14,8 @@ from micah_plan.documents.problem import load_problem
 
 OBJECTS = ("microwave", "drawer", "cabinet", "stapler", "box")
 PROBLEMS = sorted(path.name for path in (Path(__file__).resolve().parents[1] / "problems").glob("*.yaml"))
-# Domains of the literature, whose walls and lights are no mechanism.
-WITHOUT_PHYSICS = ("light_dark.yaml", "walled_domain.yaml")
+# Domains of the literature, whose walls and lights are no mechanism, and a hand that is a part of its model.
+WITHOUT_PHYSICS = ("light_dark.yaml", "walled_domain.yaml", "regrasp_rod.yaml")
 WITHOUT_A_PLAN = "slot_unsure.yaml"  # on purpose: it shows what `explain` says
 
 

@@ -15,6 +15,8 @@ from scipy.special import ndtr
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.leaves import leaves_of
+from micah_plan.planning.search.passages import passage_exists
 from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.samples import Samples, guard_states
 from micah_plan.planning.transcription.rows import Row, Shortfall
@@ -24,6 +26,10 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.start import LIMIT_ROOM, start_mode
 
 _LEAST_CONFIDENCE = 0.5
+# A remedy asks for at most so many more revisits: each makes the search for them several times longer.
+_MOST_MORE_REVISITS = 2
+# Modes that one message describes.
+_MOST_NAMED = 4
 
 
 def finding_of_reason(level: Level, reason: str, modes: tuple[str, ...] = ()) -> Finding:
@@ -101,7 +107,7 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> str:
     return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
 
 
-def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, ...]) -> str:
+def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...]) -> str:
     """Why the roadmaps do not connect start and goal although the transitions do.
 
     Args:
@@ -118,6 +124,8 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
             )
+    if reason := _why_excluded(problem, limits, samples.start[0]):
+        return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
         others = f" (or without {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
@@ -126,6 +134,26 @@ def why_disconnected(problem: Problem, samples: Samples, in_the_way: tuple[str, 
     return (
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
         f"guards of other transitions are in the way, or there are too few states; raise samples_per_mode"
+    )
+
+
+def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
+    """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else empty."""
+    automaton, revisits = problem.automaton, problem.settings.revisits
+    leaves = [own for own in (leaves_of(mode, limits) for mode in automaton.modes) if own.are_many]
+    if not leaves or passage_exists(problem, limits, start_mode, revisits) is not False:
+        return ""
+    for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS):
+        if passage_exists(problem, limits, start_mode, more):
+            return (
+                f"no inputs lead to the goal in modes that are each entered at most {1 + revisits} times; "
+                f"raise revisits to {more}"
+            )
+    words = [f"'{own.mode.name}' keeps {' and '.join(own.kept_words(automaton.coordinate_names))}" for own in leaves]
+    kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
+    return (
+        f"no inputs lead to the goal, even with nothing in the way: what the inputs of a mode cannot change stays as "
+        f"it was when the mode was entered ({kept}); change the goal or the start"
     )
 
 

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import HalfSpace, Region, box
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.roadmap import motions_of, roadmap_of
@@ -52,7 +53,7 @@ def is_connected(problem: Problem, points: np.ndarray) -> bool:
     limits = limits_of(problem)
     ends = np.array([[-0.95, -0.2], [-0.05, 0.6]])
     motion = motions_of(problem, limits)["left"]
-    graph = roadmap_of(np.vstack([ends, points]), limits.speed, motion)
+    graph = roadmap_of(np.vstack([ends, points]), leaves_of(problem.automaton.mode("left"), limits), motion)
     labels = connected_components(graph)[1]
     return bool(labels[0] == labels[1])
 

@@ -20,6 +20,7 @@ from micah_plan.arrays import Floats
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.localising import WORTH_A_DETOUR, LocalisingSearch, ScoredPath
 from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
@@ -84,7 +85,7 @@ def search_modes(
     if not shortest:
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
         in_the_way = _in_the_way(problem, limits, roadmap, samples.points, deadline)
-        return SearchResult((), why_disconnected(problem, samples, in_the_way))
+        return SearchResult((), why_disconnected(problem, limits, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     detours: list[ScoredPath] = []
@@ -107,7 +108,8 @@ def _joined(
     edges, graphs = problem.automaton.edges, dict[str, csr_array]()
     for name, points in samples.points.items():
         deadline.check("search", f"{len(graphs)} of {len(samples.points)} modes had a roadmap", "samples_per_mode")
-        graphs[name] = roadmap_of(points, limits.speed, motions[name], deadline)
+        leaves = leaves_of(problem.automaton.mode(name), limits)
+        graphs[name] = roadmap_of(points, leaves, motions[name], deadline)
     ends = {index: (edges[index].source, edges[index].target) for index in samples.exits}
     # The goal error that is left, as the optimisation will weigh it against effort.
     costs = {
@@ -154,7 +156,8 @@ def _in_the_way(
         motions = motions_of(easier, limits)
         if deadline.is_over():  # that nothing connects them is certain; what is in the way is not
             return ()
-        graphs = {mode: roadmap_of(points[mode], limits.speed, motions[mode]) for mode in points}
+        leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
+        graphs = {mode: roadmap_of(points[mode], leaves[mode], motions[mode]) for mode in points}
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
             found.append(name)
     return tuple(found)

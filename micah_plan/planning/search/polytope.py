@@ -45,7 +45,7 @@ class Polytope:
         """Whether no state lies inside."""
         if np.any(self.lower > self.upper + TOLERANCE):
             return True
-        return bool(len(self.b)) and not len(self._extremes(np.zeros((1, self.n))))
+        return bool(len(self.b)) and not len(self.extremes(np.zeros((1, self.n))))
 
     def intersect(self, region: Region, max_step: Floats) -> Polytope:
         """This set within a region of (x, u): the states that some input |u| <= max_step takes into each half-space."""
@@ -105,10 +105,10 @@ class Polytope:
         if not len(self.b):
             return np.asarray(self.lower + rng.random((count, self.n)) * (self.upper - self.lower))
         directions = rng.normal(size=(4 + 4 * self.n, self.n))
-        corners = self._extremes(directions)
+        corners = self.extremes(directions)
         return np.asarray(rng.dirichlet(np.full(len(corners), 0.5), count) @ corners)
 
-    def _extremes(self, directions: Floats) -> Floats:
+    def extremes(self, directions: Floats) -> Floats:
         """(k, n) the states farthest along each direction (k, n); (0, n) if the set is empty.
 
         One linear programme over all of them side by side: its set-up costs more than its solution.

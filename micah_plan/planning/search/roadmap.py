@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import admitted
+from micah_plan.planning.search.leaves import Leaves
 from micah_plan.planning.search.polytope import TOLERANCE
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
@@ -37,6 +39,8 @@ _MISS = 1e-7
 TRANSITION_COST = 1.0
 # Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
 _SHORTEST = 1e-9
+# Fewer states than this are all connected with each other, about as PRM* would.
+_FEWEST_GROWN = 8
 # Of a roadmap [steps]: OMPL refuses a space without extent, and states may differ by rounding only.
 _LEAST_EXTENT = 1e-6
 
@@ -182,9 +186,13 @@ def along(links: Ints, vertex: int, end: int) -> list[int]:
     return path
 
 
-def roadmap_of(points: Floats, speed: Floats, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
-    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) of a mode."""
-    pairs = _prm_connections(points / speed, deadline)
+def roadmap_of(points: Floats, leaves: Leaves, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
+    """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) on each leaf."""
+    own, leaf, found = leaves.own(points), leaves.numbers(points), [np.zeros((0, 2), dtype=np.int64)]
+    for number in range(leaf.max(initial=-1) + 1):
+        rows = np.flatnonzero(leaf == number)
+        found.append(rows[_prm_connections(own[rows], deadline)])
+    pairs = np.concatenate(found)
     steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
     allowed = np.isfinite(steps)
     pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
@@ -196,6 +204,8 @@ def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
     free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
     if not len(free):
         return np.zeros((0, 2), dtype=np.int64)
+    if len(points) <= _FEWEST_GROWN:
+        return np.array(list(permutations(range(len(points)), 2)), dtype=np.int64)
     states = np.ascontiguousarray(points[:, free])
     # Distinct states may agree in the last bits after scaling; PRM* sees each only once.
     numbers: dict[bytes, int] = {}

@@ -2,6 +2,8 @@
 
 States on the faces of guards line narrow corridors, where random ones rarely fall (Amato and Wu, "A randomized roadmap
 method for path and manipulation planning", ICRA 1996, for samples on the faces of obstacles).
+
+In modes with many leaves (`leaves`) states come from passages to the goal, and random ones lie on their leaves.
 """
 
 from __future__ import annotations
@@ -15,18 +17,20 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, named_values
-from micah_plan.planning.search.polytope import TOLERANCE, Polytope, mode_states, nominal_start
+from micah_plan.planning.search.leaves import Leaves, leaves_of
+from micah_plan.planning.search.passages import passages
+from micah_plan.planning.search.polytope import Polytope, mode_states, nominal_start
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 
-# Share of sampled coordinates that take a value named in the problem or model: it connects modes with idle coordinates.
+# Share of sampled coordinates that take a value named in the problem or model.
 _LANDMARK_SHARE = 0.3
 _FEWEST_GUARD_STATES = 4
 # Least share of samples_per_mode that are random states, however many states guards have.
 _FREE_SHARE = 0.5
-# Arrivals in modes with idle coordinates are carried on at most so often.
-_MOST_CARRIED = 200
+# Fewest random states on a leaf.
+_FEWEST_LEAF_STATES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ def sample_modes(
     start = sampler.add(start_mode, nominal_start(problem, limits, start_mode))
     sampler.add_goals()
     sampler.add_guards()
-    sampler.carry_on(start_mode)
+    sampler.add_passages(start_mode)
     sampler.add_random()
     points = {name: np.array(sampler.points_of(name)).reshape(-1, problem.automaton.n) for name in sampler.states}
     goals = {name: np.flatnonzero(states.contains(points[name])) for name, states in sampler.goals.items()}
@@ -83,6 +87,8 @@ class _Sampler:
         self.start = np.array(problem.start.mean)
         self.target = problem.goal.reached_from(self.start)
         self.states = {mode.name: mode_states(mode, limits) for mode in self._automaton.modes}
+        self._leaves = {mode.name: leaves_of(mode, limits) for mode in self._automaton.modes}
+        self._on_leaves: dict[str, list[Floats]] = {mode: [] for mode, own in self._leaves.items() if own.are_many}
         self._added: dict[str, dict[bytes, tuple[int, Floats]]] = {name: {} for name in self.states}
         sets = {name: goal_states(problem, limits, name) for name in self.states}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
@@ -98,12 +104,12 @@ class _Sampler:
         return [point for _, point in self._added[mode].values()]
 
     def add_goals(self) -> None:
-        """States within the goal: the nearest to its values, one with the start's idle coordinates, and random ones."""
+        """States within the goal: the nearest to its values, and random ones."""
         for name, states in self.goals.items():
-            mode = self._automaton.mode(name)
-            reachable = np.where(_idle(mode), self.start, self.target)
-            points = [states.nearest(self.target), states.nearest(reachable)]
-            for point in [*points, *self._draw(states, mode, _FEWEST_GUARD_STATES)]:
+            if name in self._on_leaves:
+                continue
+            nearest = states.nearest(self.target)
+            for point in [nearest, *self._draw(states, self._leaves[name], _FEWEST_GUARD_STATES)]:
                 self.add(name, point)
 
     def add_guards(self) -> None:
@@ -115,41 +121,35 @@ class _Sampler:
                 continue
             count = max(_FEWEST_GUARD_STATES, self._problem.settings.samples_per_mode // 8)
             before = [states.nearest(self.start), states.nearest(self.target)]
-            before += list(self._draw(states, self._automaton.mode(edge.source), count))
+            if edge.source not in self._on_leaves:
+                before += list(self._draw(states, self._leaves[edge.source], count))
             # Also where the edge leads nowhere: it is in the way, and a corridor beside it needs states.
             pairs = [self._add_exit(edge, _on_boundary(states, edge, x)) for x in before]
             if taken := dict.fromkeys(pair for pair in pairs if pair is not None):
                 self.exits[index] = np.array(list(taken), dtype=np.int64)
 
-    def carry_on(self, start_mode: str) -> None:
-        """States to which arrivals in modes with idle coordinates can go on: in the goal, on guards, and behind them.
-
-        A mode that neither moves nor pins a coordinate connects only states with one value of it.
-        """
-        arrivals = [(start_mode, self.points_of(start_mode)[0])]
-        for index, pairs in self.exits.items():
-            target = self._automaton.edges[index].target
-            points = self.points_of(target)
-            arrivals += [(target, points[k]) for k in pairs[:, 1]]
-        for name, x in arrivals:
-            self._deadline.check("search", f"{len(arrivals)} arrivals were carried on", "samples_per_mode")
-            idle = _idle(self._automaton.mode(name))
-            if not idle.any() or len(arrivals) > _MOST_CARRIED:
-                continue
-            if name in self.goals and (there := _at(self.goals[name], idle, x)) is not None:
-                self.add(name, there.nearest(self.target))
-            for index, edge in enumerate(self._automaton.edges):
-                if edge.source != name or edge.is_self_transition:
-                    continue
-                if (there := _at(guard_states(self._problem, self._limits, edge), idle, x)) is None:
-                    continue
-                count = len(self._added[edge.target])
-                pair = self._add_exit(edge, _on_boundary(there, edge, there.nearest(x)), True)
-                if pair is not None:
-                    before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
-                    self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
-                    if len(self._added[edge.target]) > count:
-                        arrivals.append((edge.target, self.points_of(edge.target)[-1]))
+    def add_passages(self, start_mode: str) -> None:
+        """States where passages enter and leave modes, if any mode has many leaves."""
+        if not self._on_leaves:
+            return
+        rng = self._rng.spawn(1)[0]
+        for passage in passages(self._problem, self._limits, start_mode, rng, self._deadline):
+            entry = passage.entries[0]
+            for i, name in enumerate(passage.modes):
+                if name in self._on_leaves:
+                    self._on_leaves[name].append(entry)
+                # The rounding of the linear programme must not leave the leaf.
+                leave = self._leaves[name].put_on(entry, passage.exits[i])
+                if i == len(passage.edges):
+                    self.add(name, leave)
+                    break
+                index = passage.edges[i]
+                edge = self._automaton.edges[index]
+                if (pair := self._add_exit(edge, leave, True)) is None:
+                    break
+                before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
+                self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
+                entry = self.points_of(edge.target)[pair[1]]
 
     def add_random(self) -> None:
         """Random states outside of the guards on states."""
@@ -157,12 +157,36 @@ class _Sampler:
         for number, mode in enumerate(self._automaton.modes):
             state = f"{number} of {len(self._automaton.modes)} modes had states"
             self._deadline.check("search", state, "samples_per_mode")
+            if mode.name in self._on_leaves:
+                self._add_random_on_leaves(mode, wanted)
+                continue
             # Many guards must not leave the space between them without states.
             missing = max(wanted - len(self._added[mode.name]), int(_FREE_SHARE * wanted))
             if not self.states[mode.name].is_empty:
-                random = self._draw(self.states[mode.name], mode, missing)
-                for point in random[~inside_any(obstacles_on_state(self._automaton, mode.name), random)]:
-                    self.add(mode.name, point)
+                self._add_outside(mode, self._draw(self.states[mode.name], self._leaves[mode.name], missing))
+
+    def _add_random_on_leaves(self, mode: Mode, wanted: int) -> None:
+        """Random states on the leaves that passages use, on the first most, and on the faces of guards there."""
+        leaves, bases = self._leaves[mode.name], np.array(self._on_leaves[mode.name])
+        if not len(bases) or not leaves.along.shape[1]:
+            return
+        first = np.unique(leaves.numbers(bases), return_index=True)[1]
+        shares = 1.0 / (1.0 + np.arange(len(first)))
+        for base, share in zip(bases[np.sort(first)], shares / shares.sum(), strict=True):
+            states, count = leaves.states(self._limits, base), max(_FEWEST_LEAF_STATES, int(share * wanted))
+            if states.is_empty:
+                continue
+            self._add_outside(mode, self._draw(states, leaves, count, base))
+            for region in obstacles_on_state(self._automaton, mode.name):
+                if (inside := states.intersect(region, self._limits.max_step)).is_empty:
+                    continue
+                for point in inside.sample(self._rng, max(_FEWEST_GUARD_STATES, count // 8)):
+                    self.add(mode.name, _on_face(inside, region, leaves.put_on(base, point), leaves))
+
+    def _add_outside(self, mode: Mode, points: Floats) -> None:
+        """Those of some states (k, n) that are outside of the guards on states."""
+        for point in points[~inside_any(obstacles_on_state(self._automaton, mode.name), points)]:
+            self.add(mode.name, point)
 
     def _add_exit(self, edge: Edge, x: Floats, only_if_allowed: bool = False) -> tuple[int, int] | None:
         """Numbers of the states before and behind an edge taken at x; None if it leads out of the invariant."""
@@ -175,17 +199,16 @@ class _Sampler:
         number = self.add(edge.source, x)
         return (number, self.add(edge.target, after)) if leads_on else None
 
-    def _draw(self, states: Polytope, mode: Mode, count: int) -> Floats:
-        """(at most count, n) random states; idle coordinates take named values only, others some."""
-        random = states.sample(self._rng, count)
+    def _draw(self, states: Polytope, leaves: Leaves, count: int, base: Floats | None = None) -> Floats:
+        """(count, n) random states, on the leaf of a state if it is given.
+
+        Coordinates that inputs move by themselves take values that the problem or the model names now and then.
+        """
+        random = states.sample(self._rng, count) if base is None else leaves.sample(states, base, self._rng, count)
         named = np.stack([self._rng.choice(values, count) for values in self._landmarks], axis=1)
-        idle = _idle(mode)
-        mixed = (self._rng.random(random.shape) < _LANDMARK_SHARE) & mode.free
-        points = np.where(mixed | idle, named, random)
-        fits = states.contains(points)
-        if idle.any():
-            return np.asarray(points[fits])
-        return np.asarray(np.where(fits[:, None], points, random))
+        mixed = (self._rng.random(random.shape) < _LANDMARK_SHARE) & leaves.independent
+        points = np.where(mixed, named, random)
+        return np.asarray(np.where(states.contains(points)[:, None], points, random))
 
 
 def goal_states(problem: Problem, limits: Limits, mode: str) -> Polytope:
@@ -229,15 +252,13 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
     return x
 
 
-def _at(states: Polytope, chosen: Booleans, x: Floats) -> Polytope | None:
-    """The part of a set in which the chosen coordinates are those of x; None if it is empty."""
-    for i in np.flatnonzero(chosen):
-        if not states.lower[i] - TOLERANCE <= x[i] <= states.upper[i] + TOLERANCE:
-            return None
-        states = states.fix(int(i), float(x[i]))
-    return None if states.is_empty else states
-
-
-def _idle(mode: Mode) -> Booleans:
-    """(n,) the coordinates that a mode neither moves nor pins: they stay as they were when it was entered."""
-    return ~mode.driven & mode.free
+def _on_face(states: Polytope, region: Region, x: Floats, leaves: Leaves) -> Floats:
+    """The state moved within its leaf to the closest boundary of a region, where it is in the mode; x if nowhere."""
+    moved = []
+    for half_space in region.half_spaces:
+        a = np.array(half_space.a)
+        direction = leaves.put_on(x, x + a * np.square(leaves.speed)) - x
+        if a @ direction > 0.0:
+            moved.append(x - direction * (float(a @ x) - half_space.c) / float(a @ direction))
+    moved.sort(key=lambda y: float(np.linalg.norm((y - x) / leaves.speed)))
+    return next((y for y in moved if states.contains(y)), x)

@@ -156,6 +156,8 @@ def _width(row: Row, other: Row) -> float | None:
         return None
     a, b = row.sign * np.array(row.half_space.a), other.sign * np.array(other.half_space.a)
     size, other_size = float(np.linalg.norm(a)), float(np.linalg.norm(b))
+    if size == 0.0 or other_size == 0.0:  # on inputs alone
+        return None
     if not np.allclose(a / size, -b / other_size, rtol=0.0, atol=1e-9):
         return None
     return -other.sign * other.half_space.c / other_size * size - row.sign * row.half_space.c

@@ -1,0 +1,141 @@
+"""What the inputs of a mode change of a state, and what they keep.
+
+A mode moves x along the range of its input matrix B. What is left of x, functionals F with F B = 0, stays as it was
+when the mode was entered: the place of an object that nobody holds, or the distance between a hand and the rod that it
+carries. The states with one value of F are a leaf of the mode: only they can be connected in it (manipulation planning
+speaks of foliations; Siméon, Laumond, Cortés and Sahbani, IJRR 2004). A mode that moves all that it leaves free is one
+leaf.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import null_space
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.hybrid import Mode
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.polytope import Polytope, mode_states
+
+# Values of what is kept that differ by less are the same leaf [steps]; a motion may miss its end by ten times that.
+_SAME_LEAF = 1e-8
+# Singular values below this share of the largest are rounding.
+_RANK = 1e-9
+# Draws of as many states as are wanted from the box around a part of a leaf, before it counts as too thin for that.
+_MOST_DRAWS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """The leaves of a mode over n coordinates, all in steps (x over the limits' speed).
+
+    Attributes:
+        mode: which.
+        speed: (n,) of the limits.
+        along: (n, r) orthonormal: the directions in which inputs move x.
+        kept: (k, n) orthonormal: the functionals F that they keep, without those that pins and ties of the mode fix.
+    """
+
+    mode: Mode
+    speed: Floats
+    along: Floats
+    kept: Floats
+
+    @property
+    def are_many(self) -> bool:
+        """Whether the mode has more than one leaf."""
+        return len(self.kept) > 0
+
+    @property
+    def independent(self) -> Booleans:
+        """(n,) the coordinates that some input moves and that can move alone."""
+        return np.asarray(np.linalg.norm(self.along, axis=1) > 1.0 - _RANK)
+
+    def own(self, points: Floats) -> Floats:
+        """(k, r) own coordinates on their leaf of states (k, n) [steps]."""
+        return np.asarray((points / self.speed) @ self.along)
+
+    def kept_words(self, names: Sequence[str]) -> list[str]:
+        """What inputs keep, as sums of coordinates of these names, e.g. ``"hand - rod"``."""
+        words = []
+        for row in self.kept / self.speed:
+            weights = row / row[np.flatnonzero(np.abs(row) > _RANK * np.abs(row).max())[0]]
+            parts = [
+                f"{'-' if w < 0 else '+'} {name if abs(abs(w) - 1.0) < _RANK else f'{abs(w):.3g}*{name}'}"
+                for w, name in zip(weights, names, strict=True)
+                if abs(w) > _RANK
+            ]
+            words.append(" ".join(parts).removeprefix("+ "))
+        return words
+
+    def numbers(self, points: Floats) -> Ints:
+        """(k,) leaf of each state (k, n), counted as they first appear."""
+        values, first = (points / self.speed) @ self.kept.T, list[Floats]()
+        found = np.zeros(len(points), dtype=np.int64)
+        for row, value in enumerate(values):
+            same = np.flatnonzero([np.abs(value - other).max(initial=0.0) <= _SAME_LEAF for other in first])
+            found[row] = same[0] if same.size else len(first)
+            if not same.size:
+                first.append(value)
+        return found
+
+    def put_on(self, x: Floats, points: Floats) -> Floats:
+        """(k, n) states next to `points` (k, n) on the leaf of x (n,)."""
+        return np.asarray(x + self.own(points - x) @ self.along.T * self.speed)
+
+    def sample(self, states: Polytope, x: Floats, rng: np.random.Generator, count: int) -> Floats:
+        """(count, n) random states of a (non-empty) part of the leaf of x (n,), even where it fills its box."""
+        if not len(states.b):
+            return self.put_on(x, states.sample(rng, count))
+        found, (low, high) = list[Floats](), self._box(states, x)
+        for _ in range(_MOST_DRAWS):
+            own = low + rng.random((count, len(low))) * (high - low)
+            points = x + own @ self.along.T * self.speed
+            found.extend(points[states.contains(points)])
+            if len(found) >= count:
+                return np.array(found[:count])
+        rest = states.sample(rng, count - len(found))
+        return np.vstack([*found, self.put_on(x, rest)])
+
+    def _box(self, states: Polytope, x: Floats) -> tuple[Floats, Floats]:
+        """(r,) least and largest own coordinates, from x on, of a part of its leaf."""
+        axes = self.along.T / self.speed
+        ends = self.own(states.extremes(np.vstack([-axes, axes])) - x)
+        low, high = np.split(ends, 2)
+        return np.diag(low), np.diag(high)
+
+    def states(self, limits: Limits, x: Floats) -> Polytope:
+        """The mode's states on the leaf of x (n,)."""
+        states = mode_states(self.mode, limits)
+        for row in self.kept / self.speed:
+            support = np.flatnonzero(np.abs(row) > _RANK * np.abs(row).max())
+            if len(support) == 1:
+                states = states.fix(int(support[0]), float(x[support[0]]))
+            else:
+                value = float(row @ x)
+                A, b = np.vstack([states.A, row, -row]), np.append(states.b, [value, -value])
+                states = replace(states, A=A, b=b)
+        return states
+
+
+def leaves_of(mode: Mode, limits: Limits) -> Leaves:
+    """The leaves of a mode."""
+    n, speed = len(limits.speed), limits.speed
+    B = mode.B * mode.free[:, None] / speed[:, None]
+    driven = np.flatnonzero(np.any(B, axis=1))
+    left, sizes, _ = np.linalg.svd(B[driven], full_matrices=False)
+    rank = int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
+    along = np.zeros((n, rank))
+    # Coordinates that move independently are their own coordinates.
+    along[driven] = np.eye(rank) if rank == len(driven) else left[:, :rank]
+    fixed = [np.eye(n)[pin.coordinate] for pin in mode.pins]
+    fixed += [(np.eye(n)[tie.coordinate] - np.array(tie.weights)) * speed for tie in mode.ties]
+    idle = np.flatnonzero(
+        mode.free & ~np.any(B, axis=1) & ~np.isin(np.arange(n), [tie.coordinate for tie in mode.ties])
+    )
+    units = np.eye(n)[idle]
+    rest = null_space(np.vstack([along.T, np.array(fixed).reshape(-1, n), units]))
+    return Leaves(mode, speed, along, np.vstack([units, rest.T]))

@@ -1,0 +1,281 @@
+"""Through which leaves start and goal are connected: mode sequences as linear programmes.
+
+Random states of a mode with many leaves (`leaves`) lie on as many leaves, and almost none of them on one that leads on.
+But modes, guards and resets are affine: for a given sequence of transitions the states in which they are taken, one
+input per mode leading from each to the next, form a polytope. A point of it is a *passage* from start to goal, but for
+what lies in the way inside the modes, which the roadmaps go around. So a value that is to be kept, such as the place
+where an object is let go, comes from all that is to follow, and whether any value serves is known at once.
+
+Sequences are taken in the order of the shortest inputs that lead through them, at least as short as any path.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import count, islice
+
+import numpy as np
+from scipy.optimize import linprog
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.cost import in_steps
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start
+from micah_plan.planning.search.roadmap import TRANSITION_COST
+from micah_plan.task.deadline import NEVER, Deadline
+from micah_plan.task.problem import Problem
+
+# Linear programmes solved to find sequences, and sequences found, after which there are enough: 1 to 4 ms each.
+_MOST_PROGRAMMES = 400
+_MOST_SEQUENCES = 24
+# Passages of a sequence that are extreme in random directions, and random mixtures of all of them.
+_EXTREMES = 4
+_MIXTURES = 8
+# Of the mixtures (Dirichlet): below 1 most lie near a corner or an edge, as what leads on often does.
+_EVENNESS = 0.5
+# What a programme may miss its constraints by [their unit]: less than what counts as the same boundary.
+_MISS = 0.1 * TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """States of a path from start to goal.
+
+    Attributes:
+        modes: (P,) names; edges: (P-1,) indices into the automaton's edges.
+        entries: (P, n) where each mode is entered, first the start; exits: (P, n) where it is left, last in the goal.
+    """
+
+    modes: tuple[str, ...]
+    edges: tuple[int, ...]
+    entries: Floats
+    exits: Floats
+
+
+def passage_exists(problem: Problem, limits: Limits, start_mode: str, revisits: int) -> bool | None:
+    """Whether a passage leads to the goal with so many revisits; None if the sequences are too many to tell."""
+    search = _Search(problem, limits)
+    if next(search.complete(start_mode, NEVER, revisits), None) is not None:
+        return True
+    return False if search.solved < _MOST_PROGRAMMES else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Prefix:
+    """A sequence of transitions that begins at the start, as a polytope of its inputs w (v,), one u (m,) per mode.
+
+    Attributes:
+        modes, edges: as in `Passage`; the last mode has just been entered.
+        entries, exits: per mode the matrix (n, v) and the vector (n,) that give the state for w.
+        rows, least: of the constraints rows @ w >= least.
+    """
+
+    modes: tuple[str, ...]
+    edges: tuple[int, ...]
+    entries: tuple[tuple[Floats, Floats], ...]
+    exits: tuple[tuple[Floats, Floats], ...]
+    rows: Floats
+    least: Floats
+
+    @property
+    def size(self) -> int:
+        return int(self.rows.shape[1])
+
+
+def passages(
+    problem: Problem, limits: Limits, start_mode: str, rng: np.random.Generator, deadline: Deadline = NEVER
+) -> Iterator[Passage]:
+    """Passages through the sequences of transitions, the shortest first: of each the shortest, then random others.
+
+    Raises:
+        TimeLimitError: if the deadline passes.
+    """
+    search = _Search(problem, limits)
+    sequences = search.complete(start_mode, deadline, problem.settings.revisits)
+    for prefix, w in islice(sequences, _MOST_SEQUENCES):
+        yield search.passage(prefix, w)
+        directions = rng.normal(size=(_EXTREMES if prefix.edges else 0, prefix.size))
+        found = [search.extreme(prefix, direction) for direction in directions]
+        corners = np.array([w, *(corner for corner in found if corner is not None)])
+        for share in rng.dirichlet(np.full(len(corners), _EVENNESS), _MIXTURES) if len(corners) > 1 else ():
+            yield search.passage(prefix, share @ corners)
+        for corner in corners[1:]:
+            yield search.passage(prefix, corner)
+
+
+class _Search:
+    """Best-first search over sequences of transitions."""
+
+    def __init__(self, problem: Problem, limits: Limits) -> None:
+        self.problem, self.limits, self.automaton = problem, limits, problem.automaton
+        self.states = {mode.name: _free_states(mode, limits) for mode in self.automaton.modes}
+        self.leading = _leading_to_goal(problem)
+        self.goal_error = max(1.0, float(in_steps(problem, np.array(problem.settings.weight_goal))))
+        self.solved = 0
+
+    def complete(self, start_mode: str, deadline: Deadline, revisits: int) -> Iterator[tuple[_Prefix, Floats]]:
+        """Sequences that end in the goal, each with the inputs (v,) of its shortest passage."""
+        start = nominal_start(self.problem, self.limits, start_mode)
+        entry = np.zeros((self.automaton.n, 0)), start
+        first = _Prefix((start_mode,), (), (entry,), (), np.zeros((0, 0)), np.zeros(0))
+        tickets, most = count(), 1 + revisits
+        queue: list[tuple[float, int, _Prefix, Floats | None]] = [(0.0, next(tickets), first, None)]
+        while queue and self.solved < _MOST_PROGRAMMES:
+            deadline.check("search", f"{self.solved} mode sequences were relaxed", "samples_per_mode")
+            _, _, prefix, w = heapq.heappop(queue)
+            if w is not None:
+                yield prefix, w
+                continue
+            mode = self.automaton.mode(prefix.modes[-1])
+            ways = []
+            if self.problem.goal.admits(mode.name):
+                ways.append(self._ended(prefix, mode))
+            for index, edge in enumerate(self.automaton.edges):
+                leads_on = edge.source == mode.name and edge.target in self.leading and not edge.is_self_transition
+                if leads_on and prefix.modes.count(edge.target) < most:
+                    ways += self._followed(prefix, mode, index, edge)
+            for way in ways:
+                if (shortest := self.shortest(way)) is not None:
+                    cost, inputs = shortest
+                    done = len(way.exits) == len(way.modes)
+                    heapq.heappush(queue, (cost, next(tickets), way, inputs if done else None))
+
+    def passage(self, prefix: _Prefix, w: Floats) -> Passage:
+        """The passage of a complete sequence with inputs w (v,)."""
+        entries, exits = (
+            np.array([M @ w[: M.shape[1]] + c for M, c in places]) for places in (prefix.entries, prefix.exits)
+        )
+        return Passage(prefix.modes, prefix.edges, entries, exits)
+
+    def shortest(self, prefix: _Prefix) -> tuple[float, Floats] | None:
+        """Cost [steps] and inputs (v,) of the shortest inputs of a sequence; None if none lead through it.
+
+        The cost counts how far the goal is at least from where the sequence ends, and the error that is left in it.
+        """
+        v, m, done = prefix.size, self.automaton.m, len(prefix.exits) == len(prefix.modes)
+        M, c = prefix.exits[-1] if done else prefix.entries[-1]
+        goal, speed = self.problem.goal, self.limits.speed
+        index = np.array([i for i, _, _ in goal.target], dtype=int)
+        value, tolerance = (np.array([row[k] for row in goal.target]) for k in (1, 2))
+        # In the goal the error left, which costs as much as the optimisation would pay at the tolerance.
+        scale = tolerance / self.goal_error if done else speed[index]
+        room = np.zeros(len(index)) if done else tolerance
+        # Variables (w, |w|, e): e at least the error beyond the room, in steps.
+        eye, g = np.eye(v), len(index)
+        away, apart = M[index] / scale[:, None], (c[index] - value) / scale
+        rows = np.block(
+            [
+                [prefix.rows, np.zeros((len(prefix.rows), v + g))],
+                [eye, eye, np.zeros((v, g))],
+                [-eye, eye, np.zeros((v, g))],
+                [away, np.zeros((g, v)), np.eye(g)],
+                [-away, np.zeros((g, v)), np.eye(g)],
+            ]
+        )
+        least = np.concatenate([prefix.least, np.zeros(2 * v), -apart - room / scale, apart - room / scale])
+        cost = np.concatenate([np.zeros(v), np.tile(1.0 / self.limits.max_step, v // m if m else 0), np.ones(g)])
+        found = self._solved(cost, rows, least, v)
+        if found is None:
+            return None
+        return float(cost @ found) + TRANSITION_COST * len(prefix.edges), found[:v]
+
+    def extreme(self, prefix: _Prefix, direction: Floats) -> Floats | None:
+        """The inputs (v,) of a sequence that go farthest in a direction (v,)."""
+        scale = np.tile(1.0 / self.limits.max_step, prefix.size // self.automaton.m)
+        # Inputs that are not limited move nothing.
+        limited = prefix.rows.any(axis=0)
+        return self._solved(np.where(limited, direction * scale, 0.0), prefix.rows, prefix.least, prefix.size)
+
+    def _solved(self, cost: Floats, rows: Floats, least: Floats, free: int) -> Floats | None:
+        """The variables of least cost, the first `free` of which may be negative; None if none meet the rows."""
+        self.solved += 1
+        bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
+        if not len(cost):
+            return np.zeros(0) if np.all(least <= TOLERANCE) else None
+        options = {"primal_feasibility_tolerance": _MISS, "dual_feasibility_tolerance": _MISS}
+        found = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
+        return np.asarray(found.x) if found.status == 0 else None
+
+    def _moved(self, prefix: _Prefix, mode: Mode) -> tuple[_Prefix, tuple[Floats, Floats]]:
+        """The sequence with one more input, in its last mode, and where that leads."""
+        m = self.automaton.m
+        rows = np.hstack([prefix.rows, np.zeros((len(prefix.rows), m))])
+        M, c = prefix.entries[-1]
+        place = np.hstack([M, mode.B * mode.free[:, None]]), c
+        return replace(prefix, rows=rows, exits=(*prefix.exits, place)), place
+
+    def _ended(self, prefix: _Prefix, mode: Mode) -> _Prefix:
+        """The sequence with an input that leads into the goal."""
+        moved, place = self._moved(prefix, mode)
+        states = self.states[mode.name]
+        for index, value, tolerance in self.problem.goal.target:
+            # A pinned coordinate is where it is; others must come into the goal.
+            states = states.clip(index, value - tolerance, value + tolerance)
+        return _within(moved, states, place)
+
+    def _followed(self, prefix: _Prefix, mode: Mode, index: int, edge: Edge) -> list[_Prefix]:
+        """The sequence with one more transition: one for each boundary of its guard that it may be entered through."""
+        moved, place = self._moved(prefix, mode)
+        moved = _within(moved, self.states[mode.name].intersect(edge.guard, self.limits.max_step), place)
+        A, _, b = edge.reset.matrices(self.automaton.n, self.automaton.m)
+        matrix, offset = A @ place[0], A @ place[1] + b
+        target = self.automaton.mode(edge.target)
+        for pin in target.pins:
+            matrix[pin.coordinate], offset[pin.coordinate] = 0.0, pin.value
+        for tie in target.ties:
+            weights = np.array(tie.weights)
+            matrix[tie.coordinate], offset[tie.coordinate] = weights @ matrix, tie.offset + weights @ offset
+        entry = matrix, offset
+        moved = _within(moved, self.states[edge.target], entry)
+        modes, edges = (*prefix.modes, edge.target), (*prefix.edges, index)
+        moved = replace(moved, modes=modes, edges=edges, entries=(*prefix.entries, entry))
+        facets = [] if edge.guard.on_input else _facets(edge, mode)
+        return [_on(moved, facet, place) for facet in facets] or [moved]
+
+
+def _facets(edge: Edge, mode: Mode) -> list[HalfSpace]:
+    """The half-spaces of a guard into which the inputs of the mode can lead."""
+    B = mode.B * mode.free[:, None]
+    return [h for h in edge.guard.half_spaces if np.any(np.array(h.a) @ B)]
+
+
+def _free_states(mode: Mode, limits: Limits) -> Polytope:
+    """The states of a mode as far as its pins and ties leave them open: they keep what they say."""
+    states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
+    return states.intersect(mode.invariant, limits.max_step)
+
+
+def _within(prefix: _Prefix, states: Polytope, place: tuple[Floats, Floats]) -> _Prefix:
+    """The sequence with the states at a place limited to a polytope."""
+    M, c = place
+    eye = np.eye(states.n)
+    normals = np.vstack([eye, -eye, states.A])
+    least = np.concatenate([states.lower, -states.upper, states.b])
+    size = np.linalg.norm(normals, axis=1)
+    rows, least = normals @ M, least - normals @ c
+    open_ = rows.any(axis=1)
+    # What no input changes holds or does not; a row without weights says which.
+    broken = ~open_ & (least > TOLERANCE * size)
+    keep = open_ | broken
+    return replace(prefix, rows=np.vstack([prefix.rows, rows[keep]]), least=np.append(prefix.least, least[keep]))
+
+
+def _on(prefix: _Prefix, facet: HalfSpace, place: tuple[Floats, Floats]) -> _Prefix:
+    """The sequence with the state at a place on a boundary, of which its rows have it on the inside already."""
+    M, c = place
+    a = np.array(facet.a)
+    rows, least = np.vstack([prefix.rows, -(a @ M)]), np.append(prefix.least, float(a @ c) - facet.c)
+    return replace(prefix, rows=rows, least=least)
+
+
+def _leading_to_goal(problem: Problem) -> set[str]:
+    """The modes from which transitions lead to one that the goal admits."""
+    automaton: HybridAutomaton = problem.automaton
+    leading = {name for name in automaton.mode_names if problem.goal.admits(name)}
+    for _ in automaton.modes:
+        leading |= {edge.source for edge in automaton.edges if edge.target in leading}
+    return leading
