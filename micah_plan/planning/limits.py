@@ -9,6 +9,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.planning.chains import ChainEdge
 from micah_plan.task.problem import Problem
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
@@ -88,7 +89,8 @@ def named_values(problem: Problem) -> list[list[float]]:
         values[index].append(value)
     for pin in (pin for mode in automaton.modes for pin in mode.pins):
         values[pin.coordinate].append(pin.value)
-    regions = [mode.invariant for mode in automaton.modes] + [edge.guard for edge in automaton.edges]
+    regions = [mode.invariant for mode in automaton.modes]
+    regions += [edge.guard for edge in automaton.edges if not isinstance(edge, ChainEdge)]
     for bound in (half_space.bound for region in regions for half_space in region.half_spaces):
         if bound is not None:
             values[bound.coordinate].append(bound.value)

@@ -17,6 +17,7 @@ import numpy as np
 
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
+from micah_plan.planning.chains import with_chains
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
@@ -62,7 +63,7 @@ def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
 
     A memory of inputs does not change which mode sequences there are.
     """
-    attempt = replace(attempt, problem=with_input_memory(attempt.problem))
+    attempt = replace(attempt, problem=with_chains(with_input_memory(attempt.problem)))
     if found is None:
         attempt.progress("searching mode sequences", 0.0)
         plain = without_input_memory(attempt.problem)

@@ -15,6 +15,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.thresholds import boundaries_of_pins, boundary_of, boundary_stds
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.chains import with_chains
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.nlp import Solution, Solver
@@ -48,7 +49,8 @@ class RecedingHorizon:
         settings = problem.settings
         settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
         self._problem, self._plan = with_input_memory(replace(problem, settings=settings)), trajectory
-        self._limits, self._whole = limits_of(self._problem), rest_of(problem.automaton, trajectory, 0)
+        self._limits = limits_of(self._problem)
+        self._whole = rest_of(with_chains(self._problem).automaton, trajectory, 0)
         self.reused = self.built = 0
 
     def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
@@ -57,7 +59,7 @@ class RecedingHorizon:
         None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
         leaves a memory of inputs out.
         """
-        here = believed_problem(self._problem, belief)
+        here = with_chains(believed_problem(self._problem, belief))
         if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
             return None
         if self._is_rest(trajectory, knot) and not self._has_learned(belief, trajectory, knot):
@@ -83,7 +85,7 @@ class RecedingHorizon:
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
-        (plan, steps), (rest, left) = self._whole, rest_of(self._problem.automaton, trajectory, knot)
+        (plan, steps), (rest, left) = self._whole, rest_of(with_chains(self._problem).automaton, trajectory, knot)
         first = len(steps) - len(left)
         same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (rest.modes, rest.edges)
         return same and steps[first + 1 :] == left[1:] and steps[first] >= left[0]
@@ -114,6 +116,7 @@ def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
 
 def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:
     """The programme of what is left of a trajectory from a knot on, from the problem's start."""
+    problem = with_chains(problem)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
     return transcribe(problem, limits, guess_again(problem, limits, sequence, steps))
 

@@ -12,6 +12,7 @@ from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.thresholds import with_boundaries
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
+from micah_plan.planning.chains import with_chains
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import limits_of, motion_per_input
 from micah_plan.planning.pomdp_hd import planned
@@ -85,6 +86,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     Returns:
         None where the trajectory does not lead through the mode of the start, or leaves a memory of inputs out.
     """
+    here = with_chains(here)
     mode, limits = here.start.mode, limits_of(here)
     at = [k for k, other in enumerate(trajectory.modes) if other == mode]
     if mode is None or not at or trajectory.means.shape[1] != here.automaton.n:

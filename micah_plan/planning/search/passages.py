@@ -22,6 +22,7 @@ from scipy.optimize import linprog
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.chains import front_of
 from micah_plan.planning.cost import in_steps
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start
@@ -240,7 +241,7 @@ class _Search:
 def _facets(edge: Edge, mode: Mode) -> list[HalfSpace]:
     """The half-spaces of a guard into which the inputs of the mode can lead."""
     B = mode.B * mode.free[:, None]
-    return [h for h in edge.guard.half_spaces if np.any(np.array(h.a) @ B)]
+    return [h for h in front_of(edge) if np.any(np.array(h.a) @ B)]
 
 
 def _free_states(mode: Mode, limits: Limits) -> Polytope:

@@ -16,6 +16,7 @@ import numpy as np
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
+from micah_plan.planning.chains import stds_of
 from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.roadmap import PACE, JoinedRoadmap
@@ -127,11 +128,11 @@ class PathBeliefs:
         """(p,) steps from a guard's boundary to where it holds with the planned confidence."""
         deepest = np.zeros(len(variance))
         free = self.problem.automaton.mode(edge.source).free
-        for half_space in edge.guard.half_spaces:
+        for half_space, own in zip(edge.guard.half_spaces, stds_of(edge), strict=True):
             a = np.array(half_space.a)
             if not a[free].any():
                 continue
-            std = np.sqrt(variance @ a**2 + edge.threshold_std**2)
+            std = np.sqrt(variance @ a**2 + own**2)
             deepest = np.maximum(deepest, self._k * std / float(np.abs(a) @ self.limits.speed))
         return deepest
 

@@ -24,6 +24,7 @@ from scipy.sparse.csgraph import dijkstra
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
+from micah_plan.planning.chains import ChainEdge
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
@@ -104,7 +105,9 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
 
 def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:
     """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
-    guards = [edge.guard for edge in automaton.edges_from(mode) if not edge.is_self_transition]
+    edges = [edge for edge in automaton.edges_from(mode) if not edge.is_self_transition]
+    # A chain lies within the guard of its first transition.
+    guards = [edge.guard for edge in edges if not isinstance(edge, ChainEdge)]
     return tuple(g for g in guards if g.half_spaces and not g.on_input)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
+from micah_plan.planning.chains import front_of
 from micah_plan.planning.limits import Limits, named_values
 from micah_plan.planning.search.leaves import Leaves, leaves_of
 from micah_plan.planning.search.passages import passages
@@ -241,7 +242,7 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
 
     A guard that depends on the input can be taken anywhere, and a guard that fills the mode has no boundary in it.
     """
-    half_spaces = edge.guard.half_spaces
+    half_spaces = front_of(edge)
     if edge.guard.on_input:
         return x
     normals = [np.array(h.a) for h in half_spaces]

@@ -9,8 +9,11 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.attempt import NoWayError
+from micah_plan.planning.chains import stds_of
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
 from micah_plan.planning.limits import Limits, input_length, motion_per_input
@@ -211,20 +214,77 @@ def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
 def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
     """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
     k = problem.settings.sigmas
-    u = np.zeros(problem.automaton.m)
     moved = x.copy()
     taken = problem.automaton.edges[edge]
     guard, B = taken.guard, problem.automaton.mode(taken.source).B
     for _ in range(3):  # rows that are not perpendicular disturb each other a little
-        for row in guard.half_spaces:
-            a = np.array(row.a)
-            direction = B @ (B.T @ a)
-            if row.on_input or a @ direction <= 0:
+        for row, std in zip(guard.half_spaces, stds_of(taken), strict=True):
+            need = guard_need(problem.automaton, taken.source, row, std, (moved, covariance), k)
+            direction = B @ (B.T @ need.a)
+            if row.on_input or need.a @ direction <= 0:
                 continue
-            std = float(np.sqrt(a @ covariance @ a + taken.threshold_std**2))
-            wanted = k * std + 2 * STRICT_SHARE * float(np.abs(a) @ limits.speed)
-            moved = moved + direction * max(0.0, wanted - float(row.margin(moved, u))) / float(a @ direction)
+            wanted = k * need.std(covariance) + 2 * STRICT_SHARE * float(np.abs(need.a) @ limits.speed)
+            short = max(0.0, wanted - float(need.a @ moved - need.c))
+            moved = moved + direction * short / float(need.a @ direction)
     return np.asarray(moved)
+
+
+@dataclass(frozen=True, eq=False)
+class Need:
+    """What must hold at k-sigma for a half-space of a guard to hold: a'x >= c.
+
+    Attributes:
+        a, c: (n,) and the threshold.
+        own: std of the threshold.
+    """
+
+    a: Floats
+    c: float
+    own: float
+
+    def std(self, covariance: Floats) -> float:
+        """Std of a'x - c for a state of that covariance (n, n)."""
+        return float(np.sqrt(self.a @ covariance @ self.a + self.own**2))
+
+
+def guard_need(
+    automaton: HybridAutomaton, mode: str, row: HalfSpace, std: float, belief: tuple[Floats, Floats], k: float
+) -> Need:
+    """The half-space itself, or the same without what the mode's inputs do not move, at the worst of its range.
+
+    Of a coordinate that no input moves a plan need not fear more than its range: lower arms that hang down further than
+    they can open do not have to be touched. The one that asks for less at a belief (mean (n,), covariance (n, n)) is
+    enough.
+
+    Args:
+        mode: that the guard leaves.
+        std: of the threshold.
+    """
+    own, source = automaton.mode(mode), Need(np.array(row.a), row.c, std)
+    idle = ~own.driven & own.free & (source.a != 0.0)
+    if row.on_input or not idle.any() or idle.all(where=source.a != 0.0):
+        return source
+    worst, ends = 0.0, 0.0
+    for i in np.flatnonzero(idle).tolist():
+        low, high = own.interval(i)
+        worst += source.a[i] * (low if source.a[i] > 0.0 else high)
+        ends = float(np.hypot(ends, source.a[i] * _end_std(automaton, mode, i)))
+    if not np.isfinite(worst):
+        return source
+    without = Need(np.where(idle, 0.0, source.a), row.c - worst, float(np.hypot(std, ends)))
+    mean, covariance = belief
+    asked = [k * need.std(covariance) - float(need.a @ mean - need.c) for need in (source, without)]
+    return source if asked[0] <= asked[1] else without
+
+
+def _end_std(automaton: HybridAutomaton, mode: str, coordinate: int) -> float:
+    """Std of the thresholds at which a mode is left along a coordinate."""
+    ends = [
+        edge.threshold_std
+        for edge in automaton.edges_from(mode)
+        if any(h.bound and h.bound.coordinate == coordinate for h in edge.guard.half_spaces)
+    ]
+    return max(ends, default=0.0)
 
 
 def _resample(path: Floats, speed: Floats, steps: int) -> Floats:

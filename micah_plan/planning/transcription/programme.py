@@ -22,12 +22,13 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.chains import stds_of
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.input_memory import steps_of_memory
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme
 from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
-from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess
+from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
 from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
@@ -204,15 +205,13 @@ def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: Hal
 
 def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
     """The boundaries between the ends of the phase."""
-    directions = np.array([one.side.normal for one in boundaries]).T
-    offsets = np.array([one.side.offset for one in boundaries])
+    directions = np.array([one.normal for one in boundaries]).T
+    offsets = np.array([one.offset for one in boundaries])
     at = phase.states[:, [one.step for one in boundaries]]
     margins, stds = _margin_function(nlp.pattern).map(len(boundaries))(at, directions, offsets[None, :])
     uncertain = [i for i, one in enumerate(boundaries) if one.uncertain]
-    total = ca.sqrt(
-        stds[uncertain].T ** 2 + ca.DM([float(boundaries[i].side.spreads[boundaries[i].step]) for i in uncertain])
-    )
-    scales = np.array([boundaries[i].side.scale for i in uncertain])
+    total = ca.sqrt(stds[uncertain].T ** 2 + ca.DM([boundaries[i].spread for i in uncertain]))
+    scales = np.array([boundaries[i].scale for i in uncertain])
     rows, slacks = [one.row for one in boundaries], phase.slacks[: len(uncertain)]
     _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
 
@@ -279,7 +278,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
     margins, stds, reset = crossing(state, u, ca.MX(u) if by_input else last)
     settings, knot = nlp.problem.settings, guess.first_knot + guess.steps
     free = automaton.mode(guess.mode).free
-    for i, half_space in enumerate(edge.edge.guard.half_spaces):
+    for i, (half_space, own) in enumerate(zip(edge.edge.guard.half_spaces, stds_of(edge.edge), strict=True)):
         # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
         certain = not np.any(np.array(half_space.a)[free])
         if certain and not half_space.on_input:
@@ -289,9 +288,13 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         name = f"the guard '{half_space.name}' of '{edge.edge.name}'"
         place = guess.mode, knot, name, unit_of(automaton, half_space)
         row = Row(*place, low, np.inf, "guard", half_space, 1.0, None if certain else settings.confidence)
-        a = np.array(half_space.a)
-        total = ca.sqrt(stds[i] ** 2 + float(a @ guess.spreads[-1] @ a + edge.edge.threshold_std**2))
-        nlp.require(margins[i] - (0.0 if certain else settings.sigmas) * total, [row], None if certain else total)
+        margin, std = margins[i], stds[i]
+        covariance = guess.factors[-1] @ guess.factors[-1].T + guess.spreads[-1]
+        need = guard_need(automaton, guess.mode, half_space, own, (guess.means[-1], covariance), settings.sigmas)
+        if not np.array_equal(need.a, half_space.a):
+            margin, std = _margin_function(nlp.pattern)(state, need.a, need.c)
+        total = ca.sqrt(std**2 + float(need.a @ guess.spreads[-1] @ need.a + need.own**2))
+        nlp.require(margin - (0.0 if certain else settings.sigmas) * total, [row], None if certain else total)
     name = f"the reset of '{edge.edge.name}'"
     same = Row(edge.edge.target, nlp.guess[after].first_knot, name, "", 0.0, 0.0)
     nlp.require(target.states[:, 0] - reset, [same] * (n + nlp.pattern.nnz()))

@@ -1,0 +1,186 @@
+"""Chains of transitions in one instant, as edges of their own for search and transcription.
+
+A transition may lead to a state in which the next one fires at once: an almost shut stapler that touches the table is
+already past the place where its contact spreads to a surface. No motion lies between, so the mode between has no states
+for a roadmap and no knots for a transcription. A chain is one edge from the first mode to the last: its guard is the
+first guard with those after it pulled back through the resets, its reset is that of all. Roll-outs and executions know
+nothing of chains: they take each transition as it comes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linprog
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.memo import memoised, sharing_motion
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.task.problem import Problem
+
+# A guard fires at once where all its margins exceed this share of the length of their weights [rad or m].
+_INSIDE = 1e-6
+# Transitions in one instant; a chain of more is left to roll-outs.
+_LONGEST = 4
+
+
+@dataclass(frozen=True)
+class ChainEdge(Edge):
+    """Transitions that happen at one instant.
+
+    Attributes:
+        entered: how many half-spaces of the guard are those of the first transition: it is they that a motion crosses.
+        stds: of the threshold of each half-space of the guard, in its unit; `threshold_std` is 0.
+        through: the modes between.
+    """
+
+    entered: int = 0
+    stds: tuple[float, ...] = ()
+    through: tuple[str, ...] = ()
+
+
+def with_chains(problem: Problem) -> Problem:
+    """The problem with the chains that its model allows behind the edges that it has."""
+    automaton = _chained(problem.automaton, "\0".join(problem.goal.modes))
+    return problem if automaton is problem.automaton else replace(problem, automaton=automaton)
+
+
+def front_of(edge: Edge) -> tuple[HalfSpace, ...]:
+    """The half-spaces of a guard through which motions enter it."""
+    return edge.guard.half_spaces[: edge.entered] if isinstance(edge, ChainEdge) else edge.guard.half_spaces
+
+
+def stds_of(edge: Edge) -> tuple[float, ...]:
+    """Std of the threshold of each half-space of a guard, in its unit."""
+    return edge.stds if isinstance(edge, ChainEdge) else (edge.threshold_std,) * len(edge.guard.half_spaces)
+
+
+@memoised
+def _chained(automaton: HybridAutomaton, goal_modes: str) -> HybridAutomaton:
+    if any(isinstance(edge, ChainEdge) for edge in automaton.edges):
+        return automaton
+    after = {mode.name: _leading_on(automaton, mode.name, goal_modes.split("\0")) for mode in automaton.modes}
+    found: list[ChainEdge] = []
+    begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]
+    for _ in range(_LONGEST - 1):
+        begun = [chain for edge in begun for chain in _continued(automaton, edge, after[edge.target])]
+        found += [chain for chain in begun if isinstance(chain, ChainEdge)]
+    if not found:
+        return automaton
+    return sharing_motion(replace(automaton, edges=(*automaton.edges, *found)), automaton)
+
+
+def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
+    """The edges from a mode that can be the next of a chain: on the state alone, and not to where all ends."""
+    ends = {mode.name for mode in automaton.modes if not mode.B.any() and not automaton.edges_from(mode.name)}
+    return [
+        edge
+        for edge in automaton.edges_from(name)
+        if edge.target not in ends - set(goal_modes)
+        and not edge.is_self_transition
+        and edge.guard.on_state
+        and not edge.guard.on_input
+    ]
+
+
+def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ChainEdge]:
+    """The chains of an edge, perhaps a chain itself, and one of those that can follow it."""
+    following = [edge for edge in following if edge.target not in (first.source, *_through(first))]
+    if not following:
+        return []
+    A, B, c = _arrival(automaton, first)
+    low, high = _image(*_box(automaton, first), A, c)
+    chains = []
+    for edge in following:
+        a = np.array([h.a for h in edge.guard.half_spaces])
+        least = np.array([h.c for h in edge.guard.half_spaces]) + _INSIDE * np.linalg.norm(a, axis=1)
+        with np.errstate(invalid="ignore"):
+            most = np.where(a > 0, a * high, np.where(a < 0, a * low, 0.0)).sum(axis=1)
+        if B.any() or not (most > least).all():
+            continue
+        if _is_possible(automaton, first, a @ A, least - a @ c):
+            chains.append(_joined(automaton, first, edge, (A, c)))
+    return chains
+
+
+def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tuple[Floats, Floats]) -> ChainEdge:
+    """Two transitions as one; the first leads to A x + c."""
+    (A, c), rows, stds = arrival, list(first.guard.half_spaces), list(stds_of(first))
+    for h in second.guard.half_spaces:
+        a = np.array(h.a) @ A
+        if np.abs(a).max() > _INSIDE * np.linalg.norm(h.a):  # else it holds wherever the first leads
+            rows.append(replace(h, a=tuple(a.tolist()), c=h.c - float(np.array(h.a) @ c)))
+            stds.append(second.threshold_std)
+    reset = None
+    if not (np.array_equal(A, np.eye(automaton.n)) and not c.any() and second.reset.is_identity):
+        last, _, offset = second.reset.matrices(automaton.n, automaton.m)
+        reset = Reset(A=tuple(map(tuple, (last @ A).tolist())), c=tuple((last @ c + offset).tolist()))
+    return ChainEdge(
+        first.source,
+        second.target,
+        Region(tuple(rows)),
+        reset or Reset(),
+        entered=len(front_of(first)),
+        stds=tuple(stds),
+        through=(*_through(first), first.target),
+    )
+
+
+def _through(edge: Edge) -> tuple[str, ...]:
+    return edge.through if isinstance(edge, ChainEdge) else ()
+
+
+def _arrival(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Floats]:
+    """A, B and c of the state A x + B u + c behind an edge, with what its target pins and ties."""
+    A, B, c = edge.reset.matrices(automaton.n, automaton.m)
+    target: Mode = automaton.mode(edge.target)
+    for pin in target.pins:
+        A[pin.coordinate], B[pin.coordinate], c[pin.coordinate] = 0.0, 0.0, pin.value
+    for tie in target.ties:
+        weights, i = np.array(tie.weights), tie.coordinate
+        A[i], B[i], c[i] = weights @ A, weights @ B, tie.offset + weights @ c
+    return A, B, c
+
+
+def _box(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats]:
+    """(n,) least and largest values of the source's states at the guard, as far as single coordinates tell."""
+    source = automaton.mode(edge.source)
+    low, high = np.array([source.interval(i) for i in range(automaton.n)]).T
+    for h in edge.guard.half_spaces:
+        if h.bound is not None:
+            i, value, is_lower = h.bound
+            low[i], high[i] = (max(low[i], value), high[i]) if is_lower else (low[i], min(high[i], value))
+    front = front_of(edge)
+    if len(front) == 1 and (bound := front[0].bound) is not None and source.driven[bound.coordinate]:
+        low[bound.coordinate] = high[bound.coordinate] = bound.value
+    return low, high
+
+
+def _image(low: Floats, high: Floats, A: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """The box around the image of a box under A x + c."""
+    with np.errstate(invalid="ignore"):
+        ends = np.where(A > 0, A * high, np.where(A < 0, A * low, 0.0)), np.where(A < 0, A * high, A * low)
+    return np.where(A == 0, 0.0, ends[1]).sum(axis=1) + c, ends[0].sum(axis=1) + c
+
+
+def _is_possible(automaton: HybridAutomaton, first: Edge, rows: Floats, least: Floats) -> bool:
+    """Whether at a state where the source meets the first guard also rows @ x >= least."""
+    source = automaton.mode(first.source)
+    inside = [h for h in (*source.invariant.half_spaces, *first.guard.half_spaces) if not h.on_input]
+    A = np.vstack([rows, *(h.a for h in inside)])
+    b = np.append(least, [h.c for h in inside])
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * automaton.n
+    for pin in source.pins:
+        bounds[pin.coordinate] = (pin.value, pin.value)
+    fixed = [(np.eye(automaton.n)[tie.coordinate] - np.array(tie.weights), tie.offset) for tie in source.ties]
+    crossed = [
+        h for h in front_of(first) if not h.on_input and np.any(np.array(h.a) @ (source.B * source.free[:, None]))
+    ]
+    for h in crossed if crossed and not first.guard.on_input else [None]:
+        equal = fixed if h is None else [*fixed, (np.array(h.a), h.c)]
+        E, e = (np.array([row for row, _ in equal]), np.array([v for _, v in equal])) if equal else (None, None)
+        if linprog(np.zeros(automaton.n), A_ub=-A, b_ub=-b, A_eq=E, b_eq=e, bounds=bounds).status == 0:
+            return True
+    return False
