@@ -99,8 +99,8 @@ def inverse(
         (k,) configurations [rad or m], unique for every pose. Prismatic: along the axis. Revolute: in (-π, π]. Screw:
         the whole turns are counted by the displacement along the axis, so several turns are told apart as long as a
         turn moves the part further than the noise; with smaller pitch, give `near`. A screw of pitch 0 is
-        revolute. Rigid: `held`. Where a pose says nothing of the angle (origin on the axis and no orientation), it is 0
-        for a revolute joint and what the displacement along the axis says for a screw.
+        revolute. Rigid: `fixed_at`. Where a pose says nothing of the angle (origin on the axis and no orientation), it
+        is 0 for a revolute joint and what the displacement along the axis says for a screw.
     """
     measured = np.atleast_2d(np.asarray(position, dtype=float))
     if measured.ndim != 2 or measured.shape[1] != 3:

@@ -25,9 +25,9 @@ from micah_plan.belief.crossing import through_guards, whole_step
 from micah_plan.belief.gaussian import (
     SMALLEST_STD,
     condition_on_pins,
-    hold_at_pins,
     lower_factors,
     measured,
+    replaced_at_pins,
     those,
     with_those,
 )
@@ -190,7 +190,7 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
     for mode in layout.modes:
         own = lacking[mode.index].nonzero()[0]
         if own.size:
-            at_pins = hold_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
+            at_pins = replaced_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
             means[:, mode.index, own] = at_pins[0]
             factors[:, :, mode.index, own] = lower_factors(at_pins[1]) if mode.pinned else at_pins[1]
     return BeliefBatch.of(weights, means, factors, beliefs.n)

@@ -158,7 +158,7 @@ def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tu
     return means, factors
 
 
-def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+def replaced_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
     """Means and factors (n, k + pins, p) once a mode pins coordinates at places that its guard defines.
 
     Where the state was before tells nothing of where exactly it is pinned, so the pin replaces what was known of the
@@ -171,7 +171,7 @@ def hold_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[F
 
 
 def put_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin], column: int) -> None:
-    """As `hold_at_pins`, in place: the columns of the factors from that number on are free."""
+    """As `replaced_at_pins`, in place: the columns of the factors from that number on are free."""
     for number, pin in enumerate(pins, start=column):
         means[pin.coordinate], factors[pin.coordinate] = pin.value, 0.0
         if pin.follows is not None:

@@ -28,7 +28,7 @@ ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 AskArm = Callable[[Trajectory, Floats | None], "ArmTrajectory | ArmFailure"]
 
 MOST_REPLANS = 5
-# Steps that a late transition or a belief held at the last knot may take before a new plan is asked for.
+# Steps that a late transition or a belief that waits at the last knot may take before a new plan is asked for.
 _PATIENCE = 3
 # A belief further from its knot than this happens once in 100,000 steps if the model is right (4.4 sigma in 1-D).
 _OFF_PLAN_PROBABILITY = 1e-5

@@ -195,7 +195,7 @@ def sentence_of(shortfall: Shortfall) -> str:
     return f"{_missed(shortfall)} at knot {shortfall.row.knot} in mode '{shortfall.row.mode}'"
 
 
-def partly_held(shortfall: Shortfall) -> str:
+def partly_met(shortfall: Shortfall) -> str:
     """Which boundary a plan keeps with less than its confidence, and where most."""
     row = shortfall.row
     return (

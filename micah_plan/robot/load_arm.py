@@ -46,7 +46,7 @@ def load_arm(description: RobotDescription) -> Arm:
     tool = _tool(model, description)
     chain = [int(joint) for joint in list(model.supports[model.frames[tool].parentJoint]) if joint > 0]
     _check_chain(model, chain, checked, description)
-    positions = _held_positions(model, description)
+    positions = _locked_positions(model, description)
     locked = [joint for joint in range(1, model.njoints) if joint not in chain]
     still = [(str(model.names[i]), float(positions[model.idx_qs[i]])) for i in locked if model.joints[i].nq == 1]
     if locked:
@@ -142,7 +142,7 @@ def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, descriptio
             raise InputError(f"joint {shown(name)} has limits {low:g} and {high:g}", source=source, remedy="widen them")
 
 
-def _held_positions(model: Any, description: RobotDescription) -> Any:
+def _locked_positions(model: Any, description: RobotDescription) -> Any:
     """(nq,) positions of all joints at which those outside the chain stand."""
     q = pin.neutral(model)
     single = [model.idx_qs[joint] for joint in range(1, model.njoints) if model.joints[joint].nq == 1]

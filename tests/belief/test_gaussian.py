@@ -79,7 +79,7 @@ def test_pins_add_to_what_is_known_or_replace_it() -> None:
     gain = P[:, 1] / (P[1, 1] + 0.04)
     assert np.allclose(added[0], mean + gain * (0.7 - mean[1]))
     assert np.allclose(added[1] @ added[1].T, P - np.outer(gain, P[1]))
-    replaced = one_at_a_time.hold_at_pins(mean, factor, [pin])
+    replaced = one_at_a_time.replaced_at_pins(mean, factor, [pin])
     expected = P.copy()
     expected[1], expected[:, 1], expected[1, 1] = 0.0, 0.0, 0.04
     assert np.allclose(replaced[1] @ replaced[1].T, expected)

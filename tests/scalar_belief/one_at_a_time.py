@@ -31,8 +31,8 @@ def condition_on_pins(mean: np.ndarray, factor: np.ndarray, pins: Sequence[Pin])
     return means[:, 0], lower_factors(factors)[..., 0]
 
 
-def hold_at_pins(mean: np.ndarray, factor: np.ndarray, pins: Sequence[Pin]) -> tuple[np.ndarray, np.ndarray]:
-    means, factors = gaussian.hold_at_pins(mean[:, None], factor[..., None], pins)
+def replaced_at_pins(mean: np.ndarray, factor: np.ndarray, pins: Sequence[Pin]) -> tuple[np.ndarray, np.ndarray]:
+    means, factors = gaussian.replaced_at_pins(mean[:, None], factor[..., None], pins)
     return means[:, 0], lower_factors(factors)[..., 0]
 
 

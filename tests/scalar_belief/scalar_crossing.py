@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scalar_belief.scalar_gaussian import FAR_STDS, SMALLEST_STD, condition_on_pins, hold_at_pins, lower_factor
+from scalar_belief.scalar_gaussian import FAR_STDS, SMALLEST_STD, condition_on_pins, lower_factor, replaced_at_pins
 from scalar_belief.scalar_truncation import Part, split
 
 from micah_plan.automaton.effects.motion import displaced
@@ -251,7 +251,7 @@ def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) ->
     n = piece.n
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     located = automaton.pins_located_by(edge)
-    mean, factor = hold_at_pins(piece.mean, lower_factor(piece.factor), located)
+    mean, factor = replaced_at_pins(piece.mean, lower_factor(piece.factor), located)
     displacement = piece.displacement.copy()
     for pin in target.pins:
         mean[n + pin.coordinate], factor[n + pin.coordinate] = mean[pin.coordinate], factor[pin.coordinate]

@@ -158,7 +158,7 @@ def _assembled(
     overall = _merged(pieces)
     for mode in automaton.modes:
         if mode.name not in gaussians:
-            gaussians[mode.name] = gaussian.hold_at_pins(*overall, mode.pins)
+            gaussians[mode.name] = gaussian.replaced_at_pins(*overall, mode.pins)
     ordered = [gaussians[mode.name] for mode in automaton.modes]
     means, factors = (np.stack([pair[i] for pair in ordered]) for i in (0, 1))
     if remembered is not None:

@@ -84,7 +84,7 @@ def condition_on_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tupl
     return mean, factor
 
 
-def hold_at_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
+def replaced_at_pins(mean: Floats, factor: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
     """Mean and factor once a mode holds its pins at places that its guard defines.
 
     Where the state was before tells nothing of where exactly it is held, so the pin replaces what was known of the

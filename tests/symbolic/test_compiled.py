@@ -176,7 +176,7 @@ def test_belief_functions_equal_their_numpy_twins(
         moved = gaussian.reset(mean, factor, u, edge.reset)
         located = automaton.pins_located_by(edge)
         others = automaton.pins_met_by(edge)
-        twins = one_at_a_time.condition_on_pins(*one_at_a_time.hold_at_pins(*moved, located), others)
+        twins = one_at_a_time.condition_on_pins(*one_at_a_time.replaced_at_pins(*moved, located), others)
         ours = call(compiled_edge(automaton, number).belief_reset, mean, factor, u)
         # Two pins that follow one coordinate leave a pivot of about the smallest std, which costs digits.
         assert np.allclose(ours[0], twins[0], rtol=1e-8, atol=1e-8 * max(1.0, scale))

@@ -142,7 +142,7 @@ def _roll(
         needed.append(input_length(path, B, limits))
         inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
-            # What the guard asks for while the object is still held, as large as it may be.
+            # What the guard asks for while the object is still pinned, as large as it may be.
             inputs[:] = limits.max_step * np.sign(sum(np.array(h.b) for h in automaton.edges[edge].guard.half_spaces))
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.planning.findings import partly_held, sentence_of
+from micah_plan.planning.findings import partly_met, sentence_of
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.transcription.layout import unpack
 from micah_plan.planning.transcription.programme import Transcription
 from micah_plan.planning.transcription.rows import NEGLIGIBLE, Row, Shortfall
 
-# Slack in steps from which a boundary counts as held only in part.
+# Slack in steps from which a boundary counts as met only in part.
 _VISIBLE_SLACK = 1e-3
 # Weight of the plan's own cost where the least violation is looked for: it only makes the answer unique.
 _ELASTIC_COST = 1e-5
@@ -53,7 +53,7 @@ def solve(nlp: Transcription, time_limit_s: float) -> BeliefPath:
     if not found.is_number:
         worst = "; ".join(map(sentence_of, _worst(nlp, found.w, found.rows))) or "the cost is not a number"
         return path_of(nlp, replace(found, said=f"{found.said}: {worst}"))
-    return path_of(nlp, found, tuple(_held_in_part(nlp, found.w)) if found.is_feasible else ())
+    return path_of(nlp, found, tuple(_met_in_part(nlp, found.w)) if found.is_feasible else ())
 
 
 def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
@@ -129,7 +129,7 @@ def blocks_of(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, 
     return list(zip(blocks[::3], blocks[1::3], blocks[2::3], strict=True))
 
 
-def _held_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
+def _met_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
     """For each boundary that does not hold at k-sigma somewhere: where it is missed most."""
     worst: dict[tuple[str, str], tuple[float, int, float]] = {}
     for phase, (_, _, slacks) in zip(nlp.phases, blocks_of(nlp, w), strict=True):
@@ -174,7 +174,7 @@ def path_of(nlp: Transcription, found: Solution, in_part: tuple[Shortfall, ...] 
     return BeliefPath(
         feasible=found.is_feasible,
         cost=found.cost,
-        message="; ".join([found.said, *map(partly_held, in_part)]),
+        message="; ".join([found.said, *map(partly_met, in_part)]),
         is_out_of_time=found.is_out_of_time,
         iterations=found.iterations,
         modes=tuple(phase.mode for phase in nlp.guess for _ in range(phase.steps + 1)),
