@@ -10,7 +10,10 @@ from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.input_memory import with_memory_states
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.thresholds import (
     boundaries_of_pins,
@@ -108,6 +111,19 @@ def test_pins_at_a_boundary_follow_it_and_share_their_std_with_it() -> None:
     (found,) = with_boundary_states(automaton).modes[1].pins
     assert found.follows == automaton.n
     assert found.std == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_memory_of_inputs_and_known_boundaries_do_not_depend_on_their_order(name: str) -> None:
+    automaton = blurred(OBJECTS[name]())
+    late = Effect("delay", automaton.coordinate_names[0], (("steps", 1.4),))
+    edges = tuple(replace(edge, reset=Reset()) for edge in automaton.edges if not edge.is_self_transition)
+    automaton = with_effect(replace(automaton, edges=edges), late)
+    by = np.linspace(-0.02, 0.03, threshold_stds(automaton).size)
+    stds = 0.5 * threshold_stds(automaton)
+    whole = with_memory_states(automaton)
+    assert whole.n > automaton.n
+    assert with_boundaries(whole, by, stds) == with_memory_states(with_boundaries(automaton, by, stds))
 
 
 def test_a_certain_automaton_is_left_alone() -> None:
