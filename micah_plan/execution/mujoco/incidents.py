@@ -22,9 +22,8 @@ LARGEST_SHIFT = 0.01
 LARGEST_TILT = 0.1
 _SCENE, _OBJECT, _ARM = 0, 1, 2
 # Sensors, by what their names begin with: how deep the object or the arm is in anything; how often they meet what they
-# may not; how often both, and the parts of the object, meet a body that the object may touch.
-_DEPTH, _FORBIDDEN = "depth/", "forbidden/"
-_BY_BOTH, _BY_IN_HAND, _BY_MOVING = "by both/", "by in hand/", "by moving/"
+# may not; how often both, and the object alone, meet a body that the object may touch.
+_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT = "depth/", "forbidden/", "by both/", "by object/"
 # What MuJoCo's contact sensors show, how contacts are chosen, and how many.
 _COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
 
@@ -34,10 +33,10 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
 
     Args:
         touchable: names of bodies that the object, but no arm, may push against.
-        grip: names the two parts of the object, of which an arm could hit the moving one.
+        grip: names the moving part of the object, which an arm could hit.
     """
     mujoco, world = scene.mujoco, scene.spec
-    in_hand, moving = OBJECT + grip.held.name, OBJECT + grip.moving.name
+    hand, moving = OBJECT + "hand", OBJECT + grip.moving.name
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 
     def add(role: str, shown: list[int], name: str, other: str = "", what: Any = subtree) -> None:
@@ -45,7 +44,7 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
         sensor = {"name": f"{role}{len(world.sensors)}", "objtype": what, "objname": name, "intprm": shown, **meets}
         world.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, **sensor)
 
-    carried = world.body(in_hand)  # below this body is all that moves the object, and the object
+    carried = world.body(hand)  # below this body is all that moves the object, and the object
     while carried.parent.name != "world":
         carried = carried.parent
     bodies = list(world.worldbody.bodies)
@@ -55,8 +54,7 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
         for name in fixed:
             if root == carried.name and name.removeprefix(SCENE) in touchable:
                 add(_BY_BOTH, _COUNT, root, name)
-                add(_BY_IN_HAND, _COUNT, in_hand, name, body)
-                add(_BY_MOVING, _COUNT, moving, name, body)
+                add(_BY_OBJECT, _COUNT, hand, name)
             else:
                 add(_FORBIDDEN, _COUNT, root, name)
         if not root.startswith(OBJECT):
@@ -80,7 +78,7 @@ class Watch:
         self._loose = {i: name for i, name, kind in things if kind == _SCENE and model.body_dofnum[i] > 0}
         self._touchable = touchable
         sensors = [model.sensor(number) for number in range(model.nsensor)]
-        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_IN_HAND, _BY_MOVING)
+        roles = (_DEPTH, _FORBIDDEN, _BY_BOTH, _BY_OBJECT)
         self._columns = [[int(s.adr[0]) for s in sensors if s.name.startswith(role)] for role in roles]
         self._pose: dict[int, Floats] = {}
         self.incident = ""
@@ -107,9 +105,9 @@ class Watch:
 
         After an incident none is.
         """
-        depth, forbidden, by_both, by_in_hand, by_moving = (seen[:, columns] for columns in self._columns)
+        depth, forbidden, by_both, by_object = (seen[:, columns] for columns in self._columns)
         deep = (depth < -LARGEST_PENETRATION).any(axis=1)
-        by_arm = (by_both > by_in_hand + by_moving).any(axis=1)
+        by_arm = (by_both > by_object).any(axis=1)
         return np.asarray((deep | forbidden.any(axis=1) | by_arm) & (not self.incident))
 
     def _collision(self) -> str:
