@@ -1,7 +1,8 @@
 """Effects that remember earlier inputs: as a channel that inputs pass through, and as coordinates of the state.
 
-A delay remembers the inputs of the last steps, a lag the command that arrives, a backlash the place within the play.
-What comes out of a memory is the same formula (`EffectForm.remember`) wherever it is kept:
+A delay remembers the inputs of the last steps, a lag the command that arrives, a backlash the place within the play,
+and a part that follows places those of the last steps and its velocity. What comes out of a memory is the same formula
+(`EffectForm.respond`) wherever it is kept:
 
 - An `InputChannel` keeps it beside the state, for one run or many: plants, roll-outs and predictions send inputs
   through it before they reach the automaton's step.
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.effects.form import Operations, Value
+from micah_plan.automaton.effects.form import REMEMBERING, Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
@@ -57,9 +58,27 @@ def own_size(automaton: HybridAutomaton) -> int:
     return automaton.n - sum(memory.size for memory in automaton.input_memories)
 
 
-def memory_at_rest(automaton: HybridAutomaton) -> tuple[float, ...]:
-    """(k,) the values of m before any input; empty where the automaton has none."""
-    return tuple(value for memory in automaton.input_memories for value in _at_rest(memory.effect))
+def memory_at_rest(automaton: HybridAutomaton, x: Sequence[float] | None = None) -> tuple[float, ...]:
+    """(k,) the values of m before any input in a state (n,), None: at 0; empty where the automaton has none."""
+    start = np.zeros(automaton.n) if x is None else x
+    return tuple(
+        float(value) for own in automaton.input_memories for value in _at_rest(own.effect, start[own.coordinate])
+    )
+
+
+def towards(automaton: HybridAutomaton, at: Floats, x: Floats, u: Floats) -> Floats:
+    """The inputs (..., m) at x (..., n) that lead to the places to which u (..., m) leads from `at` (..., n).
+
+    Where commands mean displacements (no `follow`) they stay as they are: those are the same from wherever.
+    """
+    given = u
+    for effect in automaton.effects:
+        if form(effect.name).layer == "place":
+            i = automaton.index(effect.coordinate)
+            j, scale = _strongest_input(automaton, effect)
+            given = given.copy() if given is u else given
+            given[..., j] += (at[..., i] - x[..., i]) / scale
+    return given
 
 
 def passed_on(
@@ -77,7 +96,7 @@ def passed_on(
     """
     passed, after = list(u), dict[int, Value]()
     for own in memories:
-        out, kept = _through(ops, own, passed[own.input], tuple(x[own.coordinates]))
+        out, kept = _through(ops, own, x[own.coordinate], passed[own.input], tuple(x[own.coordinates]))
         after |= dict(enumerate(kept, start=own.first))
         if own.effect.acts_in(mode):
             passed[own.input] = out
@@ -102,18 +121,23 @@ class InputChannel:
         """Args: the model, and what its effects remember; left out: they are at rest."""
         self._memories = _memories(automaton, _strongest_input)
         self._acts = [np.array([own.effect.acts_in(q) for q in automaton.mode_names]) for own in self._memories]
-        self._kept = [tuple((memory or {}).get(own.effect, _at_rest(own.effect))) for own in self._memories]
+        self._kept: list[tuple[Value, ...] | None] = [None] * len(self._memories)
+        for k, own in enumerate(self._memories):
+            self._kept[k] = tuple(memory[own.effect]) if memory and own.effect in memory else None
 
-    def pass_on(self, u: ArrayLike, mode: str | Ints = "") -> Floats:
+    def pass_on(self, u: ArrayLike, mode: str | Ints = "", x: Floats | None = None) -> Floats:
         """The input (..., m) that reaches the automaton when u (..., m) is commanded: one call per step.
 
         Args:
             mode: name of the mode, or the index of each run's mode (t,).
+            x: (..., n) states from which the inputs lead; None: 0, for effects that do not depend on them.
         """
         passed = np.array(u, dtype=float)
         for k, own in enumerate(self._memories):
             sent = passed[..., own.input].copy()
-            out, self._kept[k] = _through(np, own, sent, self._kept[k])
+            c = 0.0 * sent if x is None else x[..., own.coordinate]
+            kept = self._kept[k]
+            out, self._kept[k] = _through(np, own, c, sent, _at_rest(own.effect, c) if kept is None else kept)
             acts = own.effect.acts_in(mode) if isinstance(mode, str) else self._acts[k][mode]
             passed[..., own.input] = np.where(acts, out, sent)
         return passed
@@ -129,7 +153,7 @@ def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...
     lines = []
     for effect in automaton.effects:
         layer, why = form(effect.name).layer, ""
-        if layer == "memory" and (memory or _only_input(automaton, effect) is None):
+        if layer in REMEMBERING and (memory or _only_input(automaton, effect) is None):
             why = "it depends on earlier inputs"
         elif layer == "frame" and effect.coordinate in carried:
             why = "commands are given in the base frame"
@@ -139,14 +163,16 @@ def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...
     return tuple(lines)
 
 
-def _through(ops: Operations, own: InputMemory, u: Value, kept: tuple[Value, ...]) -> tuple[Value, tuple[Value, ...]]:
-    """The input that comes out of one memory, and its next values."""
-    out, after = form(own.effect.name).remember(ops, own.scale * u, kept, own.effect.values)
+def _through(
+    ops: Operations, own: InputMemory, c: Value, u: Value, kept: tuple[Value, ...]
+) -> tuple[Value, tuple[Value, ...]]:
+    """The input that comes out of one memory at configuration c, and its next values."""
+    out, after = form(own.effect.name).respond(ops, c, own.scale * u, kept, own.effect.values)
     return out / own.scale, after
 
 
-def _at_rest(effect: Effect) -> tuple[float, ...]:
-    return tuple(map(float, form(effect.name).at_rest(effect.values)))
+def _at_rest(effect: Effect, c: Value = 0.0) -> tuple[Value, ...]:
+    return form(effect.name).at_rest_in(c, effect.values)
 
 
 def _memories(
@@ -156,9 +182,10 @@ def _memories(
     found: list[InputMemory] = []
     first = automaton.n
     for effect in automaton.effects:
-        given = input_of(automaton, effect) if form(effect.name).layer == "memory" else None
+        given = input_of(automaton, effect) if form(effect.name).layer in REMEMBERING else None
         if given is not None:
-            found.append(InputMemory(effect, *given, first, len(_at_rest(effect))))
+            i, (j, scale) = automaton.index(effect.coordinate), given
+            found.append(InputMemory(effect, j, i, scale, first, len(_at_rest(effect))))
             first += found[-1].size
     return tuple(found)
 

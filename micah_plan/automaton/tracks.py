@@ -32,6 +32,8 @@ class Track:
         u: (T-1, m) commanded displacement of the configuration, from the actions by the inverse Jacobian; None if
             the recording has no actions.
         action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
+        believed: (T, n) configuration that the controller believed, NaN where it is not told; None if it never is.
+        is_outside: whether `x` was measured by something else than the controller's own sensor, such as a ruler.
     """
 
     run: int
@@ -41,6 +43,15 @@ class Track:
     x: Floats
     u: Floats | None
     action: Floats | None = None
+    believed: Floats | None = None
+    is_outside: bool = False
+
+    @property
+    def origin(self) -> Floats:
+        """(T, n) configurations that commands lead from: believed ones, where the log was measured from outside."""
+        if self.believed is None or not self.is_outside:
+            return self.x
+        return np.asarray(np.where(np.isfinite(self.believed), self.believed, self.x))
 
 
 def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
@@ -61,13 +72,26 @@ def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
 def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...]:
     """Every run of a recording in the automaton's coordinates.
 
+    Effects of sensors are taken out of what was read with them: of the measured poses or, where a log was measured by
+    something else than the controller's own sensor, of what the controller believed. That is so if it agrees better.
+
     Parts are matched to links by name; a recording without a part column matches an automaton with a single link.
 
     Raises:
         InputError: if parts and links do not match, or the parts of a run were not measured at the same times.
     """
     names = _part_of_link(automaton, recording)
-    return tuple(_track(automaton, recording.select(run=run), run, names) for run in recording.runs)
+    runs = {run: recording.select(run=run) for run in recording.runs}
+    inside = tuple(_track(automaton, rows, run, names, is_outside=False) for run, rows in runs.items())
+    if inside[0].believed is None or not any(form(effect.name).layer == "sensor" for effect in automaton.effects):
+        return inside
+    outside = tuple(_track(automaton, rows, run, names, is_outside=True) for run, rows in runs.items())
+    return outside if _disbelief(outside) < _disbelief(inside) else inside
+
+
+def _disbelief(found: tuple[Track, ...]) -> float:
+    """Sum of squares of what was believed minus what was measured [rad² or m²]."""
+    return float(sum(np.nansum((track.believed - track.x) ** 2) for track in found if track.believed is not None))
 
 
 def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str, ...]:
@@ -84,7 +108,7 @@ def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str
     return children
 
 
-def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[str, ...]) -> Track:
+def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[str, ...], *, is_outside: bool) -> Track:
     by_link = [rows.select(part=name) for name in names]
     time = by_link[0].time
     for name, part in zip(names, by_link, strict=True):
@@ -95,16 +119,42 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
                 remedy="write one row per part and time",
             )
     named = dict(zip(names, by_link, strict=True))
-    relative = [_relative(named, link) for link in automaton.links]
-    position = np.stack([r.position for r in relative], axis=1)
-    quaternions = [r.quaternion for r in relative if r.quaternion is not None]
-    quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
-    x = read_by_sensors(automaton, configurations(automaton, position, quaternion), time - time[:1])
+    relative, position, quaternion, x = _seen(automaton, named)
+    since, believed = time - time[:1], _believed(automaton, named)
+    if is_outside and believed is not None:
+        believed = read_by_sensors(automaton, believed, since)
+    else:
+        x = read_by_sensors(automaton, x, since)
     u = actions = None
     if all(part.action is not None for part in by_link):
         actions = _relative_actions(automaton, by_link, relative, x)
         u = displacements(automaton, x, actions)
-    return Track(run, time, position, quaternion, x, u, actions)
+    return Track(run, time, position, quaternion, x, u, actions, believed, is_outside and believed is not None)
+
+
+def _seen(
+    automaton: HybridAutomaton, named: dict[str, Recording]
+) -> tuple[list[Recording], Floats, Floats | None, Floats]:
+    """Each link's rows relative to its parent, their positions and quaternions, and the configurations they show."""
+    relative = [_relative(named, link) for link in automaton.links]
+    position = np.stack([r.position for r in relative], axis=1)
+    quaternions = [r.quaternion for r in relative if r.quaternion is not None]
+    quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
+    return relative, position, quaternion, configurations(automaton, position, quaternion)
+
+
+def _believed(automaton: HybridAutomaton, named: dict[str, Recording]) -> Floats | None:
+    """(T, n) configurations that the controller believed, NaN where a pose is missing; None if all are."""
+    poses = {name: part.believed() for name, part in named.items()}
+    told = {name: part for name, part in poses.items() if part is not None}
+    if len(told) < len(poses):
+        return None
+    is_known = np.all([np.isfinite(part.position).all(axis=1) for part in told.values()], axis=0)
+    if not is_known.any():
+        return None
+    found = np.full((len(is_known), automaton.n), np.nan)
+    found[is_known] = _seen(automaton, {name: part.rows(is_known) for name, part in told.items()})[3]
+    return found
 
 
 def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Floats:
@@ -185,11 +235,12 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     Raises:
         InputError: if the first mode does not tell the inputs apart.
     """
+    followed = {automaton.index(own.coordinate) for own in automaton.effects if form(own.name).layer == "place"}
     u = np.zeros((len(action), automaton.n))
     for number, link in measuring_links(automaton):
         joint, c = automaton.moving_joint(number), x[: len(action), link.coordinate]
         meant = in_base_frame(automaton, link.coordinate, action[:, number])
-        u[:, link.coordinate] = commanded(joint, c, meant)
+        u[:, link.coordinate] = (aimed if link.coordinate in followed else commanded)(joint, c, meant)
     if automaton.m == automaton.n:
         return u
     effect = np.array(automaton.modes[0].B)
@@ -209,6 +260,13 @@ def commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
         return _around(jacobian(joint, c)[:, 3:], np.array(joint.axis), action)
     along = inverse_jacobian(joint, c, action)
     return _on_arc(joint, c, action, along) if joint.kind == "screw" else along
+
+
+def aimed(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """Displacements (k,) from c (k,) to the point of the joint next to the places to which actions (k, 3) [m] lead."""
+    place = inverse(joint, forward(joint, c).translation + action, near=c)
+    lever = np.linalg.norm(jacobian(joint, c)[:, 3:], axis=1)
+    return np.asarray(np.where(np.isfinite(place) & (lever > _NO_LEVER), place - c, 0.0))
 
 
 def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:

@@ -74,12 +74,14 @@ def _automaton_of(path: Path) -> HybridAutomaton:
 def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
     """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
     from micah_plan.residual.judgement import judge
+    from micah_plan.residual.prediction import estimate_errors
 
     judged = judge(automaton, runs)
     return {
         "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
         "one_step": _rmse([run.one_step for run in runs]),
         "rollout": _rmse([run.rollout for run in runs]),
+        **_estimate(estimate_errors(runs)),
         "noise_floor": {
             name: None if floor is None else _errors(floor.position, floor.rotation, floor.configuration)
             for name, floor in (("one_step", judged.one_step), ("rollout", judged.rollout))
@@ -98,6 +100,10 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dic
         ],
         "per_mode": _per_mode(runs),
     }
+
+
+def _estimate(errors: tuple[float, float] | None) -> dict[str, Any]:
+    return {} if errors is None else {"estimate": {"rmse": errors[0], "final_error": errors[1]}}
 
 
 def _errors(position: float, rotation: float | None, configuration: float) -> dict[str, float | None]:
@@ -135,6 +141,11 @@ def _print_predicted(summary: dict[str, Any]) -> None:
         shown.add_row("  noise alone", *(_three(floor, unit) if floor else ("unknown",) * 3))
     out.print(shown)
     out.print(summary["whiteness"]["verdict"], markup=False)
+    if "estimate" in summary:
+        size, last = (
+            quantity(summary["estimate"][key], summary["configuration_unit"]) for key in ("rmse", "final_error")
+        )
+        out.print(f"what the controller believed was {size} beside what was measured, at the end {last}", markup=False)
     changes = summary["mode_changes"]
     both = [c["predicted_s"] - c["measured_s"] for c in changes if None not in (c["predicted_s"], c["measured_s"])]
     if changes:

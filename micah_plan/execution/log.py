@@ -13,9 +13,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.plant import Measurement
 from micah_plan.execution.pose import chain, components, moving_joints
-from micah_plan.recording.value import DEFAULT_PART, Recording
-
-ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+from micah_plan.recording.value import DEFAULT_PART, ESTIMATE, Recording
 
 
 class RunLog:

@@ -61,7 +61,8 @@ class NominalPlant:
         if self._tracker is None:
             raise RuntimeError("apply before reset")
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
-        after = step(self._true, self._mode, self._x, self._channel.pass_on(command.input, self._mode), disturbance)
+        given = self._channel.pass_on(command.input, self._mode, self._x)
+        after = step(self._true, self._mode, self._x, given, disturbance)
         self._mode, self._x = after.mode, after.x
         self._time += self._period
         return self._measure(self._tracker, self._period)

@@ -35,7 +35,8 @@ def with_input_memory(problem: Problem) -> Problem:
     whole = with_memory_states(problem.automaton)
     if whole is problem.automaton:
         return problem
-    rest, start = memory_at_rest(whole), problem.start
+    start = problem.start
+    rest = memory_at_rest(whole, start.mean)
     start = replace(start, mean=start.mean + rest, std=start.std + (0.0,) * len(rest))
     return replace(problem, automaton=whole, start=start)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
-from micah_plan.automaton.input_memory import InputChannel
+from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.thresholds import drawn_shifts
 from micah_plan.automaton.transition_batch import TransitionBatch
@@ -98,14 +98,15 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         u = feedback_input(trajectory, int(knot), estimate)
         for number, rows in alike(believed):
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
-        modes, x = chances.objects.step(modes, x, channel.pass_on(u, modes), chances.process[step])
+        given = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
+        modes, x = chances.objects.step(modes, x, given, chances.process[step])
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
         beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
         if problem.constraints:
             path.add(modes, x, u, beliefs.factors[everyone, beliefs.most_likely])
     nothing = np.zeros((trials, automaton.m))
     for _ in range(steps_of_memory(whole, limits.max_step)[1]):
-        modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes), np.zeros_like(x))
+        modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes, x), np.zeros_like(x))
         beliefs = predict(whole, beliefs, nothing)
         if problem.constraints:
             path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 DEFAULT_PART = "part"
 _ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known
 
+ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+"""Extra columns with the pose that the controller believed when it chose the action; orientation may be missing."""
+
 COLUMNS = {
     "time": ("t",),
     "position": ("x", "y", "z"),
@@ -109,6 +112,26 @@ class Recording:
 
         rotation = Rotation.identity(len(self)) if self.quaternion is None else Rotation.from_quat(self.quaternion)
         return RigidTransform.from_components(self.position, rotation)
+
+    def believed(self) -> Recording | None:
+        """The rows with the poses that the controller believed, NaN where empty; None without such columns.
+
+        Raises:
+            InputError: if one of their values is no number.
+        """
+        if any(name not in self.extra for name in ESTIMATE[:3]):
+            return None
+        given = [name for name in ESTIMATE if name in self.extra]
+        values = np.array([[self._number(name, row) for name in given] for row in range(len(self))])
+        turned = values[:, 3:] if given == list(ESTIMATE) else None
+        return replace(self, position=values[:, :3], quaternion=turned)
+
+    def _number(self, name: str, row: int) -> float:
+        text = self.extra[name][row].strip()
+        try:
+            return float(text) if text else float("nan")
+        except ValueError:
+            raise InputError(f"column {name}, row {row + 1}: expected a number. Got {text!r}") from None
 
     def rows(self, index: Any) -> Recording:
         """The rows that a NumPy index (integers, slice or booleans) selects, in that order."""

@@ -20,13 +20,14 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.added_mode import with_missing_modes
 from micah_plan.residual.candidates import Candidate
-from micah_plan.residual.geometry import geometry_findings, scatter_across
+from micah_plan.residual.geometry import DirectFinding, geometry_findings, scatter_across
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.pure_error import correctable_share
-from micah_plan.residual.simulation import GATES, Kind
+from micah_plan.residual.reading import reading_findings
+from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
@@ -119,7 +120,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     seen = tracks(automaton, recording)
     _check_same_object(automaton, seen)
     geometry = geometry_findings(automaton, seen)
-    corrected = with_effect(automaton, *(found.effect for found in geometry))
+    read = reading_findings(automaton, seen)
+    corrected = with_effect(automaton, *(found.effect for found in (*geometry, *read)))
     measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
     if sum(len(track.time) for track in measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
@@ -130,7 +132,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         trace(lane, _shared(progress, number, len(able)) if progress else None) for number, lane in enumerate(able)
     )
     corrected, traces = with_missing_modes(corrected, traces, measured)
-    found = [_geometry_effect(own.effect, own.std, own.evidence) for own in geometry]
+    found = [_direct_effect(own) for own in (*geometry, *read)]
     for one in traces:
         found += [_found(one.lane, finding) for finding in one.findings]
     found.sort(key=lambda effect: -effect.evidence)
@@ -142,7 +144,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
         across, arm = scatter_across(corrected, measured)
         floor = float(np.hypot(across, arm * floor))
-    answer = overall([one.verdict for one in traces] + (["explained"] if geometry else []))
+    answer = overall([one.verdict for one in traces] + (["explained"] if geometry or read else []))
     return Calibration(
         automaton=improved,
         verdict=answer,
@@ -152,7 +154,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         noise_floor=floor,
         unexplained_fraction=max((one.unexplained_fraction for one in traces), default=0.0),
         traces=traces,
-        notes=_notes(traces),
+        notes=(*_notes(traces), *_told_of_beliefs(corrected, seen, measured)),
         experiment=_next_experiment(found, traces),
     )
 
@@ -199,7 +201,25 @@ def _experiment(lane: Lane, finding: Finding) -> str:
     return experiments.for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
 
 
-def _geometry_effect(effect: Effect, std: Sequence[float], evidence: float) -> FoundEffect:
+def _told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
+    """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
+    if not any(track.is_outside for track in after):
+        return []
+    notes = []
+    for i, coordinate in enumerate(corrected.coordinates):
+        ends = [
+            float(np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in own if track.believed is not None]))
+            for own in (before, after)
+        ]
+        was, now = (quantity(end, coordinate.unit, digits=2) for end in ends)
+        notes.append(
+            f"{coordinate.name}: runs ended {was} beside what the controller believed, {now} with its sensor corrected"
+        )
+    return notes
+
+
+def _direct_effect(found: DirectFinding) -> FoundEffect:
+    effect, std, evidence = found.effect, found.std, found.evidence
     own = form(effect.name)
     reach = 0.5 * _STDS_WIDE
     interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
@@ -246,11 +266,11 @@ def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:
 
 
 def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
-    def size(kind: Kind) -> float:
-        errors = [one.search.errors(one.final if is_final else one.nominal, kind)[one.lane.counted] for one in traces]
-        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-
-    return ResidualSize(size("one_step"), size("rollout"))
+    models = [(one, one.final if is_final else one.nominal) for one in traces]
+    steps = [one.search.errors(model, "one_step")[one.lane.counted] for one, model in models]
+    rolls = [one.search.rollout_errors(model) for one, model in models]
+    one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
+    return ResidualSize(one_step, rollout)
 
 
 def _pose_size(automaton: HybridAutomaton, recording: Recording) -> ResidualSize:

@@ -51,7 +51,7 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
     """All forms that the lane can show, each acting always and everywhere."""
     found = []
     for own in forms():
-        if own.name == "unexplained" or own.layer == "geometry":
+        if own.name == "unexplained" or own.layer in ("geometry", "place"):
             continue
         made = _STARTS[own.name](lane) if own.name in _STARTS else _plain(own, lane)
         if made is not None:
@@ -238,6 +238,7 @@ def _guard_hysteresis(lane: Lane) -> _Made:
 
 _STARTS = {
     "drift": _drift,
+    "sensor_offset": lambda _: None,  # motion does not show it, see `reading`
     "sensor_scale": _sensor_scale,
     "frame_rotation": _frame_rotation,
     "delay": _delay,

@@ -34,8 +34,8 @@ _BY_ORIENTATION = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class GeometryFinding:
-    """A change of a joint that held-out poses ask for."""
+class DirectFinding:
+    """An effect that held-out poses ask for by themselves, whatever moved the part."""
 
     effect: Effect
     std: tuple[float, ...]
@@ -63,7 +63,7 @@ class _Rows:
         return np.asarray(self.direction[:, None] == np.arange(self.direction.max() + 1), dtype=float)
 
 
-def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[GeometryFinding, ...]:
+def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
     """Changes of turning joints that predict held-out poses clearly better; the best one per coordinate."""
     found = []
     for number, link in measuring_links(automaton):
@@ -142,7 +142,7 @@ def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -
     return axial, radial
 
 
-def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) -> GeometryFinding | None:
+def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) -> DirectFinding | None:
     if len(rows.residual) < _FEWEST_ROWS or np.ptp(rows.regressors[:, 0]) < 1e-6:
         return None
     without = rows.constants
@@ -168,7 +168,7 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
     pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
     spread = tuple(float(s) for s in std)
-    return GeometryFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
+    return DirectFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
 
 
 def _predicts(rows: _Rows, design: Floats, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:

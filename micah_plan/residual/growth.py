@@ -149,8 +149,8 @@ def scored_all(
 
 def _without_idle(search: Search, pair: Scored, base: Scored) -> Scored:
     """A model of two effects, or of one of them fitted again if the other does not pay."""
-    alone = [search.score(pair.parts[:1]), search.score(pair.parts[1:]), base]
-    best = max([one for one in alone if one.names], key=lambda one: float(one.density.sum()))
+    alone = [search.score((*pair.parts[:-2], one)) for one in pair.parts[-2:]]
+    best = ranked([*alone, *((base,) if base.names else ())])[0]
     return pair if is_worth(pair, best, search.lane) else best
 
 
@@ -216,4 +216,5 @@ def shortens(search: Search, better: Scored, base: Scored) -> bool:
 
 
 def _errors(search: Search, scored: Scored, kind: Kind) -> float:
-    return float(np.sum(search.errors(scored, kind) ** 2))
+    errors = search.rollout_errors(scored) if kind == "rollout" else search.errors(scored, kind)
+    return float(np.sum(errors**2))

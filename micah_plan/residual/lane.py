@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,13 +13,15 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.tracks import Track, measuring_links
+from micah_plan.automaton.tracks import Track, aimed, in_base_frame, measuring_links
 
 # Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
 WARM_UP = 15
 # Stretches of long runs have this many rows; fewer rows are read than `MOST_ROWS`, evenly over the recording.
 _LONGEST = 250
 MOST_ROWS = 20_000
+# Roll-outs go over whole runs, up to this many rows.
+_LONGEST_ROLLOUT = 3000
 # With fewer runs than this, stretches of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
@@ -33,6 +37,7 @@ class Lane:
         coordinate, index, unit: of the coordinate.
         z: (S, T) measured configuration [rad or m].
         u: (S, T) command from each row to the next, projected on the joint [rad or m]; 0 where there is none.
+        place: (S, T) to which the command of each row leads if it means a place [rad or m].
         counted: (S, T) whether the step to this row counts; never at column 0.
         time: (S, T) since the start of the run [s].
         order: (S, T) place in the recording, from 0 to 1.
@@ -47,6 +52,9 @@ class Lane:
         rows: of the recording, before stretches were chosen.
         modes: names of the automaton's modes.
         motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
+        is_outside: whether commands lead from what was believed, and something else measured the part.
+        whole: the same rows in uncut runs, for roll-outs of their full length.
+        stretch: (S, T) of a whole lane: number of the stretch in which a row counts, -1 if in none.
     """
 
     coordinate: str
@@ -54,6 +62,7 @@ class Lane:
     unit: str
     z: Floats
     u: Floats
+    place: Floats
     counted: Booleans
     time: Floats
     order: Floats
@@ -69,6 +78,9 @@ class Lane:
     rows: int
     modes: tuple[str, ...]
     motion_noise: float = 0.0
+    is_outside: bool = False
+    whole: Lane | None = None
+    stretch: Ints | None = None
 
     @property
     def process_profile(self) -> Floats:
@@ -108,11 +120,20 @@ class Lane:
 
 def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, ...]:
     """The lanes of all coordinates that some mode moves."""
-    return tuple(
-        _lane(automaton, tracks, number, link.coordinate)
-        for number, link in measuring_links(automaton)
-        if any(mode.driven[link.coordinate] for mode in automaton.modes)
-    )
+    stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
+    kept, found = _thinned(stretches), []
+    of_rows = [np.full(len(track.time), -1) for track in tracks]
+    for s, piece in enumerate(kept):
+        of_rows[piece.track][piece.start + 1 : piece.end] = s
+    for number, link in measuring_links(automaton):
+        if any(mode.driven[link.coordinate] for mode in automaton.modes):
+            lane, whole = (_lane(automaton, tracks, number, link.coordinate, own) for own in (kept, runs))
+            stretch = np.full(whole.z.shape, -1)
+            for s, piece in enumerate(runs):
+                stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
+            stretch[:, 0] = -1
+            found.append(replace(lane, whole=replace(whole, counted=stretch >= 0, stretch=stretch)))
+    return tuple(found)
 
 
 def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
@@ -132,29 +153,49 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
     return np.asarray(np.argmin(np.stack(misfits), axis=0))
 
 
-def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: int) -> Lane:
-    pieces: list[tuple[Track, int, int, int, float]] = []
+@dataclass(frozen=True)
+class _Piece:
+    """Rows of a track: read from `first` on, counted after `start`, up to `end`; `order` of the track's first row."""
+
+    track: int
+    first: int
+    start: int
+    end: int
+    order: float
+
+
+def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int, int, int]]]) -> list[_Piece]:
+    pieces, passed = [], 0
     total = sum(len(track.time) for track in tracks)
-    passed = 0
-    for track in tracks:
-        for first, start, end in _cuts(len(track.time), len(tracks)):
-            pieces.append((track, first, start, end, passed / total))
+    for number, track in enumerate(tracks):
+        pieces += [_Piece(number, *cut, passed / total) for cut in cuts(len(track.time), len(tracks))]
         passed += len(track.time)
-    kept = _thinned(pieces)
-    longest = max(end - first for _, first, _, end, _ in kept)
+    return pieces
+
+
+def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: int, kept: list[_Piece]) -> Lane:
+    total = sum(len(track.time) for track in tracks)
+    longest = max(piece.end - piece.first for piece in kept)
     shape = (len(kept), longest)
-    z, u, time, order = (np.zeros(shape) for _ in range(4))
+    z, u, place, time, order = (np.zeros(shape) for _ in range(5))
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     action = np.zeros((*shape, 3))
-    moving = next(mode for mode in automaton.modes if mode.driven[i])
-    for s, (track, first, start, end, share) in enumerate(kept):
+    moving, joint = next(mode for mode in automaton.modes if mode.driven[i]), automaton.moving_joint(link)
+    for s, piece in enumerate(kept):
+        track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
         inputs = np.zeros((len(track.time), automaton.m)) if track.u is None else np.vstack([track.u, 0 * track.u[:1]])
         u[s, :count] = inputs[rows] @ moving.B[i]
+        place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
+        if track.action is None:
+            place[s] += u[s]
+        else:
+            own = in_base_frame(automaton, i, track.action[rows, link])
+            place[s, : len(own)] += aimed(joint, z[s, : len(own)], np.nan_to_num(own))
         time[s, :count] = track.time[rows] - track.time[0]
-        order[s, :count] = share + np.arange(first, end) / total
+        order[s, :count] = piece.order + np.arange(first, end) / total
         mode[s, :count] = row_modes(automaton, track.x[rows])
         counted[s, start - first + 1 : count] = True
         if vectors and track.action is not None:
@@ -168,13 +209,14 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         unit=automaton.coordinates[i].unit,
         z=z,
         u=u,
+        place=place,
         counted=counted,
         time=time,
         order=order,
         mode=mode,
-        run=np.array([track.run for track, *_ in kept]),
+        run=np.array([tracks[piece.track].run for piece in kept]),
         action=np.nan_to_num(action) if vectors else None,
-        joint=automaton.moving_joint(link),
+        joint=joint,
         lower=lower,
         upper=upper,
         release=release,
@@ -182,6 +224,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         period=float(np.median(periods)),
         rows=total,
         modes=automaton.mode_names,
+        is_outside=all(track.is_outside for track in tracks),
     )
 
 
@@ -199,10 +242,14 @@ def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
     return [cut for cut in cuts if cut[2] - cut[1] >= 2]
 
 
-def _thinned(
-    pieces: list[tuple[Track, int, int, int, float]],
-) -> list[tuple[Track, int, int, int, float]]:
-    rows = sum(piece[3] - piece[1] for piece in pieces)
+def _uncut(rows: int, _: int) -> list[tuple[int, int, int]]:
+    """A whole run; one that is very long in parts."""
+    edges = np.linspace(0, rows, math.ceil(rows / _LONGEST_ROLLOUT) + 1).astype(int).tolist()
+    return [(start, start, end) for start, end in pairwise(edges)]
+
+
+def _thinned(pieces: list[_Piece]) -> list[_Piece]:
+    rows = sum(piece.end - piece.first for piece in pieces)
     if rows <= MOST_ROWS:
         return pieces
     count = max(2 * ENOUGH_RUNS, len(pieces) * MOST_ROWS // rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.input_memory import InputChannel
+from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.automaton.transition import step
@@ -58,12 +59,15 @@ class RunPrediction:
     Attributes:
         time: (K + 1,) of its rows since its first [s]; x: (K + 1, n) measured configuration.
         v: (K, n) commanded displacement of each coordinate, in the modes that move it.
+        believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
+            never is. Effects of sensors are taken out, see `tracks`.
     """
 
     run: int
     time: Floats
     x: Floats
     v: Floats
+    believed: Floats | None
     one_step: PredictionError
     rollout: PredictionError
 
@@ -73,7 +77,8 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
 
     One step: from the measured pose of a row and its action to the next row, Δ̂_(t+1) = f(f^-1(y_t) + J^-1 a_t) (MICAH,
     equation 2) through guards and resets, in the mode that the belief filter holds most likely and from within its
-    range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement again.
+    range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
+    again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -96,6 +101,16 @@ def rmse(errors: list[Floats]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
+def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
+    """Root mean square of what was believed minus what was measured, and mean size of the last of each run.
+
+    In the coordinates' unit; None if no run tells what was believed.
+    """
+    errors = [run.believed[np.isfinite(run.believed).all(axis=1)] for run in runs if run.believed is not None]
+    errors = [own for own in errors if len(own)]
+    return (rmse(errors), float(np.mean([np.abs(own[-1]) for own in errors]))) if errors else None
+
+
 def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
     moving = [next((m for m in automaton.modes if m.driven[i]), None) for i in range(automaton.n)]
     rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
@@ -104,6 +119,7 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
         time=track.time - track.time[0],
         x=track.x,
         v=_inputs(track) @ np.stack(rows, axis=1),
+        believed=None if track.believed is None else track.believed - track.x,
         one_step=_one_step(automaton, track),
         rollout=_rollout(automaton, track),
     )
@@ -116,7 +132,7 @@ def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
     channel = InputChannel(automaton)
     for k in range(len(u)):
         mode = automaton.modes[belief.most_likely]
-        passed = channel.pass_on(u[k], mode.name)
+        passed = channel.pass_on(towards(automaton, track.origin[k], track.x[k], u[k]), mode.name, track.x[k])
         reached = step(automaton, mode.name, _within(mode, track.x[k]), passed)
         predicted.append(reached.x)
         modes.append(reached.mode)
@@ -130,8 +146,9 @@ def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
     mode, x = first.name, _within(first, track.x[0])
     predicted, modes = [], []
     channel = InputChannel(automaton)
-    for u in _inputs(track):
-        reached = step(automaton, mode, x, channel.pass_on(u, mode))
+    for origin, u in zip(track.origin, _inputs(track), strict=False):
+        given = channel.pass_on(towards(automaton, origin, x, u), mode, x)
+        reached = step(automaton, mode, x, given)
         mode, x = reached.mode, reached.x
         predicted.append(x)
         modes.append(mode)

@@ -65,11 +65,16 @@ class Scored:
 
 
 class Search:
-    """Fits models to a lane, each once."""
+    """Fits models to a lane, each once.
+
+    Attributes:
+        nominal: the model that effects are added to: as it is, or with commands that are places (see `meaning`).
+    """
 
     def __init__(self, lane: Lane) -> None:
         self.lane = lane
         self.freedom = _FREEDOMS[0]
+        self._rolled: dict[int, tuple[Scored, Floats]] = {}
         runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
         count = len(lane.run)
         self.folds = min(FOLDS, count)
@@ -106,6 +111,19 @@ class Search:
         """(S, T) measured minus predicted, each stretch with the parameters fitted without its fold."""
         _, errors = held_out(self._problem(scored.parts), scored.folds, kind)
         return np.asarray(errors[self.fold, np.arange(len(self.fold))])
+
+    def rollout_errors(self, scored: Scored) -> Floats:
+        """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's fold."""
+        whole = self.lane.whole
+        if whole is None or whole.stretch is None:
+            return self.errors(scored, "rollout")[self.lane.counted]
+        key = id(scored)
+        if key not in self._rolled:
+            problem = replace(self._problem(scored.parts), lane=whole)
+            _, errors = held_out(problem, scored.folds, "rollout")
+            runs, rows = np.nonzero(whole.counted)
+            self._rolled[key] = scored, np.asarray(errors[self.fold[whole.stretch[runs, rows]], runs, rows])
+        return self._rolled[key][1]
 
     def innovations(self, scored: Scored) -> Floats:
         """(S, T) innovations, held out as in `errors`."""

@@ -40,6 +40,9 @@ class Term:
         return len(self.form.parameters) + GATES
 
 
+# Step of a difference quotient [rad or m].
+_SMALL = 1e-6
+
 Model = tuple[Term, ...]
 
 
@@ -87,7 +90,6 @@ class _Run:
         self.p = _split(model, parameters)
         self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
         self.process = np.moveaxis(self.q[:, :, None] * lane.process_profile, 2, 0)
-        self.memory = [term.form.at_rest(p) for term, p in zip(model, self.p, strict=True)]
         self.low, self.high, self.release = self._ends(parameters)
         self.commands = self._commands()
         self.layers: dict[str, list[int]] = {}
@@ -101,11 +103,14 @@ class _Run:
         offset, slope = self._sensor(0, ones)
         self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, self.low), self.high) * ones
         self.variance = self.r / slope**2 * ones
+        self.memory = [term.form.at_rest_in(self.c, p) for term, p in zip(model, self.p, strict=True)]
         self.at_ends = self.c <= self.low, self.c >= self.high
 
     def step(self, t: int) -> None:
         """Predict the state of row t + 1."""
         v: Any = self.lane.u[:, t] if self.commands is None else self.commands[:, :, t]
+        for n in self.layers.get("place", ()):
+            v = self._responded(n, t)
         for n in self.layers.get("memory", ()):
             out, self.memory[n] = self.model[n].form.remember(np, v, self.memory[n], self.p[n])
             v = self._gated(n, t, out, v)
@@ -128,6 +133,14 @@ class _Run:
             ended = ended | at_low | at_high
         self.variance = np.where(ended, _HELD_VARIANCE * self.variance, self.variance)
         self.c = free
+
+    def _responded(self, n: int, t: int) -> Any:
+        """The command that comes out of a place; what is uncertain of the configuration shrinks on the way there."""
+        own, p, place, kept = self.model[n].form, self.p[n], self.lane.place[:, t], self.memory[n]
+        v, self.memory[n] = own.respond(np, self.c, place - self.c, kept, p)
+        ahead, _ = own.respond(np, self.c + _SMALL, place - self.c - _SMALL, kept, p)
+        self.variance = self.variance * np.minimum((1.0 + (ahead - v) / _SMALL) ** 2, 1.0)
+        return v
 
     def _held(self, v: Any, free: Any, low: Any, high: Any) -> tuple[Any, Any]:
         """Whether the part is held at its lower and upper end after a step: it stays until a command releases it."""

@@ -28,6 +28,7 @@ from micah_plan.residual.growth import (
     shortens,
 )
 from micah_plan.residual.lane import Lane
+from micah_plan.residual.meaning import CONTAINED, FOLLOW, followed, means_places
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES
@@ -105,12 +106,10 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     told(f"{lane.coordinate}: noise", 0.0)
     search = Search(lane)
     lane = search.lane
-    library = candidates(lane)
-    singles = scored_all(search, search.nominal, library, told, 0.05, 0.5)
+    nominal = search.nominal
+    singles, growth = _explored(search, told)
     loose = _smoothed(search, search.nominal)
-    ranking = sorted([(one.names[-1], *one.over(search.nominal)) for one in [*singles, loose]], key=lambda row: -row[1])
-    able = [one for one in singles if not one.is_idle]
-    growth = grow(search, library, able, told)
+    ranking = sorted([(one.names[-1], *one.over(nominal)) for one in [*singles, loose]], key=lambda row: -row[1])
     chosen = growth.chosen
     is_enough = search.leaves_nothing(chosen)
     modes: tuple[MissingMode, ...] = ()
@@ -118,7 +117,7 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         # An idle correction predicts as the model without it, which is among them.
         rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
         modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rivals)
-    is_outdone = _is_outdone(chosen, loose) and shortens(search, loose, search.nominal)
+    is_outdone = chosen is not search.nominal and _is_outdone(chosen, loose) and shortens(search, loose, search.nominal)
     closest = chosen.names if is_outdone and not modes else ()
     if modes or is_outdone:
         # Effects that act everywhere only imitate what a mode of its own does in one place.
@@ -131,10 +130,10 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
     is_left = is_worth(remaining, chosen, lane)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
-    findings = _findings(search, named, growth.alternatives)
+    findings = _findings(search, nominal, named, growth.alternatives)
     is_open = any(may_remember(lane, one) for one in findings)
     is_suspect = is_wandering or named is not chosen or bool(modes) or is_open
-    fraction = 0.0 if modes else _fraction_left(search.nominal, named, [loose, remaining])
+    fraction = 0.0 if modes else _fraction_left(nominal, named, [loose, remaining])
     is_added = named is chosen and not is_open
     final = remaining if is_left and shortens(search, remaining, chosen) else chosen
     if is_open:
@@ -142,7 +141,7 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
     return LaneTrace(
         lane=lane,
         search=search,
-        nominal=search.nominal,
+        nominal=nominal,
         chosen=chosen,
         remaining=remaining,
         final=final,
@@ -156,6 +155,26 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
         longer=_longer(search, growth.blocked) if not chosen.parts else 1.0,
         closest=closest,
     )
+
+
+def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growth]:
+    """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
+    library = candidates(search.lane)
+    singles, growth = _grown(search, library, told)
+    told(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
+    place = followed(search)
+    rivals = [growth.chosen, *((growth.blocked,) if growth.blocked is not None else ())]
+    if not means_places(search, place, ranked(rivals)[0]):
+        return singles, growth
+    search.nominal = place
+    more, growth = _grown(search, [one for one in library if one.name not in CONTAINED], told)
+    return (*singles, place, *more), growth
+
+
+def _grown(search: Search, library: Sequence[Candidate], told: Progress) -> tuple[tuple[Scored, ...], Growth]:
+    """All single effects on top of the nominal model, and what was chosen among them and those of two."""
+    singles = scored_all(search, search.nominal, library, told, 0.05, 0.5)
+    return tuple(singles), grow(search, library, [one for one in singles if not one.is_idle], told)
 
 
 def _is_outdone(chosen: Scored, loose: Scored) -> bool:
@@ -185,7 +204,7 @@ def _longer(search: Search, blocked: Scored | None) -> float:
     """Roll-out error with what was not added over that without."""
     if blocked is None:
         return 1.0
-    with_it, without = (float(np.sum(search.errors(one, "rollout") ** 2)) for one in (blocked, search.nominal))
+    with_it, without = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (blocked, search.nominal))
     return float(np.sqrt(with_it / max(without, 1e-300)))
 
 
@@ -209,7 +228,7 @@ def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) 
     return float(np.clip(1.0 - chosen.over(nominal)[0] / best, 0.0, 1.0)) if best > 0 else 0.0
 
 
-def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
+def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
     found, column = [], 0
     known = search.intervals(chosen) if chosen.parts else np.zeros((0, 3))
     for number, part in enumerate(chosen.parts):
@@ -219,10 +238,10 @@ def _findings(search: Search, chosen: Scored, alternatives: Sequence[Scored]) ->
         interval = np.repeat(part.starts.T, 2, axis=1)
         values[0, free], interval[free] = own[:, 1], own[:, [0, 2]]
         others = (*chosen.parts[:number], *chosen.parts[number + 1 :])
-        without = search.score(others) if others else search.nominal
+        without = search.score(others) if others else nominal
         evidence = chosen.over(without)[0]
         tied: tuple[str, ...] = ()
-        if len(chosen.parts) == 1:
+        if number == len(search.nominal.parts) == len(chosen.parts) - 1:
             rivals = {one.names[-1]: one for one in alternatives if one.names[-1] != part.name}
             able = [(name, one) for name, one in rivals.items() if _is_tied(chosen, one)]
             # What would do the same as a tied one was not tried, but is tied as well.

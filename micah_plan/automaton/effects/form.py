@@ -20,8 +20,10 @@ import numpy as np
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 
-Layer = Literal["frame", "memory", "command", "force", "guard", "sensor", "geometry"]
-LAYERS: tuple[Layer, ...] = ("frame", "memory", "command", "force", "guard", "sensor", "geometry")
+Layer = Literal["frame", "place", "memory", "command", "force", "guard", "sensor", "geometry"]
+LAYERS: tuple[Layer, ...] = ("frame", "place", "memory", "command", "force", "guard", "sensor", "geometry")
+REMEMBERING: tuple[Layer, ...] = ("place", "memory")
+"""Layers whose forms have a memory of earlier commands."""
 Value = Any
 """A float, a NumPy array or a CasADi expression."""
 Values = Sequence[Value]
@@ -96,6 +98,14 @@ class EffectForm:
         """(command that comes out, memory after) of a command v."""
         return v, memory
 
+    def at_rest_in(self, c: Value, p: Values) -> Memory:
+        """The memory at the start of a run in configuration c; only forms of the layer ``place`` depend on c."""
+        return self.at_rest(p)
+
+    def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        """(command that comes out, memory after) at configuration c of a command that leads to the place c + v."""
+        return self.remember(ops, v, memory, p)
+
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         """The part of a command v that reaches the joint."""
         return v
@@ -156,8 +166,8 @@ def _outputs(
     form: EffectForm, p: list[float], c: float | np.ndarray, v: float | np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(value, what it is without the effect) of every hook that maps states and commands."""
-    memory = form.at_rest(p)
-    out, after = form.remember(np, v, memory, p)
+    memory = form.at_rest_in(c, p)
+    out, after = form.respond(np, c, v, memory, p)
     if len(after) != len(memory):
         raise InputError(f"effect {form.name}: remember must keep {len(memory)} values. Got {len(after)}")
     nothing = 0.0 * np.asarray(v)

@@ -133,6 +133,40 @@ class Backlash(EffectForm):
 
 
 @final
+class Follow(EffectForm):
+    """Commands are places r_t = c_t + v_t, and the part goes after them, wherever it is:
+
+    c_(t+1) - c_t = momentum (c_t - c_(t-1)) + share z(gain r_(t-delay) + offset - c_t), with
+    z(e) = sign(e) max(|e| - width, 0).
+
+    First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
+    missed before is made up for. With all parameters neutral the part is at the place after each step.
+    """
+
+    name, layer = "follow", "place"
+    sentence = "Commands are places: the part goes a share of the way to the commanded place in each step."
+    source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., ch. 2; Hogan, Impedance control, 1985"
+    parameters = (
+        Parameter("share", "1", 1.0, 0.0, 2.0),
+        Parameter("offset", "coordinate", 0.0),
+        Parameter("gain", "1", 1.0, 0.0, 3.0),
+        Parameter("delay", "step", 0.0, 0.0, float(LONGEST_DELAY)),
+        Parameter("momentum", "1", 0.0, -0.5, 0.995),
+        Parameter("width", "coordinate", 0.0, 0.0),
+    )
+
+    def at_rest_in(self, c: Value, p: Values) -> Memory:
+        count = LONGEST_DELAY if np.ndim(p[3]) else math.ceil(p[3])
+        return (c, *(c,) * count)
+
+    def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        late, line = Delay().remember(ops, c + v, memory[1:], p[3:4])
+        away = p[2] * late + p[1] - c
+        beyond = ops.maximum(away - p[5], 0.0) + ops.minimum(away + p[5], 0.0)
+        return p[4] * (c - memory[0]) + p[0] * beyond, (c, *line)
+
+
+@final
 class Spring(EffectForm):
     """-stiffness (c + ahead v - rest): `ahead` 1 is a spring that acts where the step ends, 0 where it starts."""
 
@@ -227,6 +261,19 @@ class SensorScale(EffectForm):
 
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return p[0] * c
+
+
+@final
+class SensorOffset(EffectForm):
+    """z = c + offset."""
+
+    name, layer = "sensor_offset", "sensor"
+    sentence = "The sensor reads the same amount too much everywhere."
+    source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
+    parameters = (Parameter("offset", "coordinate", 0.0),)
+
+    def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
+        return c + p[0]
 
 
 @final

@@ -8,11 +8,11 @@ from micah_plan.errors import InputError, shown
 
 # In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
-    *(formulas.Gain(), formulas.Bias(), geometry.FrameRotation(), formulas.Delay(), formulas.Lag()),
+    *(formulas.Gain(), formulas.Bias(), formulas.Follow(), geometry.FrameRotation(), formulas.Delay(), formulas.Lag()),
     *(formulas.Saturation(), formulas.DeadZone(), formulas.Backlash()),
     *(formulas.Spring(), formulas.Gravity(), formulas.Latch(), ends.Limit()),
     *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
-    *(formulas.SensorScale(), formulas.Drift(), formulas.Unexplained()),
+    *(formulas.SensorScale(), formulas.SensorOffset(), formulas.Drift(), formulas.Unexplained()),
 )
 _FORMS: dict[str, EffectForm] = {form.name: form for form in _LIBRARY}
 

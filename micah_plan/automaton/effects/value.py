@@ -42,12 +42,14 @@ class InputMemory:
     Attributes:
         effect: acts on the input on its way to the modes.
         input: number of that input.
+        coordinate: index of the coordinate that the effect acts on.
         scale: command of the effect's coordinate per unit of the input.
         first, size: its values are the coordinates first to first + size - 1.
     """
 
     effect: Effect
     input: int
+    coordinate: int
     scale: float
     first: int
     size: int

@@ -1,0 +1,75 @@
+"""What a calibration on the first half of a log says of the second: full roll-outs, beside two numbers fitted by hand.
+
+    python benchmarks/unseen_half.py [FILE.csv ...]
+
+Without files those of `executions` in ../shared/data (or $MICAH_DATA) that have one run. The model is one joint fitted
+to the poses of the whole log. The two numbers are those of c+ = c + k (place - c) + b, for the least error of the
+roll-out over the first half; place is the measured configuration plus the command.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from measured import DATA, described, model_of
+from scipy.optimize import least_squares
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.kinematics import inverse
+from micah_plan.automaton.tracks import tracks
+from micah_plan.recording.read import read_recording
+from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.prediction import predict_recording
+
+
+def errors_of(automaton: HybridAutomaton, recording: Recording) -> tuple[float, float]:
+    """Root mean squares of one step and of the roll-out [rad or m]."""
+    (run,) = predict_recording(automaton, recording)
+    one, rolled = (float(np.sqrt(np.mean(error.configuration**2))) for error in (run.one_step, run.rollout))
+    return one, rolled
+
+
+def two_numbers(automaton: HybridAutomaton, first: Recording, second: Recording) -> float:
+    """Root mean square of the roll-out over the second recording, by k and b that suit the first best."""
+
+    def places(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        (track,) = tracks(automaton, recording)
+        z = track.x[:, 0]
+        joint = automaton.moving_joint(0)
+        return z, inverse(joint, recording.position[:-1] + recording.action[:-1], near=z[:-1])
+
+    def left(numbers: np.ndarray, z: np.ndarray, place: np.ndarray) -> np.ndarray:
+        c, gone = z[0], []
+        for to in place:
+            c = c + numbers[0] * (to - c) + numbers[1]
+            gone.append(c)
+        return np.array(gone) - z[1:]
+
+    seen, unseen = places(first), places(second)
+    fits = [least_squares(left, [k, 0.0], args=seen, bounds=([0.0, -1.0], [1.9, 1.0])) for k in (0.02, 0.1, 0.5, 0.9)]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    return float(np.sqrt(np.mean(left(best.x, *unseen) ** 2)))
+
+
+def main() -> None:
+    paths = [Path(name) for name in sys.argv[1:]] or sorted((DATA / "executions").rglob("*.csv"))
+    print("| log | one step before | after | roll-out before | after | two numbers | verdict | what was found |")
+    print("| --- " * 8 + "|")
+    for path in paths:
+        recording = read_recording(path)
+        if len(recording.runs) > 1:
+            continue
+        automaton, half = model_of(path.stem, recording), len(recording.time) // 2
+        first, second = recording.rows(slice(None, half)), recording.rows(slice(half, None))
+        found = calibrate(automaton, first)
+        before, after = (errors_of(model, second) for model in (automaton, found.automaton))
+        sizes = (before[0], after[0], before[1], after[1], two_numbers(automaton, first, second))
+        said = "; ".join(described(one) for one in found.effects) or "nothing with a name"
+        print(f"| {path.stem} | " + " | ".join(f"{size:.2g}" for size in sizes) + f" | {found.verdict} | {said} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""What a command means: a displacement from wherever the part is, or a place that the part goes after.
+
+A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
+the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
+held-out rows, each from all measurements before. Where that is the same (a part that does as it is told, seen without
+noise), what was meant is what is more regular by itself: the sequence of displacements, or that of places. Roll-outs
+cannot decide, since places contain the measured poses that they are relative to; but where commands were relative to
+what a controller believed, and something else measured the part, they can, and do.
+
+The response to a place is one family (`follow`): a share of the way per row, and an offset; then delay, momentum
+(second order), gain and a dead zone, each where it predicts clearly better and no roll-out gets longer.
+
+Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures, their selection on held-out data).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.registry import form
+from micah_plan.residual.candidates import Candidate
+from micah_plan.residual.growth import LEAST_EVIDENCE, is_worth, ranked, shortens
+from micah_plan.residual.lane import Lane
+from micah_plan.residual.likelihood import SMALLEST_SCALE
+from micah_plan.residual.search import Scored, Search
+from micah_plan.residual.simulation import GATES, Term
+
+FOLLOW = "follow"
+# Columns of `follow`: those that are always fitted, and starts of the others, which are at rest otherwise.
+_SHARE, _OFFSET, _GAIN, _DELAY, _MOMENTUM, _WIDTH = range(6)
+_AT_REST = (0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
+_SHARES = (0.03, 0.15, 0.5, 0.9)
+_STARTS = {_GAIN: (0.9, 1.1), _DELAY: (0.5, 1.5, 3.0, 6.0), _MOMENTUM: (0.3, 0.7), _WIDTH: (0.02, 0.1)}
+
+# Names of the effects that this family has in itself.
+CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
+# Commands before one that its regularity is judged by.
+_MEMORY = 2
+# Degrees of freedom of what is not foretold, rounds of the fit, and the least that counts, as a share of the spread.
+_FREEDOM, _ROUNDS, _FINEST = 2.0, 30, 1e-3
+
+
+def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
+    """Whether commands that are places predict better than the best model of displacements."""
+    if search.lane.is_outside:
+        rolled, other = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (place, displaced))
+        return rolled < other
+    if not is_worth(place, search.nominal, search.lane):
+        return False
+    gain = place.over(displaced)[0]
+    return gain > LEAST_EVIDENCE or (gain > -LEAST_EVIDENCE and _regularity(search.lane) > LEAST_EVIDENCE)
+
+
+def _regularity(lane: Lane) -> float:
+    """By how much places are more predictable from those before than displacements from those before [nats].
+
+    What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
+    """
+    whole = lane.whole or lane
+    starts = whole.counted_starts
+    starts[:, :_MEMORY] = False
+    found = []
+    for series in (whole.u, whole.place):
+        before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
+        found.append(_foretold(np.stack([np.ones(int(starts.sum())), *before], axis=1), series[starts]))
+    return found[1] - found[0]
+
+
+def _foretold(design: Floats, now: Floats) -> float:
+    """Log likelihood of a linear prediction with Student's t, which a few jumps do not decide [nats]."""
+    weight, least = np.ones(len(now)), _FINEST * float(np.std(now)) + SMALLEST_SCALE
+    left, scale = now, 1.0
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        left = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
+        scale = max(float(np.sqrt(np.mean(weight * left**2))), least)
+        weight = (_FREEDOM + 1.0) / (_FREEDOM + (left / scale) ** 2)
+    return float(student_t.logpdf(left / scale, _FREEDOM).sum() - len(left) * np.log(scale))
+
+
+def followed(search: Search) -> Scored:
+    """The best response to commands that are places."""
+    lane, term = search.lane, Term(form(FOLLOW))
+    starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
+    best = search.score((Candidate(term, starts, (_SHARE, _OFFSET), _scale(lane, (_SHARE, _OFFSET))),))
+    left = set(_STARTS)
+    while left:
+        grown = {column: search.score((_freed(best.parts[0], column, lane),)) for column in sorted(left)}
+        found = ranked(list(grown.values()))[0]
+        if not (is_worth(found, best, lane) and shortens(search, found, best)):
+            break
+        best = found
+        left -= {column for column, one in grown.items() if one is found}
+    return best
+
+
+def _freed(part: Candidate, column: int, lane: Lane) -> Candidate:
+    """The candidate with one more parameter to fit, from where it was fitted."""
+    tried = _STARTS[column]
+    starts = np.repeat(part.starts[:1], len(tried), axis=0)
+    low, high = lane.visited
+    starts[:, column] = np.array(tried) * (high - low if column == _WIDTH else 1.0)
+    free = tuple(sorted((*part.free, column)))
+    return replace(part, starts=starts, free=free, scale=_scale(lane, free))
+
+
+def _scale(lane: Lane, free: tuple[int, ...]) -> Floats:
+    low, high = lane.visited
+    large = 0.1 * (high - low) + 1e-9
+    return np.array([{_OFFSET: large, _WIDTH: large, _DELAY: 1.0}.get(column, 0.3) for column in free])

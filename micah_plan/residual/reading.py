@@ -1,0 +1,106 @@
+"""What the controller read against what was measured: effects of its sensor, from the pose that it believed at rest.
+
+While the part moves a belief may run ahead of the part or behind it. Where both rest it shows what the sensor makes of
+the configuration, if something else measured the part: its readings x and beliefs e then differ by x = k e + o + r t.
+Each run (or stretch of few long ones) is one observation, since what is wrong at rest stays wrong while it rests.
+
+Source: Geisser, The predictive sample reuse method, JASA 1975 (each observation predicted from the others).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.tracks import Track
+from micah_plan.residual.geometry import DirectFinding
+from micah_plan.residual.growth import LEAST_EVIDENCE, TIE
+from micah_plan.residual.lane import ENOUGH_RUNS
+
+_FEWEST = 4
+# Steps smaller than this share of the largest are rest; the smallest error that counts [rad or m].
+_AT_REST = 0.05
+_EXACT = 1e-7
+# Functions of (belief, time) that x - e may be, plainest first.
+_MODELS: tuple[tuple[str, ...], ...] = (
+    ("sensor_scale",),
+    ("sensor_offset",),
+    ("drift",),
+    ("sensor_scale", "sensor_offset"),
+)
+_COLUMN = {"sensor_scale": 0, "sensor_offset": 1, "drift": 2}
+
+
+def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
+    """Effects of sensors that predict held-out rests clearly better; in the order in which they are taken out."""
+    found: list[DirectFinding] = []
+    for i, coordinate in enumerate(automaton.coordinates):
+        rests = np.array([rest for track in tracks for rest in _rests(track, i, len(tracks))]).reshape(-1, 3)
+        if len(rests) < _FEWEST:
+            continue
+        without = _density(rests, ())
+        gains = [_density(rests, names) - without for names in _MODELS]
+        best = next(k for k, gain in enumerate(gains) if gain >= max(gains) - TIE)
+        if gains[best] > LEAST_EVIDENCE:
+            found += _effects(rests, _MODELS[best], coordinate.name, gains[best])
+    return tuple(found)
+
+
+def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float]]:
+    """(measured, believed, time) at the rests of a run, one of each stretch."""
+    if track.believed is None:
+        return []
+    x, e, time = track.x[:, i], track.believed[:, i], track.time - track.time[0]
+    steps = np.maximum(np.abs(np.diff(x, prepend=np.nan)), np.abs(np.diff(e, prepend=np.nan)))
+    known = np.isfinite(steps) & np.isfinite(e)
+    if not known.any():
+        return []
+    rest = known & (steps <= _AT_REST * steps[known].max())
+    count = 1 if runs >= ENOUGH_RUNS else int(np.ceil(2 * ENOUGH_RUNS / runs))
+    pieces = [own[rest[own]] for own in np.array_split(np.arange(len(x)), count)]
+    return [
+        (float(np.median(x[own])), float(np.median(e[own])), float(np.median(time[own]))) for own in pieces if own.size
+    ]
+
+
+def _density(rests: Floats, names: tuple[str, ...]) -> float:
+    """Log density of each rest's error as the others predict it [nats]."""
+    design, target = _regression(rests, names)
+    total, free = 0.0, len(target) - 1 - design.shape[1]
+    if free < 1:
+        return -np.inf
+    for k in range(len(target)):
+        a, b = np.delete(design, k, axis=0), np.delete(target, k)
+        beta = np.linalg.lstsq(a, b, rcond=None)[0]
+        spread = design[k] @ np.linalg.pinv(a.T @ a) @ design[k]
+        scale = np.sqrt((((b - a @ beta) ** 2).sum() / free + _EXACT**2) * (1.0 + spread))
+        total += float(student_t.logpdf((target[k] - design[k] @ beta) / scale, free) - np.log(scale))
+    return total
+
+
+def _regression(rests: Floats, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+    x, e, time = rests.T
+    columns = np.stack([e, np.ones_like(e), time], axis=1)
+    return columns[:, [_COLUMN[name] for name in names]], x - e
+
+
+def _effects(rests: Floats, names: tuple[str, ...], coordinate: str, evidence: float) -> list[DirectFinding]:
+    """The reading is scale (c + offset) + rate t, so that c = reading / scale - offset."""
+    design, target = _regression(rests, names)
+    beta = np.linalg.lstsq(design, target, rcond=None)[0]
+    noise = float(((target - design @ beta) ** 2).sum()) / (len(target) - design.shape[1])
+    stds = np.sqrt(noise * np.diag(np.linalg.pinv(design.T @ design)))
+    found = []
+    for name, value, std in zip(names, beta.tolist(), stds.tolist(), strict=True):
+        if name == "sensor_scale":
+            scale = 1.0 / (1.0 + value)
+            pair, std = ("scale", scale), std * scale**2
+        else:
+            pair = ("offset" if name == "sensor_offset" else "rate", -value)
+        found.append(DirectFinding(Effect(name, coordinate, (pair,), (std,)), (std,), evidence))
+    return found

@@ -1,0 +1,56 @@
+"""Commands that mean places are told from those that mean displacements; the servos are written here."""
+
+from __future__ import annotations
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.prediction import predict_recording
+
+
+def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002):
+    """(z, u) of an arm that is told places, held for a while each; u leads from the measured angle to the place."""
+    rng = np.random.default_rng(seed)
+    place = np.repeat(rng.uniform(0.3, 0.9, rows), rng.integers(8, 30, rows))[:rows]
+    c, speed, z, u = 0.6, 0.0, np.zeros(rows), np.zeros(rows)
+    for k in range(rows):
+        z[k] = c + noise * rng.standard_normal()
+        u[k] = place[k] - z[k]
+        away = (place[k - late] if k >= late else z[0]) - c
+        speed = momentum * speed + share * np.sign(away) * max(abs(away) - short, 0.0)
+        c += speed
+    return z, u
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        {"share": 0.3},
+        {"share": 0.25, "momentum": 0.5, "late": 1},
+        pytest.param({"share": 0.05}, marks=pytest.mark.slow),
+        pytest.param({"share": 0.3, "late": 2}, marks=pytest.mark.slow),
+        pytest.param({"share": 0.3, "short": 0.06}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> None:
+    found = calibrate(door, plants.door_recording([servo_run(300, 1, **servo)]))
+    assert found.effects[0].effect.name == "follow"
+    known = dict(found.effects[0].effect.parameters)
+    assert known["share"] == pytest.approx(servo["share"], rel=0.1)
+    assert known["momentum"] == pytest.approx(servo.get("momentum", 0.0), abs=0.05)
+    assert known["delay"] == pytest.approx(servo.get("late", 0), abs=0.15)
+    assert known["width"] == pytest.approx(servo.get("short", 0.0), abs=0.01)
+    other = plants.door_recording([servo_run(300, 2, **servo)])
+    before, after = (predict_recording(model, other)[0].rollout.configuration for model in (door, found.automaton))
+    assert np.sqrt(np.mean(after**2)) < min(0.004, 0.2 * np.sqrt(np.mean(before**2)))
+
+
+@pytest.mark.parametrize(("noise", "disturbance"), [(0.001, 0.004), pytest.param(0.003, 0.001, marks=pytest.mark.slow)])
+def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -> None:
+    """Also where what disturbs the part is larger than what blurs its measurement, and roll-outs of places peek."""
+    runs = plants.runs_of(plants.short_steps, 8, 40, 3, noise=noise, disturbance=disturbance)
+    found = calibrate(door, plants.door_recording(runs))
+    assert [one.effect.name for one in found.effects] == ["gain"]
