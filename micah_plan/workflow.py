@@ -122,10 +122,14 @@ def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, 
     return tuple(parts)
 
 
-def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) -> Plan:
+def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, advise: bool = True) -> Plan:
     """Plan by the settings' method and check the plan by rolling out the true hybrid system from sampled states.
 
     Where the roll-outs fail too often, POMDP-HD plans again with more room (`planning.tightening`).
+
+    Args:
+        advise: if it fails, try what its remedies propose, so that they name numbers that help (`planning.remedies`):
+            up to eight more solutions. False: remedies without numbers.
 
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
@@ -143,7 +147,12 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None) 
     deadline = Deadline(problem.settings.solve_time_limit_s)
     found = verified_plan(problem, planner, seed, rounds, deadline)
     warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
-    return replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
+    answer = replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
+    if not advise or answer.outcome == "solved":
+        return answer
+    from micah_plan.planning.remedies import advised
+
+    return advised(problem, answer, partial(solve, advise=False), seed)
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:

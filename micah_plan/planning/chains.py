@@ -19,6 +19,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.task.problem import Problem
+from micah_plan.task.start import is_final
 
 # A guard fires at once where all its margins exceed this share of the length of their weights [rad or m].
 _INSIDE = 1e-6
@@ -74,7 +75,7 @@ def _chained(automaton: HybridAutomaton, goal_modes: str) -> HybridAutomaton:
 
 def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
     """The edges from a mode that can be the next of a chain: on the state alone, and not to where all ends."""
-    ends = {mode.name for mode in automaton.modes if not mode.B.any() and not automaton.edges_from(mode.name)}
+    ends = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
     return [
         edge
         for edge in automaton.edges_from(name)

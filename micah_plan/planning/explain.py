@@ -38,8 +38,8 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
     A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
     """
     found = plan.findings
-    if plan.outcome == "no_plan":
-        found = endpoint_findings(problem) or found
+    if plan.outcome == "no_plan" and not found:
+        found = endpoint_findings(problem)
     findings = tuple(sorted(found, key=lambda finding: _LEVELS.index(finding.level)))
     if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
         findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))

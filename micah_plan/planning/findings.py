@@ -12,20 +12,25 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from micah_plan.automaton.hybrid import Edge
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.turning import turn_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.passages import passage_exists
-from micah_plan.planning.search.polytope import mode_states
-from micah_plan.planning.search.samples import Samples, guard_states
-from micah_plan.planning.transcription.rows import Row, Shortfall
+from micah_plan.planning.search.polytope import TOLERANCE, mode_states
+from micah_plan.planning.search.roadmap import obstacles_on_state
+from micah_plan.planning.search.samples import Samples, guard_states, inside_any
+from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.plan import Finding, Level
+from micah_plan.task.plan import Finding, Level, Offer
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import LIMIT_ROOM, start_mode
+from micah_plan.task.start import LIMIT_ROOM, is_final, modes_to_be_in, start_mode
 
-_LEAST_CONFIDENCE = 0.5
+LEAST_CONFIDENCE = 0.5
+LOWER_CONFIDENCE = "lower `confidence`"
+MOVE_TARGET = "move its target into the range"
+_WIDER = "widen the goal's tolerance"
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
 # Modes that one message describes.
@@ -48,7 +53,7 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
     """The start in no mode, or outside of its own: which coordinate is out of the nearest mode's range, and how far."""
     automaton, start = problem.automaton, problem.start
     outside = []
-    for mode in [automaton.mode(start.mode)] if start.mode is not None else automaton.modes:
+    for mode in [automaton.mode(start.mode)] if start.mode is not None else modes_to_be_in(automaton):
         ranges = enumerate(map(mode.interval, range(automaton.n)))
         outside.append((mode, [max(0.0, low - start.mean[i], start.mean[i] - high) for i, (low, high) in ranges]))
     nearest, amounts = min(outside, key=lambda pair: max(pair[1]))
@@ -57,11 +62,13 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
     finding = replace(finding_of_reason("start", reason), mode=nearest.name)
     if amount <= 0:  # it is out of a range that is not of one coordinate alone
         return finding
+    words = f"start {coordinate.name}"
     unit, place = coordinate.unit, min(max(start.mean[worst], low), high)
     return replace(
         finding,
         sentence=f"{finding.sentence}: it misses mode '{nearest.name}' by {quantity(amount, unit)}",
-        remedy=f"start {coordinate.name} at {place:.4g} {unit}, or name the mode that the object is in",
+        remedy=f"{words} within the range, or name the mode that the object is in",
+        offers=(Offer(f"{words} within the range", f"{words} at", "start", ((worst, place),)),),
         constraint=f"{coordinate.name} in [{low:g}, {high:g}] {unit}",
         amount=amount,
         unit=unit,
@@ -70,7 +77,9 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
 
 def _goal_findings(problem: Problem) -> Iterator[Finding]:
     """Targets that no mode (of those that the goal names) allows."""
-    modes = [mode for mode in problem.automaton.modes if problem.goal.admits(mode.name)]
+    named = problem.goal.modes
+    modes = [mode for mode in modes_to_be_in(problem.automaton) if not named or mode.name in named]
+    modes = modes or [mode for mode in problem.automaton.modes if problem.goal.admits(mode.name)]
     for index, value, tolerance in problem.goal.target:
         coordinate, ranges = problem.automaton.coordinates[index], problem.automaton.ranges(index, modes)
         if not ranges:
@@ -83,10 +92,11 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
                 "goal",
                 f"the goal {name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} by "
                 f"{quantity(missing, unit)}",
-                f"move its target to {nearest:.4g} {unit}",
+                MOVE_TARGET,
                 constraint=f"{name} in {texts} {unit}",
                 amount=missing,
                 unit=unit,
+                offers=(moved_target(index, nearest),),
             )
 
 
@@ -124,7 +134,7 @@ def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
             )
-    if reason := _why_excluded(problem, limits, samples.start[0]):
+    if reason := _why_inside(problem, samples) or _why_excluded(problem, limits, samples.start[0]):
         return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
@@ -137,6 +147,47 @@ def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_
     )
 
 
+def _why_inside(problem: Problem, samples: Samples) -> str:
+    """Whether the start, or all of the goal, lies where a transition on the state leaves the mode; else empty."""
+    automaton, (mode, number) = problem.automaton, samples.start
+    start = samples.points[mode][[number]]
+    if (inside := _deepest(automaton, mode, start)) is not None:
+        edge, depth, unit = inside
+        return (
+            f"the start lies inside '{edge.guard.name}' ('{edge.name}'), {quantity(depth, unit)} deep; move the start "
+            f"or what is there"
+        )
+    names = list[str]()
+    for name, numbers in samples.goals.items():
+        if is_final(automaton, automaton.mode(name)) and name not in problem.goal.modes:
+            continue
+        points = samples.points[name][numbers]
+        if not inside_any(obstacles_on_state(automaton, name), points).all():
+            return ""
+        if (inside := _deepest(automaton, name, points[:1])) is not None:
+            names.append(f"'{inside[0].guard.name}' ('{inside[0].name}')")
+    if not names:
+        return ""
+    return f"the goal lies inside {' and '.join(dict.fromkeys(names))}; move the goal or what is there"
+
+
+def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
+    """The transition on the state alone in whose guard a state (1, n) lies deepest, how deep, and the unit of that."""
+    found: list[tuple[float, Edge, str]] = []
+    for edge in automaton.edges_from(mode):
+        rows = [h for h in edge.guard.half_spaces if h.on_state]
+        if edge.is_self_transition or not rows or edge.guard.on_input:
+            continue
+        margins = [float(h.margin(point[0], np.zeros(automaton.m))) / float(np.linalg.norm(h.a)) for h in rows]
+        least = int(np.argmin(margins))
+        if margins[least] > TOLERANCE:
+            found.append((margins[least], edge, unit_of(automaton, rows[least])))
+    if not found:
+        return None
+    depth, edge, unit = max(found, key=lambda item: item[0])
+    return edge, depth, unit
+
+
 def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
     """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else empty."""
     automaton, revisits = problem.automaton, problem.settings.revisits
@@ -147,7 +198,7 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
         if passage_exists(problem, limits, start_mode, more):
             return (
                 f"no inputs lead to the goal in modes that are each entered at most {1 + revisits} times; "
-                f"raise revisits to {more}"
+                f"raise revisits to {more} or more"
             )
     words = [f"'{own.mode.name}' keeps {' and '.join(own.kept_words(automaton.coordinate_names))}" for own in leaves]
     kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
@@ -222,6 +273,7 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
     """A constraint of the optimisation that does not hold, in the words of the user."""
     row, amount = shortfall.row, float(shortfall.amount)
+    wider = [Offer(_WIDER, f"{_WIDER} to", "tolerance", ((i, row.upper + amount),)) for i in _goal_index(problem, row)]
     finding = Finding(
         "optimisation",
         _missed(shortfall),
@@ -232,6 +284,7 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
         row.label,
         amount if np.isfinite(amount) else None,
         unit=row.unit,
+        offers=tuple(wider) if np.isfinite(amount) else (),
     )
     if shortfall.std is None:
         return finding
@@ -241,7 +294,27 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     if is_narrow:
         room, need = shortfall.width or 0.0, 2.0 * need
     sentence = _sentence(problem, row, room, need, is_narrow)
-    return replace(finding, sentence=sentence, remedy=_remedy(problem, row, room, need), room=room, need=need)
+    # The confidence at which the room suffices, rounded down.
+    possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
+    remedy = _remedy(problem, row, room, need, possible > LEAST_CONFIDENCE)
+    offers = (lower_confidence(possible),) if LOWER_CONFIDENCE in remedy else ()
+    return replace(finding, sentence=sentence, remedy=remedy, room=room, need=need, offers=offers)
+
+
+def moved_target(index: int, value: float) -> Offer:
+    """The offer to move the target of a coordinate into the range."""
+    return Offer(MOVE_TARGET, "move its target to", "target", ((index, value),))
+
+
+def lower_confidence(confidence: float) -> Offer:
+    """The offer of a lower confidence."""
+    return Offer(LOWER_CONFIDENCE, f"{LOWER_CONFIDENCE} to", "confidence", ((0, confidence),))
+
+
+def _goal_index(problem: Problem, row: Row) -> list[int]:
+    """The coordinate whose goal a row asks for; none for other rows."""
+    names = problem.automaton.coordinate_names
+    return [i for i in problem.goal.indices if row.kind == "goal" and row.name.startswith(f"the goal {names[i]} = ")]
 
 
 def _missed(shortfall: Shortfall) -> str:
@@ -270,18 +343,21 @@ def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: b
     return f"the path has {has} to {name}, {needs}"
 
 
-def _remedy(problem: Problem, row: Row, room: float, need: float) -> str:
+def _remedy(problem: Problem, row: Row, room: float, need: float, is_enough: bool) -> str:
     if _turned_by(problem, row) is not None:
         return "raise max_step, or lower the start's std or the noise"
     ways = ["lower the start's std or the noise"]
     edges = problem.automaton.edges_from(row.mode)
-    contact = [edge.target for edge in edges if row.sign < 0 and row.half_space in edge.guard.half_spaces]
+    contact = [
+        edge.target
+        for edge in edges
+        if row.sign < 0
+        and row.half_space in edge.guard.half_spaces
+        and not is_final(problem.automaton, problem.automaton.mode(edge.target))
+    ]
     ways += [f"allow contact with '{contact[0]}'"] if contact else []
     ways += [f"relax {row.name} by {quantity(need - room, row.unit)}"] if row.kind == "path" else []
-    # The confidence at which the room suffices, rounded down.
-    possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
-    is_enough = possible > _LEAST_CONFIDENCE
-    last = f"lower `confidence` to {possible:.2f}" if is_enough else "make more room (no confidence above 0.5 suffices)"
+    last = LOWER_CONFIDENCE if is_enough else "make more room (no confidence above 0.5 suffices)"
     return f"{', '.join(ways)}, or {last}"
 
 
@@ -298,7 +374,7 @@ def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
     row, settings = shortfall.row, problem.settings
     steps = f"raise max_knots (now {settings.max_knots}) or max_step"
     if row.kind == "goal":
-        return f"widen the goal's tolerance to {quantity(row.upper + shortfall.amount, row.unit)}, or {steps}"
+        return f"{_WIDER}, or {steps}"
     if row.kind == "input":
         return "raise max_step, or correct the inputs that the model admits"
     if row.kind == "boundary":

@@ -37,7 +37,7 @@ _INPUT_ROUNDING = 1e-6
 
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
-    """Plan from the start belief to the goal. Deterministic but for the wall-clock limits.
+    """Plan from the start belief to the goal. Deterministic but for the limits of processor time.
 
     Args:
         problem: what to solve.

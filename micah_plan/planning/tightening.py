@@ -16,7 +16,7 @@ from typing import Protocol
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import percent
 from micah_plan.task.deadline import Deadline
-from micah_plan.task.plan import Plan
+from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
 
 
@@ -53,23 +53,23 @@ def verified_plan(
 ) -> Plan:
     """Plan, verify, and plan again with a higher confidence while the roll-outs succeed too rarely.
 
-    At most `rounds` times, within `solve_time_limit_s`, and as long as each round succeeds more often than the best
-    before. Each round has roll-outs of its own. A plan that a round accepts is verified once more with others, because
-    the best of several looks better than it is; the plan states that last share.
+    As long as each round succeeds more often than the best before. Each round has roll-outs of its own. A plan that a
+    round accepts is verified once more with others, because the best of several looks better than it is; the plan
+    states that last share.
 
     Args:
         problem: its confidence is what the roll-outs must confirm in every round.
         planner: gives a plan for a problem; called again with other settings.
         seed: of the roll-outs.
-        rounds: None: from the settings.
+        rounds: at most so many; None: from the settings.
         deadline: of planning and verification together; None: as the settings say, from now on.
         verifier: judges a plan by roll-outs.
 
     Returns:
         The first plan that is confirmed, else the one that succeeds most often, as ``"not_verified"``.
     """
-    settings = problem.settings
-    deadline = deadline or Deadline(settings.solve_time_limit_s)
+    settings, deadline = problem.settings, deadline or Deadline(problem.settings.solve_time_limit_s)
+    most = settings.tightening_rounds if rounds is None else rounds
 
     def check(plan: Plan, seed: int) -> Plan:
         if plan.trajectory is None:
@@ -81,7 +81,7 @@ def verified_plan(
 
     best = check(planner(problem, deadline=deadline), seed)
     timings, confidence = dict(best.timings), settings.confidence
-    for number in range(1, 1 + (settings.tightening_rounds if rounds is None else rounds)):
+    for number in range(1, 1 + most):
         if best.outcome != "not_verified" or deadline.is_over():
             break
         share = best.success_probability or 0.0
@@ -92,7 +92,7 @@ def verified_plan(
         if answer.outcome == "solved":  # these roll-outs have chosen the plan: its share is that of others
             answer = check(replace(plan, timings=answer.timings), own_seed + 1)
         timings = _added(timings, answer.timings)
-        if answer.trajectory is None:
+        if answer.trajectory is None or answer.success_probability is None:
             break
         if answer.outcome == "solved":
             best = _told(answer, best, confidence, number)
@@ -100,7 +100,20 @@ def verified_plan(
             best = answer
         else:
             break
-    return replace(best, timings=timings)
+    is_cut = most > 0 and best.outcome == "not_verified" and deadline.is_over()
+    return replace(_cut_short(best, deadline) if is_cut else best, timings=timings)
+
+
+def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
+    """A plan that was to be planned again when the time was over: that, not the noise, is the first thing to change."""
+    if plan.success_probability is None:  # the roll-outs were cut short, and it says so
+        return plan
+    sentence = (
+        f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
+    )
+    finding = Finding("verification", sentence, "raise solve_time_limit_s", plan.mode_sequence)
+    found, _, _ = plan.reason.partition("; ")
+    return replace(plan, reason=f"{found}; {sentence}; {finding.remedy}", findings=(finding, *plan.findings))
 
 
 def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:

@@ -10,19 +10,28 @@ from scipy.special import ndtri
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.findings import finding_of_reason
+from micah_plan.planning.findings import (
+    LOWER_CONFIDENCE,
+    MOVE_TARGET,
+    finding_of_reason,
+    lower_confidence,
+    moved_target,
+)
 from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
-from micah_plan.quantities import percent, plain, quantity
-from micah_plan.task.acceptance import least_share
+from micah_plan.quantities import percent, quantity
+from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
-from micah_plan.task.plan import Finding, Plan, Trajectory
+from micah_plan.task.plan import Finding, Offer, Plan, Trajectory
 from micah_plan.task.problem import Problem
 
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
 # Where a sequential verification ends early it errs with at most this probability.
 _ERRORS = 0.01
+# Roll-outs that are made at once, and at most.
+_AT_ONCE = 10_000
+_MOST_TRIALS = 100_000
 _ENOUGH = math.log((1.0 - _ERRORS) / _ERRORS)
 
 
@@ -40,7 +49,8 @@ def verify(
     Args:
         problem: what the plan is for.
         plan: as `pomdp_hd.plan` returned it; without a trajectory it is returned unchanged.
-        trials: number of roll-outs; None: from the settings. 0 verifies nothing.
+        trials: number of roll-outs; None: from the settings, but as many as can show the confidence
+            (`acceptance.least_trials`). 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
         sequential: end early where some roll-outs suffice (`plain_answer`, `looks_of`): for decisions during an
@@ -49,6 +59,15 @@ def verify(
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
+    confidence = problem.settings.confidence
+    if (needed := least_trials(confidence)) > _MOST_TRIALS:
+        sentence = (
+            f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"
+        )
+        finding = Finding("verification", sentence, "lower `confidence`", plan.mode_sequence)
+        reason = f"found {' -> '.join(plan.mode_sequence)}, but {sentence}; {finding.remedy}"
+        return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+    count = max(count, needed) if trials is None and not sequential else count
     try:
         ends = _ends(problem, plan.trajectory, count, seed, deadline, sequential)
     except TimeLimitError as over:
@@ -58,7 +77,6 @@ def verify(
     successes, done = int(ends.in_goal.sum()), len(ends.in_goal)
     share, interval = successes / done, wilson_interval(successes, done)
     answer = replace(plan, success_probability=share, success_interval=interval, verification_trials=done)
-    confidence = problem.settings.confidence
     clear = plain_answer(successes, done, confidence) if done < count else None
     if share >= least_share(confidence, count) if clear is None else clear:
         return answer
@@ -87,8 +105,10 @@ def _ends(
     """Ends of `count` roll-outs, at once or sequentially until they suffice."""
     turns: list[RollOuts] = []
     in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
-    for number, look in enumerate(looks_of(count, confidence) if sequential else (count,)):
-        chances = draw_chances(problem, trajectory, look - len(in_goal), (seed, number) if sequential else seed)
+    looks = looks_of(count, confidence) if sequential else (*range(_AT_ONCE, count, _AT_ONCE), count)
+    for number, look in enumerate(looks):
+        own_seed = seed if len(looks) == 1 else (seed, number)
+        chances = draw_chances(problem, trajectory, look - len(in_goal), own_seed)
         turns.append(roll_out(problem, trajectory, chances, deadline))
         in_goal = np.append(in_goal, are_in_goal(problem, turns[-1]))
         if plain_answer(int(in_goal.sum()), len(in_goal), confidence) is not None:
@@ -139,7 +159,9 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         sentence = f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
         remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
         found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
+    ranges = {index: automaton.ranges(index, [automaton.mode(modes[-1])]) for index in goal.indices}
     of_target = goal.target, goal.distances(ends.states).T, goal.misses(ends.states).T
+    joint = _joint_offer(problem, ends)
     for (index, value, tolerance), distance, missed in zip(*of_target, strict=True):
         coordinate, need = automaton.coordinates[index], float(np.quantile(distance, confidence))
         if need <= tolerance:
@@ -150,16 +172,41 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
             f"{percent(confidence)} of all need {quantity(need, unit)}, its tolerance is {quantity(tolerance, unit)}"
         )
-        wider = f"{plain(need)} {unit}"  # in the unit of the file
-        remedy = f"widen the tolerance of '{coordinate.name}' to {wider}, lower the noise, or lower `confidence`"
+        words, offers = f"widen the tolerance of '{coordinate.name}'", list[Offer]()
+        remedy = f"{words}, lower the noise, or {LOWER_CONFIDENCE}"
+        offers.append(Offer(words, f"{words} to", "tolerance", joint))
+        offers.append(lower_confidence(float(ends.in_goal.mean())))
+        nearest = min((min(max(value, low), high) for low, high in ranges[index]), key=lambda x: abs(x - value))
+        if nearest != value:  # the end of the range is nearer than the target: what misses does so on one side
+            remedy = f"{MOVE_TARGET}, {remedy}"
+            offers.insert(0, moved_target(index, nearest))
         if elsewhere:
-            remedy = "lower the noise or the start's std, so that the transitions are surer"
+            remedy, offers = "lower the noise or the start's std, so that the transitions are surer", []
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
             remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
         place = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
-        finding = Finding("verification", sentence, remedy, modes, constraint=place, unit=unit)
+        finding = Finding("verification", sentence, remedy, modes, constraint=place, unit=unit, offers=tuple(offers))
         found.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
+    if not found and joint:
+        words = f"widen the tolerance of '{automaton.coordinates[joint[0][0]].name}'"
+        share = float(1.0 - ends.in_goal.mean())
+        sentence = f"{percent(share, 0)} of the roll-outs end outside of the goal, which has all its targets at once"
+        remedy = f"{words}, lower the noise, or {LOWER_CONFIDENCE}"
+        both = Offer(words, f"{words} to", "tolerance", joint), lower_confidence(1.0 - share)
+        return [Finding("verification", sentence, remedy, modes, offers=both)]
     return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]:
+    """The tolerances, of targets that too many miss, within which as many end as asked for, all at once."""
+    goal, confidence = problem.goal, problem.settings.confidence
+    distances = goal.distances(ends.states)
+    tolerances = np.array([tolerance for _, _, tolerance in goal.target])
+    wide = np.quantile(distances, confidence, axis=0) > tolerances
+    if not np.count_nonzero(wide):  # each alone is missed seldom enough, but not all together
+        wide = np.asarray((distances > tolerances).any(axis=0))
+    share = float(np.quantile((distances / tolerances)[:, wide].max(axis=1, initial=0.0), confidence))
+    return tuple((index, share * tol) for (index, _, tol), over in zip(goal.target, wide, strict=True) if over)
 
 
 def _elsewhere(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:

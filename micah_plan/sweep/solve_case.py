@@ -72,7 +72,7 @@ def _solved(case: Case, seconds: dict[str, float]) -> CaseResult:
             raise WorkerFilesError(f"{said}; let workers see the same files, and give the command again")
     seconds["load"] = perf_counter() - begin
     begin = perf_counter()
-    plan = workflow.solve(problem, seed=case.seed)
+    plan = workflow.solve(problem, seed=case.seed, advise=False)
     seconds["solve"] = perf_counter() - begin
     if plan.outcome != "solved" or not case.trials:
         return _planned(plan)

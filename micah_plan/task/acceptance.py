@@ -6,6 +6,16 @@ import math
 
 # The share of successes may fall short of the confidence by that many of its standard errors.
 _STANDARD_ERRORS = 2.0
+# Probability that a plan just below a confidence passes as many roll-outs as show it.
+_LUCK = 0.05
+
+
+def least_trials(confidence: float) -> int:
+    """How many roll-outs, all of them successes, it takes to show a confidence: fewer would do so by luck.
+
+    With that many in a row, a plan that succeeds less often is excluded at 95 % (the exact rule of three).
+    """
+    return math.ceil(math.log(_LUCK) / math.log(confidence))
 
 
 def least_share(confidence: float, trials: int) -> float:

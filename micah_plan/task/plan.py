@@ -12,6 +12,23 @@ Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"
 
 
 @dataclass(frozen=True)
+class Offer:
+    """A number that a remedy names once planning with it has succeeded.
+
+    Attributes:
+        words: of the remedy, which name the change without the number.
+        named: what takes their place, with the number behind.
+        kind: what it changes.
+        values: (coordinate, value [its unit]) of tolerances, targets and starts; (0, confidence).
+    """
+
+    words: str
+    named: str
+    kind: Literal["tolerance", "target", "start", "confidence"]
+    values: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True)
 class Finding:
     """What stands in the way of a plan.
 
@@ -25,6 +42,7 @@ class Finding:
         amount: by how much [unit].
         room, need: available and required room, where the belief's spread is the cause [unit].
         unit: of the three.
+        offers: numbers that the remedy may name, not tried yet; no part of a plan file.
     """
 
     level: Level
@@ -38,6 +56,7 @@ class Finding:
     room: float | None = None
     need: float | None = None
     unit: str = ""
+    offers: tuple[Offer, ...] = field(default=(), compare=False, repr=False)
 
 
 @dataclass(frozen=True)

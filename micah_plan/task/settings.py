@@ -24,8 +24,8 @@ class PlannerSettings:
         max_knots: upper limit of knots over the whole plan.
         weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
             the squared tolerance) and of the squared inputs (over the squared max_step).
-        time_limit_s: wall-clock limit of each optimisation [s].
-        solve_time_limit_s: wall-clock limit of search, optimisations, verification and the arm together [s].
+        time_limit_s: limit of processor time of each optimisation [s].
+        solve_time_limit_s: the same of search, optimisations, verification and the arm together [s].
         verification_trials: roll-outs that check a plan.
         tightening_rounds: how often planning is repeated with more room after too many roll-outs failed.
         replan_every: steps after which execution optimises the rest of the plan again (receding horizon); 0: never.

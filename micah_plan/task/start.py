@@ -41,7 +41,8 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, st
 
     A mode's range is its invariant, and the part of it that the automaton's Init allows if there is one.
     """
-    modes = automaton.modes if start.mode is None else (automaton.mode(start.mode),)
+    # A hair outside of a range is noise of a measurement, not the collision that lies behind.
+    modes = modes_to_be_in(automaton) if start.mode is None else (automaton.mode(start.mode),)
     outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in modes}
     nearest = min(outside, key=outside.__getitem__)
     if outside[nearest] <= _START_SIGMAS:
@@ -52,6 +53,16 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, st
         return None, f"{text} outside the range of its mode '{nearest}'; correct either"
     names = ", ".join(f"'{name}'" for name in outside)
     return None, f"{text} in the range of no mode ({names}); move it into one"
+
+
+def is_final(automaton: HybridAutomaton, mode: Mode) -> bool:
+    """Whether nothing moves in a mode and no transition leaves it: all ends there, as after a collision."""
+    return not mode.B.any() and all(edge.is_self_transition for edge in automaton.edges_from(mode.name))
+
+
+def modes_to_be_in(automaton: HybridAutomaton) -> tuple[Mode, ...]:
+    """The modes that are not final; all, if all are."""
+    return tuple(mode for mode in automaton.modes if not is_final(automaton, mode)) or automaton.modes
 
 
 def start_regions(automaton: HybridAutomaton, mode: Mode) -> tuple[Region, ...]:

@@ -108,10 +108,10 @@ def test_a_finished_sweep_is_not_done_again_and_more_seeds_are_added(
 def test_failures_are_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solve = workflow.solve
 
-    def failing(problem: Any, *, seed: int) -> Any:
+    def failing(problem: Any, *, seed: int, advise: bool) -> Any:
         if problem.goal.target[0][1] == 0.1:
             raise ZeroDivisionError("of\nall things")
-        return solve(problem, seed=seed)
+        return solve(problem, seed=seed, advise=advise)
 
     monkeypatch.setattr(worker.workflow, "solve", failing)
     limits = {"goal.target.drawer.value": [0.05, 9.0, 0.1], "planner.solve_time_limit_s": [1e-6], "confidence": [0.8]}

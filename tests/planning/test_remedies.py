@@ -1,0 +1,168 @@
+"""Numbers in remedies are tried before they are named; limits, bodies and confidences are told as what they are."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from planning_examples import door_problem, drawer_problem, planar_problem, with_settings
+
+from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.region import box
+from micah_plan.documents.problem import load_problem
+from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.remedies import changed
+from micah_plan.planning.tightening import verified_plan
+from micah_plan.planning.verification import verify
+from micah_plan.task.acceptance import least_trials
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.goal import Goal
+from micah_plan.task.plan import Finding, Offer, Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import start_mode
+from micah_plan.workflow import solve
+
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+NUMBER = r"(\d[\d.e-]*)"
+
+
+def of_file(name: str) -> Problem:
+    return load_problem(PROBLEMS / f"{name}.yaml")
+
+
+def with_tolerances(problem: Problem, share: float) -> Problem:
+    target = tuple((i, value, share * tolerance) for i, value, tolerance in problem.goal.target)
+    return replace(problem, goal=replace(problem.goal, target=target))
+
+
+FAILING = {
+    "a tight door": lambda: replace(of_file("microwave_close"), goal=Goal(((0, 1.2, 0.012),))),
+    "a tight goal in the plane": lambda: with_tolerances(planar_problem(), 0.2),
+    "far from a light": lambda: with_tolerances(of_file("light_dark"), 0.3),
+    "behind a door": lambda: with_tolerances(of_file("drawer_behind_door"), 0.15),
+    "beyond the end of a drawer": lambda: drawer_problem(0.1, 0.3595),
+    "far beyond the end of a drawer": lambda: drawer_problem(0.1, 0.5),
+    "a start that is too open": lambda: door_problem(1.6, 0.4),
+}
+
+
+def taken(problem: Problem, finding: Finding) -> list[Problem]:
+    """The problem with each number that a remedy names, read from its words as a user reads them."""
+    names, found = problem.automaton.coordinate_names, list[Problem]()
+    for text in re.findall(rf"`confidence` to {NUMBER}", finding.remedy):
+        found.append(with_settings(problem, confidence=float(text)))
+    tolerances = dict(re.findall(rf"(?:tolerance|that) of '(\w+)' to {NUMBER}", finding.remedy))
+    if tolerances:
+        target = tuple((i, v, float(tolerances.get(names[i], tol))) for i, v, tol in problem.goal.target)
+        found.append(replace(problem, goal=replace(problem.goal, target=target)))
+    for text in re.findall(rf"move its target to {NUMBER}", finding.remedy):
+        (name,) = [name for name in names if re.search(rf"goal (for '{name}'|{name} =)", finding.sentence)]
+        target = tuple((i, float(text) if names[i] == name else v, tol) for i, v, tol in problem.goal.target)
+        found.append(replace(problem, goal=replace(problem.goal, target=target)))
+    for name, text in re.findall(rf"start (\w+) at {NUMBER}", finding.remedy):
+        mean = tuple(float(text) if names[i] == name else value for i, value in enumerate(problem.start.mean))
+        found.append(replace(problem, start=replace(problem.start, mean=mean)))
+    return found
+
+
+@pytest.mark.parametrize("name", FAILING)
+def test_every_number_in_a_remedy_works_when_it_is_followed(name: str) -> None:
+    problem = FAILING[name]()
+    failed = solve(problem)
+    assert failed.outcome != "solved"
+    followed = [other for finding in failed.findings for other in taken(problem, finding)]
+    assert followed, [finding.remedy for finding in failed.findings]
+    for other in followed:
+        assert solve(other, advise=False).outcome == "solved"
+
+
+def test_without_advice_no_number_is_named() -> None:
+    for make in FAILING.values():
+        problem = make()
+        for finding in solve(problem, advise=False).findings:
+            assert not taken(problem, finding)
+
+
+def test_an_offer_changes_what_it_says_and_nothing_else() -> None:
+    problem = planar_problem()
+    (first, second), settings = problem.goal.target, problem.settings
+    assert changed(problem, Offer("", "", "tolerance", ((1, 0.3),))).goal.target == (first, (1, second[1], 0.3))
+    assert changed(problem, Offer("", "", "target", ((0, 0.7),))).goal.target == ((0, 0.7, first[2]), second)
+    assert changed(problem, Offer("", "", "start", ((1, 0.1),))).start.mean == (problem.start.mean[0], 0.1)
+    assert changed(problem, Offer("", "", "confidence", ((0, 0.6),))).settings == replace(settings, confidence=0.6)
+
+
+def test_a_confidence_takes_as_many_roll_outs_as_show_it() -> None:
+    """All of n succeed with probability c^n: with the confidence 0.999, 1,000 do by luck in 37 of 100 cases."""
+    assert [least_trials(c) for c in (0.9, 0.95, 0.999, 0.9999)] == [29, 59, 2995, 29956]
+    problem = with_settings(door_problem(0.2, 0.5), confidence=0.999, verification_trials=200)
+    found = verify(problem, plan(problem))
+    assert found.verification_trials == 2995
+    surer = with_settings(problem, confidence=0.999999)
+    refused = verify(surer, plan(surer))
+    assert refused.outcome == "not_verified"
+    assert "it takes 2,995,731 roll-outs to show the confidence" in refused.reason
+
+
+def test_a_limit_that_ends_the_tightening_is_told_as_one() -> None:
+    """The time is over after the first verification: not the noise, but the limit is to be changed first."""
+    problem = with_tolerances(planar_problem(), 0.2)
+    now = [0.0]
+    deadline = Deadline(10.0, clock=lambda: now[0])
+
+    def planner(task: Problem, *, deadline: Deadline) -> Plan:
+        assert not deadline.is_over()
+        return plan(task)
+
+    def slow(task: Problem, found: Plan, *, seed: int, deadline: Deadline) -> Plan:
+        answer = verify(task, found, seed=seed, deadline=deadline)
+        now[0] = 1000.0
+        return answer
+
+    found = verified_plan(problem, planner, 0, 3, deadline, verifier=slow)
+    assert found.outcome == "not_verified"
+    assert found.reason.endswith("raise solve_time_limit_s")
+    assert found.findings[0].remedy == "raise solve_time_limit_s"
+
+
+def held(**mean: float) -> Problem:
+    problem = replace(of_file("stapler_on_books"), robot=None, grasp=None)
+    start = tuple(
+        mean.get(name, value) for name, value in zip(["x", "y", "z", "theta"], problem.start.mean, strict=True)
+    )
+    return replace(problem, start=replace(problem.start, mean=start))
+
+
+@pytest.mark.parametrize("mean", [{"theta": 0.001}, {"theta": -0.03}, {"z": 0.605}])
+def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, float]) -> None:
+    problem = held(**mean)
+    assert start_mode(problem.automaton, problem.start) == ("free", "")
+    assert solve(problem, advise=False).outcome == "solved"
+
+
+def test_a_start_far_outside_says_how_far() -> None:
+    (finding,) = solve(held(theta=-0.5), advise=False).findings
+    assert finding.level == "start"
+    assert "it misses mode 'free' by 0.503 rad" in finding.sentence
+
+
+def test_a_start_or_a_goal_inside_a_body_is_named() -> None:
+    within = solve(held(x=0.45, z=0.15), advise=False)
+    assert "the start lies inside 'lower_arm at book_1, book_2, book_3, book_4'" in within.reason
+    problem = held()
+    goal = tuple((i, 0.15 if i == 2 else value, tol) for i, value, tol in problem.goal.target)
+    placed = solve(replace(problem, goal=replace(problem.goal, target=goal)), advise=False)
+    assert "the goal lies inside 'lower_arm at book_1, book_2, book_3, book_4'" in placed.reason
+
+
+def test_a_goal_inside_two_bodies_together_is_named() -> None:
+    """Neither block holds all of the goal."""
+    problem = planar_problem(trap=False)
+    names, edges = ["x", "y"], problem.automaton.edges
+    for low, high in ((0.6, 0.8), (0.79, 1.0)):
+        edges = (*edges, Edge("right", "lost", box([low, -1.0], [high, -0.6], 2, names)))
+    told = solve(replace(problem, automaton=replace(problem.automaton, edges=edges)), advise=False)
+    assert told.outcome == "no_plan"
+    assert "the goal lies inside" in told.reason
