@@ -209,18 +209,16 @@ class HeldObject:
         """The turn of the part in the hand against a spring; it shows in a coordinate if nothing else shows that."""
         automaton, grip, own = self._automaton, self._grip, self._parameters
         spring = {"stiffness": own.pivot_stiffness, "damping": own.pivot_damping}
-        attributes = {"axis": _HINGE, "pos": grip.point, **spring}
         in_hand, moving = (automaton.links[number].coordinate for number in self.parts)
+        world.joint(body, "hinge", "pivot", axis=_HINGE, pos=grip.point, **spring)
         if in_hand in self.hand or (in_hand == moving and _joint(automaton, self.parts[1]).kind != "rigid"):
-            world.joint(body, "hinge", "pivot", **attributes)
             return
         nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, self.parts[0])
         zero, one = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
         sign, off = float((one - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
         if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
             raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
-        shows = WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE))
-        world.joint(body, "hinge", shows, **attributes)
+        world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE)))
 
     def _add_joint(self, world: World, body: Any, joint: Joint) -> None:
         """The joint of the other part.
@@ -242,8 +240,8 @@ class HeldObject:
         kind, axis = ("hinge", (0.0, -1.0, 0.0)) if joint.kind == "revolute" else ("slide", (0.0, 0.0, 1.0))
         # Soft constraints creep: dry friction holds the part up only if it is stiff.
         resistance = {"frictionloss": own.joint_friction, "damping": own.joint_damping}
-        shows = WorldJoint("joint", coordinate, zero=-datum, latches=latches)
-        world.joint(body, kind, shows, axis=axis, range=(lowest, highest), **STOPS, **resistance)
+        world.joint(body, kind, "joint", axis=axis, range=(lowest, highest), **STOPS, **resistance)
+        world.show(WorldJoint("joint", coordinate, zero=-datum, latches=latches))
 
 
 def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]:

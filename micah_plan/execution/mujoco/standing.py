@@ -252,11 +252,12 @@ def _add_joint(
         "range": np.clip([lower, upper], -_UNLIMITED, _UNLIMITED),
         **STOPS,
     }
-    kind = "slide" if joint.kind == "prismatic" else "hinge"
-    world.joint(body, kind, WorldJoint(link.child, link.coordinate, latches=latches), **attributes)
+    world.joint(body, "slide" if joint.kind == "prismatic" else "hinge", link.child, **attributes)
+    world.show(WorldJoint(link.child, link.coordinate, latches=latches))
     if joint.kind == "screw":
         slide = WorldJoint(f"{link.child}/slide", link.coordinate, joint.pitch, is_shown=False)
-        world.joint(body, "slide", slide, axis=axis)
+        world.joint(body, "slide", slide.name, axis=axis)
+        world.show(slide)
         world.tie(slide.name, (0.0, joint.pitch), link.child)
     if latches:
         name, kinds = _lever(link.child), world.mujoco.mjtSensor

@@ -147,20 +147,21 @@ class World:
             place = pose(shape.position, shape.quaternion)
             body.add_geom(type=kind, size=size, mass=mass * volume / whole, **place, **surface)
 
-    def joint(self, body: Any, kind: str, shows: WorldJoint | str, **attributes: Any) -> None:
-        """Give a body a hinge or slide, by its name or with the coordinate that it shows, and its latches, open.
+    def joint(self, body: Any, kind: str, name: str, **attributes: Any) -> None:
+        """Give a body a hinge or slide."""
+        body.add_joint(name=name, type=getattr(self.mujoco.mjtJoint, f"mjJNT_{kind.upper()}"), **attributes)
+
+    def show(self, joint: WorldJoint) -> None:
+        """Let a joint show a coordinate, and give it its latches, which are open.
 
         A sensor called `sensor_name` shows the position of a joint with latches.
         """
-        name, latches = (shows, ()) if isinstance(shows, str) else (shows.name, shows.latches)
-        body.add_joint(name=name, type=getattr(self.mujoco.mjtJoint, f"mjJNT_{kind.upper()}"), **attributes)
-        if isinstance(shows, WorldJoint):
-            self.joints.append(shows)
-        for number, latch in enumerate(latches):
-            self.tie(name, (latch.position, 0.0), name=latch_name(name, number), active=False)
-        if latches:
-            on_joint = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": name}
-            self.spec.add_sensor(name=sensor_name(name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **on_joint)
+        self.joints.append(joint)
+        for number, latch in enumerate(joint.latches):
+            self.tie(joint.name, (latch.position, 0.0), name=latch_name(joint.name, number), active=False)
+        if joint.latches:
+            seen = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": joint.name}
+            self.spec.add_sensor(name=sensor_name(joint.name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **seen)
 
     def tie(self, joint: str, coefficients: Sequence[float], other: str = "", **attributes: Any) -> None:
         """Hold a joint at a + b q, where q is the position of another joint (without one: 0)."""
