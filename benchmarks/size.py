@@ -1,6 +1,9 @@
 """Files, lines and the median file of every package, at an earlier commit and now.
 
-    python benchmarks/size.py REVISION
+    python benchmarks/size.py REVISION [--kinds]
+
+With `--kinds`, what the lines are, without the packages that the restructuring left alone: code, docstrings, blank
+lines, imports, heads of functions and comments.
 
 Packages that the earlier commit called otherwise stand beside what became of them (`RENAMED`); folders within a package
 count with it. Lines are all lines of Python files.
@@ -9,8 +12,9 @@ count with it. Lines are all lines of Python files.
 from __future__ import annotations
 
 import argparse
+import ast
 import subprocess
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
@@ -26,25 +30,57 @@ def git(*arguments: str) -> str:
     return subprocess.run(["git", "-C", str(ROOT), *arguments], check=True, capture_output=True, text=True).stdout  # noqa: S603, S607
 
 
-def before(revision: str) -> dict[str, list[int]]:
-    """Lines of each file of a commit, by package."""
+def before(revision: str) -> dict[str, list[str]]:
+    """Texts of the files of a commit, by package."""
     names = git("ls-tree", "-r", "--name-only", revision, PACKAGE).splitlines()
-    return by_package({name: git("show", f"{revision}:{name}").count("\n") for name in names if name.endswith(".py")})
+    return by_package({name: git("show", f"{revision}:{name}") for name in names if name.endswith(".py")})
 
 
-def now() -> dict[str, list[int]]:
-    """Lines of each file of the working tree, by package."""
+def now() -> dict[str, list[str]]:
+    """Texts of the files of the working tree, by package."""
     files = sorted((ROOT / PACKAGE).rglob("*.py"))
-    return by_package({file.relative_to(ROOT).as_posix(): file.read_text("utf-8").count("\n") for file in files})
+    return by_package({file.relative_to(ROOT).as_posix(): file.read_text("utf-8") for file in files})
 
 
-def by_package(lines: Mapping[str, int]) -> dict[str, list[int]]:
+def by_package(texts: Mapping[str, str]) -> dict[str, list[str]]:
     found = defaultdict(list)
-    for name, count in lines.items():
+    for name, text in texts.items():
         _, *inner = name.split("/")
         own = inner[0] if len(inner) > 1 else "(top)"
-        found[RENAMED.get(own, own)].append(count)
+        found[RENAMED.get(own, own)].append(text)
     return found
+
+
+def kinds(text: str) -> Counter[str]:
+    """How many lines of a file are what."""
+    lines = text.splitlines()
+    kind = ["comments" if line.strip().startswith("#") else "code" if line.strip() else "blank" for line in lines]
+
+    def mark(first: int, last: int, name: str) -> None:
+        """Lines from a first to a last one, counted from 1."""
+        for i in range(first - 1, last):
+            kind[i] = name if kind[i] != "blank" or name == "docstrings" else "blank"
+
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str())):
+                mark(node.lineno, node.end_lineno or node.lineno, "docstrings")
+            case ast.Import() | ast.ImportFrom():
+                mark(node.lineno, node.end_lineno or node.lineno, "imports")
+            case ast.FunctionDef():
+                mark(node.lineno, node.body[0].lineno - 1, "heads of functions")
+    return Counter(kind)
+
+
+def print_kinds(old: Mapping[str, Sequence[str]], new: Mapping[str, Sequence[str]]) -> None:
+    then, today = (
+        sum((kinds(text) for name, texts in own.items() if name not in APART for text in texts), Counter[str]())
+        for own in (old, new)
+    )
+    print("| lines | before | now | change |")
+    print("| --- | ---: | ---: | ---: |")
+    for name, count in today.most_common():
+        print(f"| {name} | {then[name]} | {count} | {100 * (count / then[name] - 1):+.0f} % |")
 
 
 def row(name: str, old: Sequence[int], new: Sequence[int]) -> str:
@@ -56,8 +92,13 @@ def row(name: str, old: Sequence[int], new: Sequence[int]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("revision", help="the commit to compare with")
+    parser.add_argument("--kinds", action="store_true", help="what the lines are")
     options = parser.parse_args()
-    old, new = before(options.revision), now()
+    texts = before(options.revision), now()
+    if options.kinds:
+        print_kinds(*texts)
+        return
+    old, new = ({name: [text.count("\n") for text in own] for name, own in side.items()} for side in texts)
     print("| package | files | lines | median | files now | lines now | median now | change |")
     print("| --- |" + " ---: |" * 7)
     for name in sorted({*old, *new}):

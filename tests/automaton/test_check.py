@@ -156,6 +156,13 @@ def test_small_differences_of_numbers_written_by_hand_pass() -> None:
     check_automaton(shut(invariant=guard(([1], [0], 1.205))))
 
 
+def test_a_pin_known_exactly_lies_in_its_invariant_but_for_rounding() -> None:
+    exact, from_here = (Pin(0, 1.2, 1e-12),), [guard(([1], [0], at)) for at in (1.2 + 5e-10, 1.2 + 1e-7)]
+    check_automaton(shut(pins=exact, invariant=from_here[0]))
+    with pytest.raises(InputError, match=r"the pin of door, 1\.2 rad, lies outside"):
+        check_automaton(shut(pins=exact, invariant=from_here[1]))
+
+
 class TestEmpty:
     def test_boxes(self) -> None:
         assert not is_empty(Region())

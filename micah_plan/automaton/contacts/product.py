@@ -13,7 +13,7 @@ withdraws. A latched object cannot be pressed into the face; where it latched ag
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,28 +162,22 @@ class _Product:
                 yield Edge(mode.name, COLLIDED, region)
 
     def _free(self) -> Mode:
-        region = self._hand_box(self.joint.low, self.joint.high)
-        rows = tuple(c.above for c in self.contacts if c.is_line and self._lines_on(c.face) == 1)
+        rows = [c.above for c in self.contacts if c.is_line and self._lines_on(c.face) == 1]
         joints = mode_joints(self.grip, self.joint)
-        return Mode(FREE, joints, _HAND_FREE, region.intersection(Region(rows)))
+        return Mode(FREE, joints, _HAND_FREE, self._within(self.joint.low, self.joint.high, rows))
 
     def _contact(self, contact: Contact) -> Mode:
         tie, piece = contact.tie, contact.piece
+        low, high = sorted((piece.begin, piece.end))
+        joints = mode_joints(self.grip, self.joint, turned_from=None if contact.is_line else piece.begin)
         flow = (*_HAND_FREE[:3], tie.weights[:3])
-        region = self._hand_box(*sorted((piece.begin, piece.end)))
-        turned = None if contact.is_line else piece.begin
-        joints = mode_joints(self.grip, self.joint, turned_from=turned)
-        return Mode(contact.name, joints, flow, region, ties=(tie,))
+        return Mode(contact.name, joints, flow, self._within(low, high), ties=(tie,))
 
     def _latched(self, latch: Latch) -> Mode:
-        region = self._hand_box(-np.inf, np.inf)
-        rows = []
-        for face in self.surroundings.faces:
-            bound = above if face.sign > 0 else below
-            rows.append(bound(face.axis, self._lowest(latch, face), _N, _M, name=AXES[face.axis]))
-        joints = mode_joints(self.grip, self.joint, rigid_at=latch.pin.value)
-        pin = Pin(_JOINT, latch.pin.value, latch.pin.std)
-        return Mode(latch.mode, joints, _HAND_FREE, region.intersection(Region(tuple(rows))), pins=(pin,))
+        at = latch.pin.value
+        rows = [_beyond(f.axis, self._lowest(latch, f), f.sign, AXES[f.axis]) for f in self.surroundings.faces]
+        joints, pin = mode_joints(self.grip, self.joint, rigid_at=at), Pin(_JOINT, at, latch.pin.std)
+        return Mode(latch.mode, joints, _HAND_FREE, self._within(-np.inf, np.inf, rows), pins=(pin,))
 
     def _contact_edges(self) -> Iterator[Edge]:
         """Into contact, from a piece to the next and back, out of contact, and the end of the last piece."""
@@ -196,20 +190,19 @@ class _Product:
                 if not any(other.piece.end == piece.begin for other in on_face):
                     yield Edge(contact.name, FREE, Region((self._withdrawing(face),)))
             if follower is not None:
-                onward = Region((self._beyond(piece.end, piece.direction),))
+                onward = Region((self._past(piece.end, piece.direction),))
                 yield Edge(contact.name, follower.name, onward, follower.entry)
                 # Only a hand that withdraws leads back: a belief that spreads over the boundary does not.
-                back = Region((self._withdrawing(face), self._beyond(piece.end, -piece.direction, strict=True)))
+                back = Region((self._withdrawing(face), self._past(piece.end, -piece.direction, strict=True)))
                 yield Edge(follower.name, contact.name, back, contact.entry)
             elif self._latch_after(contact) is None:
                 # Pressing does not get any further: the hand is stopped.
-                stop = Region((self._beyond(piece.end, piece.direction, strict=True),))
+                stop = Region((self._past(piece.end, piece.direction, strict=True),))
                 yield Edge(contact.name, contact.name, stop, Reset.to({**contact.end_of_hand, _JOINT: piece.end}, _N))
 
     def _latch_edges(self) -> Iterator[Edge]:
         for latch in self.joint.latches:
-            bound = above if latch.direction > 0 else below
-            guard = Region((bound(_JOINT, latch.threshold, _N, _M, name="latch"),))
+            guard = Region((_beyond(_JOINT, latch.threshold, latch.direction, "latch"),))
             for contact in self.contacts:
                 if self._latch_after(contact) is latch:
                     yield Edge(contact.name, latch.mode, guard, Reset.to(contact.end_of_hand, _N), latch.threshold_std)
@@ -220,32 +213,30 @@ class _Product:
         latched = {latch.threshold for latch in self.joint.latches}
         for value, direction in ((self.joint.low, -1), (self.joint.high, 1)):
             if value not in latched:
-                stop = Region((self._beyond(value, direction, strict=True),))
+                stop = Region((self._past(value, direction, strict=True),))
                 yield Edge(FREE, FREE, stop, Reset.to({_JOINT: value}, _N))
 
     def _resting_edges(self) -> Iterator[Edge]:
         """A latched object stands on a face: the hand does not get lower."""
         for latch in self.joint.latches:
             for face in self.surroundings.faces:
-                value, bound = self._lowest(latch, face), below if face.sign > 0 else above
-                guard = bound(face.axis, value, _N, _M, strict=True, name=AXES[face.axis])
+                value = self._lowest(latch, face)
+                guard = _beyond(face.axis, value, -face.sign, AXES[face.axis], strict=True)
                 yield Edge(latch.mode, latch.mode, Region((guard,)), Reset.to({face.axis: value}, _N))
 
     def _begins(self, contact: Contact) -> Region:
         """Where contact begins: below the touching height, in the range of this edge if several edges may touch."""
         rows, piece = [contact.touching], contact.piece
         if self._lines_on(contact.face) > 1:
-            rows.append(self._beyond(piece.begin, piece.direction))
-            rows.append(self._beyond(piece.end, -piece.direction, strict=True))
+            rows.append(self._past(piece.begin, piece.direction))
+            rows.append(self._past(piece.end, -piece.direction, strict=True))
         return Region(tuple(rows))
 
     def _lines_on(self, face: Face) -> int:
         return sum(contact.face == face and contact.is_line for contact in self.contacts)
 
-    def _beyond(self, value: float, direction: int, *, strict: bool = False) -> HalfSpace:
-        """The joint at or beyond a value, seen along a direction."""
-        bound = above if direction > 0 else below
-        return bound(_JOINT, value, _N, _M, strict=strict, name=self.grip.coordinate)
+    def _past(self, value: float, direction: int, *, strict: bool = False) -> HalfSpace:
+        return _beyond(_JOINT, value, direction, self.grip.coordinate, strict=strict)
 
     def _latch_after(self, contact: Contact) -> Latch | None:
         """The latch at the end of a contact's piece."""
@@ -264,6 +255,12 @@ class _Product:
         heights.append(resting_height(self.grip, face, self.joint.datum, latch.threshold, self.joint.turns))
         return face.position + face.sign * min(heights)
 
-    def _hand_box(self, low: float, high: float) -> Region:
+    def _within(self, low: float, high: float, rows: Sequence[HalfSpace] = ()) -> Region:
+        """The hand within its limits, the joint between two values, and further half-spaces."""
         lower, upper = (*self.surroundings.lower, low), (*self.surroundings.upper, high)
-        return box(lower, upper, _M, (*AXES, "theta"))
+        return box(lower, upper, _M, (*AXES, "theta")).intersection(Region(tuple(rows)))
+
+
+def _beyond(coordinate: int, value: float, direction: int, name: str, *, strict: bool = False) -> HalfSpace:
+    """A coordinate at or beyond a value, seen along a direction."""
+    return (above if direction > 0 else below)(coordinate, value, _N, _M, strict=strict, name=name)
