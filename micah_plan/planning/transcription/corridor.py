@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,34 +35,50 @@ from micah_plan.task.problem import Problem
 _SMALLEST_STD = 1e-9
 
 
-@dataclass(frozen=True)
-class CorridorRow:
-    """One boundary at one knot: sign * (a'mean - c) >= 0, and >= k-sigma if it is uncertain.
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side of a boundary along a phase of N steps: sign * (a'mean - c) >= 0.
 
     Attributes:
-        row: what the mean must meet.
+        row: what the mean must meet, at the first knot of the phase.
         normal, offset: sign * a (n,) and sign * c.
-        step: knot within the phase, from 1.
-        uncertain: whether it should hold at k-sigma; else (a clamp) for the mean only.
         scale: length of one step across it [its unit].
-        spread: variance across it by which the estimate wanders in closed loop and that of the boundary itself where
-            it is a threshold, to be added to the belief's.
-        margin, std: of the guess, with the spread.
+        spreads: (N+1,) variance across it by which the estimate wanders in closed loop and that of the boundary itself
+            where it is a threshold, to be added to the belief's.
+        margins, stds: (N+1,) of the guess, with the spread.
     """
 
     row: Row
     normal: Floats
     offset: float
+    scale: float
+    spreads: Floats
+    margins: Floats
+    stds: Floats
+
+
+class CorridorRow(NamedTuple):
+    """One side of a boundary at one knot.
+
+    Attributes:
+        side: of the boundary.
+        step: knot within the phase, from 1.
+        uncertain: whether it should hold at k-sigma; else (a clamp) for the mean only.
+    """
+
+    side: Side
     step: int
     uncertain: bool
-    scale: float
-    spread: float
-    margin: float
-    std: float
+
+    @property
+    def row(self) -> Row:
+        """What the mean must meet."""
+        return self.side.row._replace(knot=self.side.row.knot + self.step)
 
     def slack_start(self, k: float) -> float:
         """The slack that makes the guess feasible, in steps."""
-        return max(0.0, k * self.std - self.margin) / self.scale
+        side = self.side
+        return max(0.0, k * float(side.stds[self.step]) - float(side.margins[self.step])) / side.scale
 
 
 def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> list[CorridorRow]:
@@ -74,7 +91,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
     walls = [_farthest(rows, guess) for rows in obstacles]
-    rows, sides = [], dict[tuple[str, HalfSpace, float], _Side | None]()
+    rows, sides = [], dict[tuple[str, HalfSpace, float], Side | None]()
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
         chosen = list(fixed)
@@ -89,40 +106,13 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
             if key not in sides:
                 sides[key] = _side(automaton, limits, guess, half_space, sign, stds.get(half_space, 0.0))
             if (side := sides[key]) is not None:
-                rows.append(side.row(guess.mode, guess.first_knot, step, uncertain))
+                rows.append(CorridorRow(side, step, uncertain))
     return rows
-
-
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """One side of a boundary along a phase of N steps.
-
-    Attributes:
-        half_space, sign, name, unit, normal, offset, scale: as in `CorridorRow` and its row.
-        spreads, margins, stds: (N+1,) as there, at all knots.
-    """
-
-    half_space: HalfSpace
-    sign: float
-    name: str
-    unit: str
-    normal: Floats
-    offset: float
-    scale: float
-    spreads: Floats
-    margins: Floats
-    stds: Floats
-
-    def row(self, mode: str, first_knot: int, step: int, uncertain: bool) -> CorridorRow:
-        """The row at a knot of the phase."""
-        own = Row(mode, first_knot + step, self.name, self.unit, 0.0, np.inf, "boundary", self.half_space, self.sign)
-        at = float(self.spreads[step]), float(self.margins[step]), float(self.stds[step])
-        return CorridorRow(own, self.normal, self.offset, step, uncertain, self.scale, *at)
 
 
 def _side(
     automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, half_space: HalfSpace, sign: float, std: float
-) -> _Side | None:
+) -> Side | None:
     """A side of a boundary whose place has that std; None if the mode cannot move across."""
     a, c = sign * np.array(half_space.a), sign * half_space.c
     if not np.any(a @ automaton.mode(guess.mode).B):
@@ -130,8 +120,8 @@ def _side(
     spreads = guess.spreads @ a @ a + std**2
     stds = np.hypot(np.linalg.norm(a @ guess.factors, axis=-1), np.sqrt(np.maximum(0.0, spreads)))
     name, unit = boundary_name(half_space, sign), unit_of(automaton, half_space)
-    scale = float(np.abs(a) @ limits.speed)
-    return _Side(half_space, sign, name, unit, a, c, scale, spreads, guess.means @ a - c, stds)
+    row = Row(guess.mode, guess.first_knot, name, unit, 0.0, np.inf, "boundary", half_space, sign)
+    return Side(row, a, c, float(np.abs(a) @ limits.speed), spreads, guess.means @ a - c, stds)
 
 
 def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[HalfSpace]) -> dict[HalfSpace, float]:

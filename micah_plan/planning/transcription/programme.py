@@ -205,13 +205,15 @@ def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: Hal
 
 def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
     """The boundaries between the ends of the phase."""
-    directions = np.array([one.normal for one in boundaries]).T
-    offsets = np.array([one.offset for one in boundaries])
+    directions = np.array([one.side.normal for one in boundaries]).T
+    offsets = np.array([one.side.offset for one in boundaries])
     at = phase.states[:, [one.step for one in boundaries]]
     margins, stds = _margin_function(nlp.pattern).map(len(boundaries))(at, directions, offsets[None, :])
     uncertain = [i for i, one in enumerate(boundaries) if one.uncertain]
-    total = ca.sqrt(stds[uncertain].T ** 2 + ca.DM([boundaries[i].spread for i in uncertain]))
-    scales = np.array([boundaries[i].scale for i in uncertain])
+    total = ca.sqrt(
+        stds[uncertain].T ** 2 + ca.DM([float(boundaries[i].side.spreads[boundaries[i].step]) for i in uncertain])
+    )
+    scales = np.array([boundaries[i].side.scale for i in uncertain])
     rows, slacks = [one.row for one in boundaries], phase.slacks[: len(uncertain)]
     _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
 
