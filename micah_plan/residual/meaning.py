@@ -8,7 +8,7 @@ cannot decide, since places contain the measured poses that they are relative to
 what a controller believed, and something else measured the part, they can, and do.
 
 The response to a place is one family (`follow`): a share of the way per row, and an offset; then delay, momentum
-(second order), gain and a dead zone, each where it predicts clearly better and no roll-out gets longer.
+(second order), gain and a dead zone, each where it predicts clearly better and makes whole roll-outs shorter.
 
 Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures, their selection on held-out data).
 """
@@ -42,6 +42,9 @@ CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
 _MEMORY = 2
 # Degrees of freedom of what is not foretold, rounds of the fit, and the least that counts, as a share of the spread.
 _FREEDOM, _ROUNDS, _FINEST = 2.0, 30, 1e-3
+
+# What one more parameter may leave of the squared errors of whole roll-outs: a place is for going far without looking.
+_PAYS = 0.95
 
 
 def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
@@ -91,7 +94,8 @@ def followed(search: Search) -> Scored:
     while left:
         grown = {column: search.score((_freed(best.parts[0], column, lane),)) for column in sorted(left)}
         found = ranked(list(grown.values()))[0]
-        if not (is_worth(found, best, lane) and shortens(search, found, best)):
+        rolled, other = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (found, best))
+        if not (is_worth(found, best, lane) and shortens(search, found, best) and rolled < _PAYS * other):
             break
         best = found
         left -= {column for column, one in grown.items() if one is found}

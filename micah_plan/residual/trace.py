@@ -51,7 +51,7 @@ class Finding:
     """An effect that was found on a lane.
 
     Attributes:
-        part: its term and parameters, gates included; those that were fitted are medians.
+        part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
         interval: (size, 2) at `interval.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place.
@@ -236,7 +236,9 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
         column += len(part.free)
         values, free = part.starts.copy(), list(part.free)
         interval = np.repeat(part.starts.T, 2, axis=1)
-        values[0, free], interval[free] = own[:, 1], own[:, [0, 2]]
+        interval[free] = own[:, [0, 2]]
+        if len(free) == 1:  # medians of several, each with the others following, belong to no one fit
+            values[0, free] = own[:, 1]
         others = (*chosen.parts[:number], *chosen.parts[number + 1 :])
         without = search.score(others) if others else nominal
         evidence = chosen.over(without)[0]
