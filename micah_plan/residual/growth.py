@@ -15,7 +15,7 @@ import numpy as np
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.search import Scored, Search, gated
-from micah_plan.residual.simulation import Kind, Term
+from micah_plan.residual.simulation import Term
 
 Progress = Callable[[str, float], None]
 
@@ -210,11 +210,20 @@ def improves(search: Search, better: Scored, base: Scored) -> bool:
 
 
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether held-out one-step errors get smaller and roll-out errors no larger."""
-    steps, rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in ("one_step", "rollout"))
-    return steps[0] < _SHORTER * steps[1] and rolls[0] <= _NOT_LONGER**2 * rolls[1]
+    """Whether held-out one-step errors get smaller and roll-out errors no larger.
+
+    Roll-outs of displacements add up the noise of all steps, so those of stretches decide. Those of places forget it:
+    there whole runs must be rolled out no worse either.
+    """
+    kinds = [
+        *("one_step", "rollout"),
+        *(["whole"] if any(one.term.form.layer == "place" for one in base.parts) else []),
+    ]
+    steps, *rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in kinds)
+    return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
 
 
-def _errors(search: Search, scored: Scored, kind: Kind) -> float:
-    errors = search.rollout_errors(scored) if kind == "rollout" else search.errors(scored, kind)
-    return float(np.sum(errors**2))
+def _errors(search: Search, scored: Scored, kind: str) -> float:
+    if kind == "whole":
+        return float(np.sum(search.rollout_errors(scored) ** 2))
+    return float(np.sum(search.errors(scored, "rollout" if kind == "rollout" else "one_step") ** 2))
