@@ -19,7 +19,7 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 _SURE = 3.0  # stds by which a delay differs from none
-_DECISIVE = 10.0  # nats: actions are taken as recorded unless a delay explains the run far better
+_DECISIVE = 3.0  # nats: that actions acted at another time is one more number, as likely as not
 _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
 
 

@@ -17,7 +17,7 @@ from micah_plan.learn.row_window import WindowRows
 from micah_plan.learn.run import LearnedRun, fitted_pieces, unless_free
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import KnownJoints, Usual, segment_onward, usual_of
-from micah_plan.learn.segmenting.segmentation import kind_probabilities
+from micah_plan.learn.segmenting.stating import kind_probabilities
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.segments import FittedPiece, chained, to_segment
 from micah_plan.learn.settings import LearnSettings

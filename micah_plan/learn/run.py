@@ -19,13 +19,9 @@ from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior
-from micah_plan.learn.segmenting.segmentation import (
-    Segmented,
-    best_single,
-    kind_probabilities,
-    posterior_of,
-    segment_track,
-)
+from micah_plan.learn.segmenting.segmentation import best_single, segment_track, without_rests
+from micah_plan.learn.segmenting.segmented import Segmented
+from micah_plan.learn.segmenting.stating import WithoutRest, kind_probabilities, posterior_of
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -72,6 +68,7 @@ class SegmentedRun:
         track, inlier: its rows, and which are no outliers.
         steps: the rows averaged.
         segmented: the segments in steps, and what decided them.
+        fewer: what else they may be, with a rest less.
         posterior: over segmentations, in steps.
     """
 
@@ -79,6 +76,7 @@ class SegmentedRun:
     inlier: Booleans
     steps: Steps
     segmented: Segmented
+    fewer: tuple[WithoutRest, ...]
     posterior: ChangepointPosterior
 
 
@@ -113,7 +111,9 @@ def segment_run(
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings)
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, known)
-    return SegmentedRun(track, inlier, steps, segmented, posterior_of(segmented, settings, use_actions))
+    fewer = without_rests(segmented, settings, use_actions)
+    posterior = posterior_of(segmented, fewer, settings, use_actions)
+    return SegmentedRun(track, inlier, steps, segmented, fewer, posterior)
 
 
 def with_joints(
@@ -127,7 +127,8 @@ def with_joints(
     fitted, places = fitted_pieces(pieces, segmented, found.steps, track, inlier, settings, use_actions, rng)
     chain = chained(fitted, track, inlier, noise)
     free = -np.inf if misfit is None else log_odds
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free) for p in pieces]
+    fewer = found.fewer if segmented is found.segmented else ()
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free, fewer) for p in pieces]
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)

@@ -58,3 +58,36 @@ def test_a_part_that_is_left_open_has_no_stop_however_long_it_rests(kind: str, r
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_is_pushed_on_without_moving_is_stopped(kind: str, noise: Noise) -> None:
     assert kinds(acted(kind, np.zeros(0), np.ones(40), noise)) == [kind, "rigid"]
+
+
+def pressed_on_the_way(kind: str, noise: Noise, seed: int, late: int) -> Recording:
+    """A part that is moved to a stop, pressed on, and moved back, by a hand as uneven as hands are."""
+    rng = np.random.default_rng(seed)
+    step = TRAVEL[kind] / MOVING
+    asked = step * np.concatenate([np.ones(MOVING), np.ones(25), -np.ones(50)]) * np.exp(0.3 * rng.normal(size=145))
+    followed = asked.copy()
+    followed[MOVING : MOVING + 25] = 0.0
+    c = np.concatenate([[0.0], np.cumsum(followed)])
+    commanded = np.concatenate([asked[late:], np.zeros(late + 1)])
+    return recorded([(JOINTS[kind], c)], rng, noise, commanded=[commanded])
+
+
+@pytest.mark.parametrize("late", [0, 4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_part_that_is_pressed_at_a_stop_and_moved_back_was_held_there(kind: str, late: int) -> None:
+    """A channel that is fitted to the rows of the press as well says so little that the stop is not seen."""
+    found = [kinds(pressed_on_the_way(kind, Noise(0.001, 0.006), seed, late)) for seed in range(4)]
+    assert found.count([kind, "rigid", kind]) >= 3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_less_a_hand_pushes_at_a_rest_the_less_certain_it_is(kind: str) -> None:
+    """The joint may have the part there as well: that was no rival, and every rest was told with certainty."""
+    means = []
+    for push in (0.2, 1.0):
+        pushed = [acted(kind, np.zeros(0), np.full(40, push), Noise(0.002, 0.01), seed) for seed in range(3)]
+        ends = [learn_graph(one).edges[0].segments[-1] for one in pushed]
+        means.append(np.mean([end.probability for end in ends if end.joint.kind == "rigid"]))
+    hardly, firmly = means
+    assert 0.5 < hardly < 0.9
+    assert firmly > 0.97

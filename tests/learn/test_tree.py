@@ -21,7 +21,7 @@ from micah_plan.learn.parts.branch_poses import branch_poses
 from micah_plan.learn.parts.comotion import carriers, moves_far
 from micah_plan.learn.parts.relative import relative_rows
 from micah_plan.learn.parts.tree import _share, learn_tree
-from micah_plan.learn.segmenting.segmentation import LOG_ODDS_OVERSTATED
+from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
 

@@ -47,7 +47,7 @@ from micah_plan.learn.parts.arborescence import Arc, Weight, maximum_arborescenc
 from micah_plan.learn.parts.branch_poses import branch_poses
 from micah_plan.learn.parts.comotion import carriers, moves_far
 from micah_plan.learn.parts.relative import RelativeRows, in_whole_recording, relative_rows
-from micah_plan.learn.segmenting.segmentation import LOG_ODDS_OVERSTATED
+from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED
 from micah_plan.recording.value import Recording
 
 PairLearner = Callable[[Recording], KinematicEdge]

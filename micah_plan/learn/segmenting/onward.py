@@ -27,7 +27,8 @@ from micah_plan.learn.segmenting.noise_fit import first_noise, misses, noises_le
 from micah_plan.learn.segmenting.occam import parameter_count
 from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses, windows
 from micah_plan.learn.segmenting.running_evidence import RunningEvidence
-from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
+from micah_plan.learn.segmenting.segmentation import segment_track
+from micah_plan.learn.segmenting.segmented import Segmented
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, merged
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack

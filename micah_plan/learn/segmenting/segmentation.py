@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.coarsening import trust_in
@@ -16,11 +14,11 @@ from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, t
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
-from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
 from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
-from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, selections, shared
-from micah_plan.learn.segmenting.stops import rests_in_the_end, stopped_in_the_end
+from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths, rows_of_joints
+from micah_plan.learn.segmenting.selection import merged, selections, shared
+from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, WithoutRest, posterior_of
+from micah_plan.learn.segmenting.stops import held_somewhere
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -28,34 +26,7 @@ _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
-_SAME_ROWS = 0.6  # of the rows of either
-# By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
-# be followed by any kind, and by a pause. And how many times too large the evidence for kinds is: joints and noise are
-# fitted to the rows that they are judged by. Both from simulations of short and noisy motions (reliability.py).
-_ENDS_AT_REST = 2.7  # nats
-LOG_ODDS_OVERSTATED = 6.0
-
-
-@dataclass(frozen=True, eq=False)
-class Segmented:
-    """The most probable segments of a track and what they refer to.
-
-    Attributes:
-        track: the rows that were segmented.
-        noise: estimated together with the segments.
-        segmentation: pieces, in rows of that track; those of one hypothesis share its parameters.
-        table: the evidence that decided, with its pool and step models.
-    """
-
-    track: PartTrack
-    noise: NoiseModel
-    segmentation: Segmentation
-    table: EvidenceTable
-
-    @property
-    def log_probability(self) -> float:
-        """Of the rows and segments, parameters of a joint counted once [nats]."""
-        return self.segmentation.log_probability
+_PLACES = 4.0  # nats that the places where a rest may begin and end are worth together
 
 
 def segment_track(
@@ -70,7 +41,7 @@ def segment_track(
         use_actions: whether motion is predicted from the actions (Act-CHAMP).
         known: what was found for the same poses with other actions: then its joints and noise start, alone.
     """
-    prior = _prior(track, settings)
+    prior = prior_of_lengths(track, settings)
     if known is None:
         tables = _from_two_noises(track, prior, settings, use_actions)
     else:
@@ -82,24 +53,53 @@ def segment_track(
         Segmented(track, noise, one, table) for noise, table in tables for one in selections(table, prior, settings)
     ]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    settled = _settled(proposals, prior, settings, use_actions)
-    best = max(settled, key=lambda one: one.log_probability)
+    outcomes = settled(proposals, prior, settings, use_actions)
+    best = max(outcomes, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
-        best = _unless_stopped(best, prior, settings)
+        best = _unless_held(best, prior, settings)
     return _beside_rivals(best, settings, use_actions)
 
 
-def _unless_stopped(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
-    """The same; or, if one moving joint explains all rows and a stop in the end is more probable, that."""
-    used = list({piece.hypothesis for piece in found.segmentation.pieces})
-    if len(used) > 1 or not found.table.pool.moving[used[0]]:
+def _unless_held(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
+    """The same; or, if one joint moves the part and it is more probable that it was held elsewhere too, that.
+
+    Where a rest begins and ends is summed over if it decides.
+    """
+    used = {piece.hypothesis for piece in found.segmentation.pieces}
+    if sum(bool(found.table.pool.moving[one]) for one in used) != 1:
         return found
-    stopped = stopped_in_the_end(found.table, used[0], found.track, found.noise, prior, settings)
-    if stopped is None:
-        return found
-    table, segmentation = stopped
-    rivals = _settled([replace(found, table=table, segmentation=segmentation)], prior, settings, True)
-    return max([found, *rivals], key=lambda one: one.log_probability)
+    tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
+    starts = [replace(found, table=table, segmentation=one) for table, one in tried]
+    rivals = [found, *settled(starts, prior, settings, True)]
+    highest = max(one.log_probability for one in rivals)
+    close = [one for one in rivals if one.log_probability > highest - _PLACES]
+    if len({len(one.segmentation.pieces) for one in close}) > 1:
+        best = max(close, key=lambda one: posterior_of(one, (), settings, True).log_evidence)
+    else:
+        best = max(close, key=lambda one: one.log_probability)
+    return best if len(best.segmentation.pieces) > len(found.segmentation.pieces) else found
+
+
+def without_rests(found: Segmented, settings: LearnSettings, use_actions: bool) -> tuple[WithoutRest, ...]:
+    """What is left of an answer if a rest is no rest, joints and noise fitted again: for each rest that there is."""
+    pieces, moving = found.segmentation.pieces, found.table.pool.moving
+    rests = [i for i, piece in enumerate(pieces) if not moving[piece.hypothesis]]
+    tried: list[tuple[int, int]] = []
+    starts = []
+    for i in rests:
+        beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
+        joint = next((one for one in beside if moving[one]), None)
+        if joint is not None:
+            fewer = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
+            tried.append((i, joint))
+            starts.append(replace(found, segmentation=Segmentation(fewer, -np.inf)))
+    outcomes = settled(starts, prior_of_lengths(found.track, settings), settings, use_actions) if starts else []
+    result = []
+    for (i, joint), one in zip(tried, outcomes, strict=True):
+        if len(one.segmentation.pieces) < len(pieces):
+            odds = np.exp(min(one.log_probability - found.log_probability, 0.0) / LOG_ODDS_OVERSTATED)
+            result.append(WithoutRest(i, joint, len(one.segmentation.pieces) - 1, float(odds)))
+    return tuple(result)
 
 
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
@@ -151,7 +151,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def _settled(
+def settled(
     starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
 ) -> list[Segmented]:
     """Alternate between segments, their joints and the noise until no probability grows."""
@@ -176,7 +176,7 @@ def _beside_rivals(found: Segmented, settings: LearnSettings, use_actions: bool)
     compares them with these.
     """
     (table,) = _tables([found], [found.noise], settings, use_actions)
-    used, _ = _rows_of_joints(found)
+    used, _ = rows_of_joints(found)
     pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
     return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
 
@@ -186,7 +186,7 @@ def _tables(
 ) -> list[EvidenceTable]:
     """Of each answer, under a noise: its joints, in the order of `_rows_of_joints`, and their rivals of every kind."""
     track, kinds = found[0].track, list(settings.kinds)
-    in_use = [_rows_of_joints(one) for one in found]
+    in_use = [rows_of_joints(one) for one in found]
     wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]
     rivals = all_refitted(wanted, track, stacked(noises, [1] * len(noises)))
     pools = [
@@ -194,91 +194,3 @@ def _tables(
         for one, (used, _), more in zip(found, in_use, rivals, strict=True)
     ]
     return all_tabulated(pools, track, noises, use_actions, settings.rest, found[0].table.trust)
-
-
-def _rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:
-    """Hypotheses in use, and the rows (u, n) that each explains."""
-    pieces = found.segmentation.pieces
-    used = list(dict.fromkeys(piece.hypothesis for piece in pieces))
-    rows = np.zeros((len(used), len(found.track)), dtype=bool)
-    for piece in pieces:
-        rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
-    return used, rows
-
-
-def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -> ChangepointPosterior:
-    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
-
-    Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
-    """
-    table, pieces = found.table, found.segmentation.pieces
-    used = sorted({piece.hypothesis for piece in pieces})
-    moving = table.pool.moving
-    moves = [i for i in used if moving[i]]
-    index = np.arange(len(moving))
-    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves)
-    paid = float(cost[used].sum()) - ANOTHER_JOINT * bool(moves)
-    cost[used] = 0.0
-    worth = table.sums - cost[:, None, None]
-    spare = ~moving
-    spare[used] = False
-    rests = worth[spare]
-    if "rigid" in settings.kinds:
-        ends = rests_in_the_end(table, moves, found.track, found.noise, use_actions, settings.rest)
-        rests = np.concatenate([rests, ends])
-    # Rests fitted to much the same rows are one rest, told by the best of them.
-    worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
-    rigid = np.append(~moving[~spare], True) if len(rests) else ~moving
-    if not table.motion.gain[moves].any():
-        worth[rigid, 1:, -1] += _ENDS_AT_REST
-    # A part does not get from one rest to another without a motion.
-    apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
-    prior = _prior(found.track, settings)
-    result = changepoint_posterior(worth, apart, prior, len(settings.kinds), len(pieces) - 1)
-    return replace(result, log_evidence=result.log_evidence - paid)
-
-
-def kind_probabilities(
-    found: Segmented, hypothesis: int, kinds: Sequence[JointKind], free: float
-) -> tuple[tuple[JointKind, float], ...]:
-    """Probability of every kind of joint for all rows of one joint.
-
-    Args:
-        free: log odds of free motion against all segments together [nats].
-    """
-    table, pieces = found.table, found.segmentation.pieces
-    names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
-    governed = np.zeros(len(found.track), dtype=bool)
-    sums = np.zeros(len(names))
-    for piece in pieces:
-        if piece.hypothesis == hypothesis:
-            known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
-            sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
-            governed[piece.start : piece.end + 1] = True
-    elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
-    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
-    held = bool(moving[elsewhere].any())
-    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
-    twisting = table.pool.hypotheses.joints.twisting
-    evidence = (sums + SCREW_CHOSEN * twisting) / LOG_ODDS_OVERSTATED
-    # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
-    beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
-    another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
-    another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
-    worth = evidence - RARE_SCREW * twisting - ANOTHER_JOINT * another
-    # Rivals are those fitted to much the same rows: others were paid for by other rows.
-    used = table.pool.hypotheses.used
-    shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
-    rival = shared_rows >= _SAME_ROWS
-    rival[hypothesis] = True
-    of_kind = [rival & (np.array(names) == kind) for kind in kinds]
-    best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
-    share = np.exp(best - best.max())
-    share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
-    return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
-
-
-def _prior(track: PartTrack, settings: LearnSettings) -> LengthPrior:
-    """The length prior in rows."""
-    share = 0.5 if settings.mean_length is None else settings.mean_length / max(track.duration, 1e-12)
-    return LengthPrior(max(share * len(track), 1.0), settings.length_shape)

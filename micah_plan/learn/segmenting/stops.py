@@ -1,8 +1,8 @@
-"""A part that its joint moves and that is stopped in the end: joints and their channel, learned from the rows before.
+"""A part that its joint moves and that is held for a while: joints and their channel, learned from the other rows.
 
 What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
-stop are among them, the actions seem to say little, and so the stop is not seen. Here each stop that there may be is
-taken for granted, and the channel learned from the rows before it.
+stop are among them, the actions seem to say little, and so the stop is not seen. Here each rest that there may be, at
+the begin, on the way or at the end, is taken for granted, and the channel learned from the rows beside it.
 
 And the rests themselves: how many changepoints there may be depends on rests that the most probable answer lacks.
 """
@@ -12,10 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.motion import FEWEST_ROWS
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Hypotheses, refitted
 from micah_plan.learn.segmenting.selection import shared
@@ -23,44 +24,73 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 _GRAINS = 16
-_EARLIEST = 5  # of the grains
-_TRIED = 2
 _FEWEST_ROWS = 3
+_SETTLING = 6.0  # nats that a rest may gain where joints and noise are fitted again
 _LENGTHS = 8
 _LONGEST = 0.6  # of the rows
 
 
-def stopped_in_the_end(
+def held_somewhere(
+    found: Segmentation,
     table: EvidenceTable,
-    joint: int,
     track: PartTrack,
     noise: NoiseModel,
     prior: LengthPrior,
     settings: LearnSettings,
-) -> tuple[EvidenceTable, Segmentation] | None:
-    """The most probable segments if the part rests in the end, held, after one joint moved it; None of very few rows.
+) -> list[tuple[EvidenceTable, Segmentation]]:
+    """The most probable segments if the part was held in one more stretch of rows of its one moving joint.
 
     Args:
-        table: of the evidence that found no stop.
-        joint: the moving hypothesis that explains all rows there.
+        found: the segments without it, under one moving joint.
+        table: of the evidence that found them.
     """
-    n = len(track)
-    rows = np.arange(n)
-    cuts = np.unique([round(n * grain / _GRAINS) for grain in range(_EARLIEST, _GRAINS)])
-    cuts = cuts[(cuts >= _FEWEST_ROWS) & (cuts <= n - _FEWEST_ROWS)]
-    if not len(cuts):
-        return None
-    before: NDArray[np.bool_] = rows < cuts[:, None]
-    joints = table.pool.hypotheses.joints.take([joint] * len(cuts))
-    rests = refitted(["rigid"] * len(cuts), ~before, track, noise)
-    tried = tabulated(Hypotheses(joints, before).joined(rests), track, noise, True, settings.rest, table.trust)
-    moves = np.arange(len(cuts))
-    held = moves + len(cuts)
-    total = tried.sums[moves, 0, cuts - 1] + tried.sums[held, cuts, n - 1]
-    total = total - tried.cost(moves, cuts.astype(float)) - tried.cost(held, (n - cuts).astype(float))
-    best = np.argsort(-total, kind="stable")[:_TRIED]
-    found = [shared(tried, [int(moves[i]), int(held[i])], prior, settings) for i in best]
-    return tried, max(found, key=lambda one: one.log_probability)
+    used = list(dict.fromkeys(piece.hypothesis for piece in found.pieces))
+    (joint,) = (i for i in used if table.pool.moving[i])
+    own = np.zeros(len(track), dtype=bool)
+    for piece in found.pieces:
+        own[piece.start : piece.end + 1] |= piece.hypothesis == joint
+    inside = _stretches(own)
+    outside = own & ~inside
+    rests = refitted(["rigid"] * len(inside), inside, track, noise)
+    if not len(inside) or len(rests) < len(inside):
+        return []
+    others = [i for i in used if i != joint]
+    alike = Hypotheses(table.pool.hypotheses.joints.take([joint] * len(inside)), outside)
+    pool = alike.joined(rests).joined(table.pool.hypotheses.take(others))
+    tried = tabulated(pool, track, noise, True, settings.rest, table.trust)
+    moves, held = np.split(np.arange(2 * len(inside)), 2)
+    together = _worth(tried, moves, outside) + _worth(tried, held, inside)
+    unheld = _worth(table, np.array([joint]), own[None])[0]
+    together[together <= unheld - _SETTLING] = -np.inf
+    # One on the way, one at either end: the best of each.
+    where = inside[:, 0] + 2 * inside[:, -1]
+    best = [int(np.argmax(np.where(where == one, together, -np.inf))) for one in range(3)]
+    best = [i for i in best if np.isfinite(together[i])]
+    more = list(range(2 * len(inside), len(pool)))
+    return [(tried, shared(tried, [int(moves[i]), int(held[i]), *more], prior, settings)) for i in best]
+
+
+def _worth(table: EvidenceTable, some: Ints, rows: Booleans) -> Floats:
+    """(r,) evidence of rows (r, n) under some hypotheses (r,), less what these cost."""
+    n = rows.shape[1]
+    begins = rows & ~np.pad(rows, ((0, 0), (1, 0)))[:, :-1]
+    since = np.arange(n) - np.maximum.accumulate(np.where(begins, np.arange(n), 0), axis=1)
+    known = np.minimum(since, len(table.log_density) - 1)
+    total = (table.log_density[known, np.arange(n), some[:, None]] * rows).sum(axis=1)
+    return np.asarray(total - table.cost(some, rows.sum(axis=1).astype(float)))
+
+
+def _stretches(own: Booleans) -> Booleans:
+    """(r, n) all stretches of rows between a few cuts, of the rows (n,) that are looked at."""
+    rows = np.arange(len(own))
+    cuts = (len(own) * np.arange(_GRAINS + 1) / _GRAINS).round().astype(int)
+    first, last = np.triu_indices(_GRAINS + 1, 1)
+    # At either end, where most rests are, they are told more finely.
+    fine = (first % 2 + last % 2 == 0) | (first == 0) | (last == _GRAINS)
+    first, last = cuts[first[fine]], cuts[last[fine]]
+    inside = np.unique((rows >= first[:, None]) & (rows < last[:, None]) & own, axis=0)
+    enough = (inside.sum(axis=1) >= _FEWEST_ROWS) & ((own & ~inside).sum(axis=1) >= FEWEST_ROWS)
+    return np.asarray(inside[enough])
 
 
 def rests_in_the_end(

@@ -1,0 +1,139 @@
+"""What is said of an answer: how many changepoints it has, which kind of joint each segment has, how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.joint import JointKind
+from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
+from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
+from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths
+from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
+from micah_plan.learn.segmenting.stops import rests_in_the_end
+from micah_plan.learn.settings import LearnSettings
+
+_SAME_ROWS = 0.6  # of the rows of either
+# By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
+# be followed by any kind, and by a pause. And how many times too large the evidence is for kinds, and for rests: joints
+# and noise are fitted to the rows that they are judged by. Both from simulations of short and noisy motions
+# (reliability.py).
+_ENDS_AT_REST = 2.7  # nats
+LOG_ODDS_OVERSTATED = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutRest:
+    """An answer with one rest less: the joint beside it has the part there as well.
+
+    Attributes:
+        piece: index of the rest among the pieces of the answer.
+        joint: hypothesis of the joint that takes its rows.
+        changepoints: how many there are without it.
+        odds: how probable that is, over the answer.
+    """
+
+    piece: int
+    joint: int
+    changepoints: int
+    odds: float
+
+
+def posterior_of(
+    found: Segmented, fewer: Sequence[WithoutRest], settings: LearnSettings, use_actions: bool
+) -> ChangepointPosterior:
+    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
+
+    Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
+
+    Args:
+        fewer: what else the answer may be, its joints fitted to other rows.
+    """
+    table, pieces = found.table, found.segmentation.pieces
+    used = sorted({piece.hypothesis for piece in pieces})
+    moving = table.pool.moving
+    moves = [i for i in used if moving[i]]
+    index = np.arange(len(moving))
+    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves)
+    paid = float(cost[used].sum()) - ANOTHER_JOINT * bool(moves)
+    cost[used] = 0.0
+    worth = table.sums - cost[:, None, None]
+    spare = ~moving
+    spare[used] = False
+    rests = worth[spare]
+    if "rigid" in settings.kinds:
+        ends = rests_in_the_end(table, moves, found.track, found.noise, use_actions, settings.rest)
+        rests = np.concatenate([rests, ends])
+    # Rests fitted to much the same rows are one rest, told by the best of them.
+    worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
+    rigid = np.append(~moving[~spare], True) if len(rests) else ~moving
+    if not table.motion.gain[moves].any():
+        worth[rigid, 1:, -1] += _ENDS_AT_REST
+    # A part does not get from one rest to another without a motion.
+    apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
+    prior = prior_of_lengths(found.track, settings)
+    result = changepoint_posterior(worth, apart, prior, len(settings.kinds), len(pieces) - 1)
+    return replace(_beside(result, fewer), log_evidence=result.log_evidence - paid)
+
+
+def _beside(found: ChangepointPosterior, fewer: Sequence[WithoutRest]) -> ChangepointPosterior:
+    """The posterior, where an answer may also have a rest less: without the places where that begins and ends."""
+    counts, changepoint = found.counts.copy(), found.changepoint.copy()
+    for one in fewer:
+        counts[one.changepoints] += one.odds
+        ends = found.starts[max(one.piece - 1, 0) : one.piece + 1].sum(axis=0)
+        changepoint += one.odds * np.maximum(found.changepoint - ends, 0.0)
+    total = counts.sum()
+    return replace(found, counts=counts / total, changepoint=changepoint / total)
+
+
+def kind_probabilities(
+    found: Segmented,
+    hypothesis: int,
+    kinds: Sequence[JointKind],
+    free: float,
+    fewer: Sequence[WithoutRest] = (),
+) -> tuple[tuple[JointKind, float], ...]:
+    """Probability of every kind of joint for all rows of one joint.
+
+    Args:
+        free: log odds of free motion against all segments together [nats].
+        fewer: what else the answer may be, if some rest is none.
+    """
+    table, pieces = found.table, found.segmentation.pieces
+    names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
+    governed = np.zeros(len(found.track), dtype=bool)
+    sums = np.zeros(len(names))
+    for piece in pieces:
+        if piece.hypothesis == hypothesis:
+            known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
+            sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
+            governed[piece.start : piece.end + 1] = True
+    elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
+    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
+    held = bool(moving[elsewhere].any())
+    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
+    twisting = table.pool.hypotheses.joints.twisting
+    evidence = (sums + SCREW_CHOSEN * twisting) / LOG_ODDS_OVERSTATED
+    # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
+    beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
+    another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
+    another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
+    worth = evidence - RARE_SCREW * twisting - ANOTHER_JOINT * another
+    # Rivals are those fitted to much the same rows: others were paid for by other rows.
+    used = table.pool.hypotheses.used
+    shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
+    rival = shared_rows >= _SAME_ROWS
+    rival[hypothesis] = True
+    of_kind = [rival & (np.array(names) == kind) for kind in kinds]
+    best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
+    share = np.exp(best - best.max())
+    for one in fewer:
+        if pieces[one.piece].hypothesis == hypothesis:
+            share[list(kinds).index(names[one.joint])] += one.odds * share[list(kinds).index(names[hypothesis])]
+    share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
+    return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
