@@ -2,9 +2,12 @@
 
     python benchmarks/unseen_half.py [FILE.csv ...]
 
-Without files those of `executions` in ../shared/data (or $MICAH_DATA) that have one run. The model is one joint fitted
-to the poses of the whole log. The two numbers are those of c+ = c + k (place - c) + b, for the least error of the
-roll-out over the first half; place is the measured configuration plus the command.
+Without files those of `executions` in ../shared/data (or $MICAH_DATA). Of a log with several runs each is left out in
+turn: how far it ends beside what the controller believed, and beside its roll-out, before and after.
+
+The model is one joint fitted to the poses of the whole log. The two numbers are those of c+ = c + k (place - c) + b, for
+the least error of the roll-out over the first half; place is the point of the joint next to the measured pose plus the
+action.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.prediction import predict_recording
+from micah_plan.residual.prediction import estimate_errors, predict_recording
 
 
 def errors_of(automaton: HybridAutomaton, recording: Recording) -> tuple[float, float]:
@@ -54,21 +57,38 @@ def two_numbers(automaton: HybridAutomaton, first: Recording, second: Recording)
     return float(np.sqrt(np.mean(left(best.x, *unseen) ** 2)))
 
 
+def left_out(automaton: HybridAutomaton, recording: Recording) -> np.ndarray:
+    """(4,) means of final errors [rad or m]: of beliefs before and after, of roll-outs before and after."""
+    ends = []
+    for run in recording.runs:
+        improved = calibrate(automaton, recording.rows(recording.run != run)).automaton
+        runs = [predict_recording(model, recording.select(run=run)) for model in (automaton, improved)]
+        believed = [(estimate_errors(one) or (0.0, np.nan))[1] for one in runs]
+        ends.append([*believed, *(abs(float(one[0].rollout.configuration[-1, 0])) for one in runs)])
+    return np.asarray(np.mean(ends, axis=0))
+
+
 def main() -> None:
     paths = [Path(name) for name in sys.argv[1:]] or sorted((DATA / "executions").rglob("*.csv"))
+    several: list[tuple[str, np.ndarray]] = []
     print("| log | one step before | after | roll-out before | after | two numbers | verdict | what was found |")
     print("| --- " * 8 + "|")
     for path in paths:
         recording = read_recording(path)
-        if len(recording.runs) > 1:
-            continue
         automaton, half = model_of(path.stem, recording), len(recording.time) // 2
+        if len(recording.runs) > 1:
+            several.append((path.stem, left_out(automaton, recording)))
+            continue
         first, second = recording.rows(slice(None, half)), recording.rows(slice(half, None))
         found = calibrate(automaton, first)
         before, after = (errors_of(model, second) for model in (automaton, found.automaton))
         sizes = (before[0], after[0], before[1], after[1], two_numbers(automaton, first, second))
         said = "; ".join(described(one) for one in found.effects) or "nothing with a name"
         print(f"| {path.stem} | " + " | ".join(f"{size:.2g}" for size in sizes) + f" | {found.verdict} | {said} |")
+    print("\n| log, a run left out | belief's final error before | after | roll-out's before | after |")
+    print("| --- " * 5 + "|")
+    for name, ends in several:
+        print(f"| {name} | " + " | ".join(f"{end:.2g}" for end in ends) + " |")
 
 
 if __name__ == "__main__":
