@@ -5,8 +5,8 @@
 Without files those of `executions` in ../shared/data (or $MICAH_DATA). Of a log with several runs each is left out in
 turn: how far it ends beside what the controller believed, and beside its roll-out, before and after.
 
-The model is one joint fitted to the poses of the whole log. The two numbers are those of c+ = c + k (place - c) + b, for
-the least error of the roll-out over the first half; place is the point of the joint next to the measured pose plus the
+The model is one joint fitted to the poses of the whole log. The two numbers are those of c+ = c + k (place - c) + b
+with the least roll-out error over the first half; place is the point of the joint next to the measured pose plus the
 action.
 """
 
