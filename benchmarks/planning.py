@@ -89,7 +89,7 @@ def warm_up() -> None:
 def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -> Row:
     """Solve a problem by a planner, and roll the plan out with fresh seeds."""
     problem = load_problem(path, {"planner.method": planner, "planner.solve_time_limit_s": TIME_LIMIT_S})
-    plan = solve(problem, seed=seed)
+    plan = solve(problem, seed=seed, advise=False)
     times = plan.timings
     basis = Row(
         problem=path.stem,

@@ -3,8 +3,8 @@
     python benchmarks/planning_growth.py [--figure FILE.png] [--seed 0]
 
 The model is a cabinet: doors that latch shut until they are pulled, which gives two modes each, and drawers. Knots: one
-drawer with ever smaller steps. Dimensions: drawers that all open. Modes: six coordinates, ever more of them latched
-doors, one of which opens. The largest: six latched doors and six drawers, 64 modes, all twelve open.
+drawer with ever smaller steps. Dimensions: drawers that all open. Modes: six coordinates (or more), ever more of them
+latched doors, one of which opens. The largest: six latched doors and six drawers, 64 modes, all twelve open.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STAGES = ("search", "build", "optimise", "verify")
 CASES = (
     *(("knots", k, 0, 1, 1, k) for k in (10, 20, 40, 80, 160)),
     *(("dimensions", n, 0, n, n, 10) for n in (1, 2, 4, 8, 12)),
-    *(("modes", 2**d, d, 6 - d, 1, 10) for d in (1, 2, 3, 4, 5, 6)),
+    *(("modes", 2**d, d, max(0, 6 - d), 1, 10) for d in (1, 2, 3, 4, 5, 6, 8, 10)),
     ("largest", 64, 6, 6, 12, 10),
 )
 

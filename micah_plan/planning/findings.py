@@ -159,7 +159,8 @@ def _why_inside(problem: Problem, samples: Samples) -> str:
         )
     names = list[str]()
     for name, numbers in samples.goals.items():
-        if is_final(automaton, automaton.mode(name)) and name not in problem.goal.modes:
+        # On leaves that nothing reaches the goal has no states; nor does it count to be stuck.
+        if not len(numbers) or (is_final(automaton, automaton.mode(name)) and name not in problem.goal.modes):
             continue
         points = samples.points[name][numbers]
         if not inside_any(obstacles_on_state(automaton, name), points).all():

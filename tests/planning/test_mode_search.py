@@ -10,15 +10,17 @@ import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 from scipy.sparse import csr_array
 
-from micah_plan.automaton.hybrid import Edge, Reset
-from micah_plan.automaton.region import Region
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
+from micah_plan.automaton.region import Region, below, box, input_above
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.mode_paths import cheapest_sequences
-from micah_plan.planning.search.mode_search import SearchResult, search_modes
+from micah_plan.planning.search.mode_search import SearchResult, _modes_near_the_way, search_modes
 from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, motions_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.start import Start
 
 
 def search(problem: Problem, start_mode: str, seed: int = 0) -> SearchResult:
@@ -241,3 +243,49 @@ def test_the_time_limit_ends_the_search() -> None:
         clock = itertools.count()
         with pytest.raises(TimeLimitError, match="was reached in the search"):
             search_modes(problem, limits_of(problem), "left", deadline=Deadline(asked, lambda clock=clock: next(clock)))
+
+
+def latched_doors(count: int) -> Problem:
+    """Doors that are each latched or open, and so 2^count modes; the first is to be opened."""
+    names, n = [f"d{i}" for i in range(count)], count
+    modes, edges = [], []
+    for number in range(2**count):
+        latched = [bool(number >> i & 1) for i in range(count)]
+        matrix = np.diag([0.0 if shut else 1.0 for shut in latched])
+        pins = tuple(Pin(i, 0.0, 0.005) for i, shut in enumerate(latched) if shut)
+        name = format(number, f"0{count}b")
+        modes.append(Mode(name, (), tuple(map(tuple, matrix.tolist())), box([0.0] * n, [1.0] * n, n, names), pins=pins))
+        for i, shut in enumerate(latched):
+            other = format(number ^ (1 << i), f"0{count}b")
+            guard = input_above(i, 0.01, n, n, name=names[i]) if shut else below(i, 0.0, n, n, name=names[i])
+            edges.append(Edge(name, other, Region((guard,))))
+    coordinates = tuple(Coordinate(name, "m") for name in names)
+    noise = Noise((0.002,) * n, (0.01,) * n)
+    automaton = HybridAutomaton(coordinates, coordinates, (), (), tuple(modes), tuple(edges), noise)
+    start = Start((0.0,) * n, (0.005,) * n, "1" * count)
+    return Problem(automaton, start, Goal(((0, 0.5, 0.05),)), PlannerSettings(samples_per_mode=30))
+
+
+def test_of_many_modes_those_near_the_way_are_searched_first() -> None:
+    problem = latched_doors(6)
+    near = _modes_near_the_way(problem, "111111")
+    assert len(near) == 2 * (1 + 5 + 10)  # the first open or not, and at most two others
+    found = search(problem, "111111").sequences
+    assert found[0].modes == ("111111", "111110")
+    for sequence in found:
+        edges = [problem.automaton.edges[i] for i in sequence.edges]
+        assert [edge.source for edge in edges] == list(sequence.modes[:-1])
+        assert [edge.target for edge in edges] == list(sequence.modes[1:])
+
+
+def test_where_no_way_is_near_all_modes_are_searched() -> None:
+    """The first door opens only while three others are open, one of which has to be shut again before that: no."""
+    problem = latched_doors(6)
+    edges = tuple(
+        edge
+        for edge in problem.automaton.edges
+        if not (edge.source[-1] == "1" and edge.target[-1] == "0" and edge.source.count("1") > 3)
+    )
+    far = replace(problem, automaton=replace(problem.automaton, edges=edges))
+    first = search(far, "111111").sequences[0]
+    assert len(first.modes) == 5

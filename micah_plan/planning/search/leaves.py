@@ -75,7 +75,7 @@ class Leaves:
         """(k,) leaf of each state (k, n), counted as they first appear."""
         values, first = (points / self.speed) @ self.kept.T, list[Floats]()
         found = np.zeros(len(points), dtype=np.int64)
-        for row, value in enumerate(values):
+        for row, value in enumerate(values if self.are_many else ()):
             same = np.flatnonzero([np.abs(value - other).max(initial=0.0) <= _SAME_LEAF for other in first])
             found[row] = same[0] if same.size else len(first)
             if not same.size:

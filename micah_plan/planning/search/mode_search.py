@@ -17,6 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Mode
 from micah_plan.planning.cost import goal_cost, in_steps
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
@@ -28,6 +29,12 @@ from micah_plan.planning.search.roadmap import JoinedRoadmap, ModeMotion, motion
 from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem
+
+# With more modes than this, those near a shortest sequence of transitions are searched first; roadmaps of so many take
+# a second or two.
+_FEW_MODES = 32
+# Transitions more than the shortest sequence has: there and back once.
+_MORE_TRANSITIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +79,59 @@ def search_modes(
     Args:
         deadline: of the search; detours are left out where it passes while they are compared.
 
+    Of an automaton with many modes those near a shortest sequence of transitions are searched first: roadmaps of all
+    the others cost most of the time and hardly ever matter.
+
     Raises:
         TimeLimitError: if it passes before there is a mode sequence.
     """
+    edges, near = problem.automaton.edges, _modes_near_the_way(problem, start_mode)
+    if len(near) < len(problem.automaton.modes):
+        kept = [i for i, edge in enumerate(edges) if {edge.source, edge.target} <= near]
+        modes = tuple(mode for mode in problem.automaton.modes if mode.name in near)
+        automaton = replace(problem.automaton, modes=modes, edges=tuple(edges[i] for i in kept))
+        part = replace(problem, automaton=automaton)
+        if found := _searched(part, limits, start_mode, seed, deadline).sequences:
+            named = (replace(one, edges=tuple(kept[i] for i in one.edges)) for one in found)
+            return SearchResult(tuple(named))
+    return _searched(problem, limits, start_mode, seed, deadline)
+
+
+def _modes_near_the_way(problem: Problem, start_mode: str) -> set[str]:
+    """The modes of sequences with at most so many more transitions than the shortest to the goal; all, if few."""
+    automaton, names = problem.automaton, set(problem.automaton.mode_names)
+    if len(names) <= _FEW_MODES:
+        return names
+    onward, back = dict[str, set[str]](), dict[str, set[str]]()
+    for edge in automaton.edges:
+        onward.setdefault(edge.source, set()).add(edge.target)
+        back.setdefault(edge.target, set()).add(edge.source)
+    goals = {name for name in names if all(_holds(automaton.mode(name), *target) for target in problem.goal.target)}
+    from_start = _distances(onward, {start_mode})
+    to_goal = _distances(back, {name for name in goals if problem.goal.admits(name)})
+    length = {name: from_start[name] + to_goal[name] for name in names & from_start.keys() & to_goal.keys()}
+    most = length.get(start_mode, np.inf) + _MORE_TRANSITIONS + 2 * problem.settings.revisits
+    return {name for name, own in length.items() if own <= most} or names
+
+
+def _holds(mode: Mode, index: int, value: float, tolerance: float) -> bool:
+    """Whether a mode allows a coordinate to be in the goal."""
+    low, high = mode.interval(index)
+    return low <= value + tolerance and high >= value - tolerance
+
+
+def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str, int]:
+    """How many transitions lead from the first modes to each that they reach."""
+    found, level, steps = dict.fromkeys(first, 0), first, 0
+    while level:
+        steps += 1
+        level = {after for name in level for after in neighbours.get(name, set())} - found.keys()
+        found.update(dict.fromkeys(level, steps))
+    return found
+
+
+def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
+    """`search_modes` in all modes of a problem."""
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
     if reason := why_unreachable(problem, limits, samples):
         return SearchResult((), reason)
