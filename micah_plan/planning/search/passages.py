@@ -197,6 +197,8 @@ class _Search:
         bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
         if not len(cost):
             return np.zeros(0) if np.all(least <= TOLERANCE) else None
+        # What is not bounded is no row: the solver takes finite numbers.
+        rows, least = rows[least > -np.inf], least[least > -np.inf]
         options = {"primal_feasibility_tolerance": _MISS, "dual_feasibility_tolerance": _MISS}
         found = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
         return np.asarray(found.x) if found.status == 0 else None
