@@ -160,8 +160,10 @@ class _Search:
         v, m, done = prefix.size, self.automaton.m, len(prefix.exits) == len(prefix.modes)
         M, c = prefix.exits[-1] if done else prefix.entries[-1]
         goal, speed = self.problem.goal, self.limits.speed
-        index = np.array([i for i, _, _ in goal.target], dtype=int)
-        value, tolerance = (np.array([row[k] for row in goal.target]) for k in (1, 2))
+        # What no input moves is no number of steps away.
+        target = [row for row in goal.target if done or speed[row[0]] > 0]
+        index = np.array([i for i, _, _ in target], dtype=int)
+        value, tolerance = (np.array([row[k] for row in target]) for k in (1, 2))
         # In the goal the error left, which costs as much as the optimisation would pay at the tolerance.
         scale = tolerance / self.goal_error if done else speed[index]
         room = np.zeros(len(index)) if done else tolerance
@@ -197,7 +199,9 @@ class _Search:
         bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
         if not len(cost):
             return np.zeros(0) if np.all(least <= TOLERANCE) else None
-        # What is not bounded is no row: the solver takes finite numbers.
+        # The solver takes finite numbers: what is not bounded is no row, and nothing meets a row that nothing can.
+        if np.any(least == np.inf):
+            return None
         rows, least = rows[least > -np.inf], least[least > -np.inf]
         options = {"primal_feasibility_tolerance": _MISS, "dual_feasibility_tolerance": _MISS}
         found = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
