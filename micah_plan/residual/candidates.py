@@ -21,7 +21,7 @@ _ACROSS = 0.1
 _AS_LONG = 1.02
 # A threshold that lies further away than this share of the range is no shifted one but another stop.
 _LARGEST_SHIFT = 0.15
-_NEVER_GATED = (-np.inf,) * GATES
+NEVER_GATED = (-np.inf,) * GATES
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
         made = _STARTS[own.name](lane) if own.name in _STARTS else _plain(own, lane)
         if made is not None:
             starts, free, scale = made
-            full = np.hstack([np.atleast_2d(starts), np.tile(_NEVER_GATED, (len(np.atleast_2d(starts)), 1))])
+            full = np.hstack([np.atleast_2d(starts), np.tile(NEVER_GATED, (len(np.atleast_2d(starts)), 1))])
             bounds = _bounds(own.name, lane)
             found.append(Candidate(Term(own), full, free, np.asarray(scale, dtype=float), bounds))
     return tuple(found)
@@ -83,7 +83,7 @@ def smooth(lane: Lane, *, is_lean: bool = False) -> Candidate:
     low, high = lane.visited
     margin = 0.02 * (high - low) + 1e-6
     size = lane.command_size
-    start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *_NEVER_GATED]
+    start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *NEVER_GATED]
     free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
     scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
     return Candidate(Term(form("unexplained")), np.array([start]), free, np.array(scale[: len(free)]))

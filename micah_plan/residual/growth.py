@@ -215,10 +215,7 @@ def shortens(search: Search, better: Scored, base: Scored) -> bool:
     Roll-outs of displacements add up the noise of all steps, so those of stretches decide. Those of places forget it:
     there whole runs must be rolled out no worse either.
     """
-    kinds = [
-        *("one_step", "rollout"),
-        *(["whole"] if any(one.term.form.layer == "place" for one in base.parts) else []),
-    ]
+    kinds = ["one_step", "rollout", *(["whole"] if search.leads_to_places(base) else [])]
     steps, *rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in kinds)
     return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
 

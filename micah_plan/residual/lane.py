@@ -11,6 +11,8 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.ends import range_of
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.tracks import Track, aimed, in_base_frame, measuring_links
@@ -53,6 +55,7 @@ class Lane:
         modes: names of the automaton's modes.
         motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
         is_outside: whether commands lead from what was believed, and something else measured the part.
+        effects: on the motion, that the model has already.
         whole: the same rows in uncut runs, for roll-outs of their full length.
         stretch: (S, T) of a whole lane: number of the stretch in which a row counts, -1 if in none.
     """
@@ -79,6 +82,7 @@ class Lane:
     modes: tuple[str, ...]
     motion_noise: float = 0.0
     is_outside: bool = False
+    effects: tuple[Effect, ...] = ()
     whole: Lane | None = None
     stretch: Ints | None = None
 
@@ -225,7 +229,14 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         rows=total,
         modes=automaton.mode_names,
         is_outside=all(track.is_outside for track in tracks),
+        effects=_on_motion(automaton, automaton.coordinates[i].name),
     )
+
+
+def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...]:
+    """The effects on a coordinate's motion; those on sensor and geometry are in the configurations already."""
+    own = [effect for effect in automaton.effects if effect.coordinate == coordinate]
+    return tuple(effect for effect in own if form(effect.name).layer not in ("sensor", "geometry"))
 
 
 def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:

@@ -9,12 +9,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.residual.candidates import Candidate, smooth
+from micah_plan.automaton.effects.registry import form
+from micah_plan.residual.candidates import NEVER_GATED, Candidate, smooth
 from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
 from micah_plan.residual.interval import independent_share, intervals
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import Circumstances, lagged, leftover
-from micah_plan.residual.simulation import GATES, Kind
+from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns
 
 FOLDS = 5
 _ROUNDS = 12
@@ -69,10 +70,13 @@ class Search:
 
     Attributes:
         nominal: the model that effects are added to: as it is, or with commands that are places (see `meaning`).
+        given: the effects that the model has already, with their values; no part of what is scored here.
     """
 
     def __init__(self, lane: Lane) -> None:
         self.lane = lane
+        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in lane.effects)
+        self._given = np.array([v for effect in lane.effects for v in (*effect.values, *NEVER_GATED)])[None]
         self.freedom = _FREEDOMS[0]
         self._rolled: dict[int, tuple[Scored, Floats]] = {}
         runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
@@ -83,6 +87,11 @@ class Search:
         self.fold: Ints = number % self.folds
         self.lane, self.freedom = self._suited_noise()
         self.nominal = self.score(())
+
+    def leads_to_places(self, scored: Scored) -> bool:
+        """Whether commands are places to the model."""
+        terms = (*self.given, *(part.term for part in scored.parts))
+        return any(term.form.layer == "place" for term in terms)
 
     def score(self, parts: Sequence[Candidate], base: Scored | None = None) -> Scored:
         """Fit a model from all starts of its last part with the first start of the others.
@@ -153,7 +162,8 @@ class Search:
         return intervals(self._problem(scored.parts), scored.fit, independent_share(correlation))
 
     def _problem(self, parts: Sequence[Candidate]) -> Problem:
-        free, scale, center, lower, upper, at = [], [], [], [], [], 0
+        free, scale, center, lower, upper = [], [], [], [], []
+        at = columns(self.given)
         for part in parts:
             for column, large in zip(part.free, part.scale, strict=True):
                 parameter = part.term.form.parameters[column]
@@ -167,7 +177,7 @@ class Search:
         tight = any(part.name == "unexplained" for part in parts)
         return Problem(
             lane=self.lane,
-            model=tuple(part.term for part in parts),
+            model=(*self.given, *(part.term for part in parts)),
             free=np.array(free, dtype=np.int64),
             scale=np.array(scale),
             center=np.array(center),
@@ -178,10 +188,8 @@ class Search:
         )
 
     def _starts(self, parts: Sequence[Candidate]) -> Floats:
-        if not parts:
-            return np.zeros((1, 0))
-        before = [part.starts[:1] for part in parts[:-1]]
-        last = parts[-1].starts
+        before = [self._given, *(part.starts[:1] for part in parts[:-1])]
+        last = parts[-1].starts if parts else np.zeros((1, 0))
         return np.hstack([*(np.repeat(row, len(last), axis=0) for row in before), last])
 
     def whiteness(self, scored: Scored) -> tuple[float, float]:
@@ -231,7 +239,7 @@ class Search:
         return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, rows], squared)
 
     def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
-        fitted, at = [], 0
+        fitted, at = [], columns(self.given)
         for part in parts:
             fitted.append(replace(part, starts=fit.parameters[:, at : at + part.term.size]))
             at += part.term.size
@@ -247,7 +255,7 @@ class Search:
             lane = replace(self.lane, motion_noise=motion_noise)
             for freedom in _FREEDOMS:
                 suited = replace(problem, lane=lane, freedom=freedom)
-                fit = optimise(suited, part.starts, share, self._all(1), 4)
+                fit = optimise(suited, self._starts((part,)), share, self._all(1), 4)
                 share = fit.share
                 if best is None or fit.loss[0] < best[0] - _CLEARLY:
                     best = float(fit.loss[0]), lane, freedom

@@ -160,6 +160,9 @@ def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
 def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growth]:
     """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
     library = candidates(search.lane)
+    for_places = [one for one in library if one.name not in CONTAINED]
+    if search.leads_to_places(search.nominal):
+        return _grown(search, for_places, told)
     singles, growth = _grown(search, library, told)
     told(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
     place = followed(search)
@@ -167,7 +170,7 @@ def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growt
     if not means_places(search, place, ranked(rivals)[0]):
         return singles, growth
     search.nominal = place
-    more, growth = _grown(search, [one for one in library if one.name not in CONTAINED], told)
+    more, growth = _grown(search, for_places, told)
     return (*singles, place, *more), growth
 
 

@@ -1,0 +1,59 @@
+"""The loop goes round: what a model took in is there when it is calibrated again, and is not found a second time."""
+
+from __future__ import annotations
+
+import planted_effects as plants
+import pytest
+from test_meaning import servo_run
+
+from micah_plan.residual.calibrate import calibrate
+
+QUICK = [plants.short_steps, plants.late, plants.blocked]
+SLOW = [
+    plants.sticky,
+    plants.sprung,
+    plants.loose,
+    plants.slow,
+    plants.weak,
+    plants.magnetic,
+    plants.stretched,
+    plants.drifting,
+    plants.heavy,
+    plants.late_and_sticky,
+]
+
+
+def run_of(plant, seed):
+    return plants.door_recording(plants.runs_of(plant, 8, 40, seed))
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [*QUICK, *(pytest.param(one, marks=pytest.mark.slow) for one in SLOW)],
+    ids=lambda plant: plant.__name__,
+)
+def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
+    once = calibrate(door, run_of(plant, 3))
+    again = calibrate(once.automaton, run_of(plant, 4))
+    assert once.effects
+    assert again.verdict == "none"
+    assert again.automaton == once.automaton
+    # And "before" is what the model that was given leaves, not what it left before it learned of the effect.
+    assert again.before.one_step < 1.3 * once.after.one_step
+
+
+def test_a_servo_that_the_model_knows_is_not_put_behind_another(door) -> None:
+    once, again = (plants.door_recording([servo_run(300, seed, share=0.3)]) for seed in (1, 2))
+    known = calibrate(door, once).automaton
+    found = calibrate(known, again)
+    assert found.verdict == "none"
+    assert [effect.name for effect in found.automaton.effects] == ["follow"]
+
+
+def test_what_came_later_is_found_beside_it(door) -> None:
+    """First the hand falls short; then its grip gets loose as well."""
+    known = calibrate(door, run_of(plants.short_steps, 3)).automaton
+    found = calibrate(known, run_of(plants.short_and_loose, 4))
+    assert [one.effect.name for one in found.effects] == ["backlash"]
+    assert [effect.name for effect in found.automaton.effects] == ["gain", "backlash"]
+    assert found.effects[0].effect.values[0] == pytest.approx(0.06, abs=0.02)
