@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.search import Scored, Search, gated
-from micah_plan.residual.simulation import Term
+from micah_plan.residual.simulation import Kind, Term
 
 Progress = Callable[[str, float], None]
+_Errors = Kind | Literal["whole"]  # of steps, of roll-outs of stretches, and of whole runs
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
 LEAST_EVIDENCE = 8.0
@@ -215,12 +217,13 @@ def shortens(search: Search, better: Scored, base: Scored) -> bool:
     Roll-outs of displacements add up the noise of all steps, so those of stretches decide. Those of places forget it:
     there whole runs must be rolled out no worse either.
     """
-    kinds = ["one_step", "rollout", *(["whole"] if search.leads_to_places(base) else [])]
+    kinds: list[_Errors] = ["one_step", "rollout"]
+    if search.leads_to_places(base):
+        kinds.append("whole")
     steps, *rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in kinds)
     return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
 
 
-def _errors(search: Search, scored: Scored, kind: str) -> float:
-    if kind == "whole":
-        return float(np.sum(search.rollout_errors(scored) ** 2))
-    return float(np.sum(search.errors(scored, "rollout" if kind == "rollout" else "one_step") ** 2))
+def _errors(search: Search, scored: Scored, kind: _Errors) -> float:
+    errors = search.rollout_errors(scored) if kind == "whole" else search.errors(scored, kind)
+    return float(np.sum(errors**2))

@@ -30,7 +30,7 @@ _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candid
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _EXPECTATION_STEPS = 6
-FEWEST_ROWS = 12  # to tell an action channel
+FEWEST_ACTED = 12  # rows to tell an action channel
 _LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothing
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
@@ -310,7 +310,7 @@ def _led(
     # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
     lengths = np.sqrt(np.sum(np.stack([lever, along, turned]) ** 2, axis=2))
     plausible = lengths[2] <= _MOST_AMPLIFIED * np.maximum(lengths[0], lengths[1])
-    told = enough >= FEWEST_ROWS
+    told = enough >= FEWEST_ACTED
     exact, loose = ([one[i][:, at, chosen] for i, chosen in enumerate(best)] for one in (exactly, loosely))
     # A hand that is not there yet has the part the sooner, the further it is commanded to move it.
     absent = [waiting - np.abs(action[:-1] @ gain.T) / (_GAP * reach) for gain in (along, turned)]

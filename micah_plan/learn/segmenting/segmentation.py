@@ -26,7 +26,7 @@ _MOST_ROUNDS = 3
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
-_PLACES = 4.0  # nats that the places where a rest may begin and end are worth together
+_PLACES = 4.0  # nats: ln of the number of steps, what all places where a rest may begin are worth together
 
 
 def segment_track(
@@ -53,7 +53,7 @@ def segment_track(
         Segmented(track, noise, one, table) for noise, table in tables for one in selections(table, prior, settings)
     ]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    outcomes = settled(proposals, prior, settings, use_actions)
+    outcomes = _settled(proposals, prior, settings, use_actions)
     best = max(outcomes, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
         best = _unless_held(best, prior, settings)
@@ -70,7 +70,7 @@ def _unless_held(found: Segmented, prior: LengthPrior, settings: LearnSettings) 
         return found
     tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
     starts = [replace(found, table=table, segmentation=one) for table, one in tried]
-    rivals = [found, *settled(starts, prior, settings, True)]
+    rivals = [found, *_settled(starts, prior, settings, True)]
     highest = max(one.log_probability for one in rivals)
     close = [one for one in rivals if one.log_probability > highest - _PLACES]
     if len({len(one.segmentation.pieces) for one in close}) > 1:
@@ -93,7 +93,7 @@ def without_rests(found: Segmented, settings: LearnSettings, use_actions: bool) 
             fewer = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
             tried.append((i, joint))
             starts.append(replace(found, segmentation=Segmentation(fewer, -np.inf)))
-    outcomes = settled(starts, prior_of_lengths(found.track, settings), settings, use_actions) if starts else []
+    outcomes = _settled(starts, prior_of_lengths(found.track, settings), settings, use_actions) if starts else []
     result = []
     for (i, joint), one in zip(tried, outcomes, strict=True):
         if len(one.segmentation.pieces) < len(pieces):
@@ -151,7 +151,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def settled(
+def _settled(
     starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
 ) -> list[Segmented]:
     """Alternate between segments, their joints and the noise until no probability grows."""

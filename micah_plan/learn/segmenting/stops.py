@@ -2,7 +2,7 @@
 
 What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
 stop are among them, the actions seem to say little, and so the stop is not seen. Here each rest that there may be, at
-the begin, on the way or at the end, is taken for granted, and the channel learned from the rows beside it.
+the beginning, on the way or at the end, is taken for granted, and the channel learned from the rows beside it.
 
 And the rests themselves: how many changepoints there may be depends on rests that the most probable answer lacks.
 """
@@ -16,7 +16,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
-from micah_plan.learn.segmenting.motion import FEWEST_ROWS
+from micah_plan.learn.segmenting.motion import FEWEST_ACTED
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Hypotheses, refitted
 from micah_plan.learn.segmenting.selection import shared
@@ -25,7 +25,8 @@ from micah_plan.learn.track import PartTrack
 
 _GRAINS = 16
 _FEWEST_ROWS = 3
-_SETTLING = 6.0  # nats that a rest may gain where joints and noise are fitted again
+# Nats that a rest may gain where joints and noise are fitted again. This saves time: with 40 answers were the same.
+_SETTLING = 6.0
 _LENGTHS = 8
 _LONGEST = 0.6  # of the rows
 
@@ -89,7 +90,7 @@ def _stretches(own: Booleans) -> Booleans:
     fine = (first % 2 + last % 2 == 0) | (first == 0) | (last == _GRAINS)
     first, last = cuts[first[fine]], cuts[last[fine]]
     inside = np.unique((rows >= first[:, None]) & (rows < last[:, None]) & own, axis=0)
-    enough = (inside.sum(axis=1) >= _FEWEST_ROWS) & ((own & ~inside).sum(axis=1) >= FEWEST_ROWS)
+    enough = (inside.sum(axis=1) >= _FEWEST_ROWS) & ((own & ~inside).sum(axis=1) >= FEWEST_ACTED)
     return np.asarray(inside[enough])
 
 

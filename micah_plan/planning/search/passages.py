@@ -25,7 +25,7 @@ from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.chains import front_of
 from micah_plan.planning.cost import in_steps
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start
+from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start, open_states
 from micah_plan.planning.search.roadmap import TRANSITION_COST
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
@@ -113,7 +113,7 @@ class _Search:
 
     def __init__(self, problem: Problem, limits: Limits) -> None:
         self.problem, self.limits, self.automaton = problem, limits, problem.automaton
-        self.states = {mode.name: _free_states(mode, limits) for mode in self.automaton.modes}
+        self.states = {mode.name: open_states(mode, limits) for mode in self.automaton.modes}
         self.leading = _leading_to_goal(problem)
         self.goal_error = max(1.0, float(in_steps(problem, np.array(problem.settings.weight_goal))))
         self.solved = 0
@@ -248,12 +248,6 @@ def _facets(edge: Edge, mode: Mode) -> list[HalfSpace]:
     """The half-spaces of a guard into which the inputs of the mode can lead."""
     B = mode.B * mode.free[:, None]
     return [h for h in front_of(edge) if np.any(np.array(h.a) @ B)]
-
-
-def _free_states(mode: Mode, limits: Limits) -> Polytope:
-    """The states of a mode as far as its pins and ties leave them open: they keep what they say."""
-    states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
-    return states.intersect(mode.invariant, limits.max_step)
 
 
 def _within(prefix: _Prefix, states: Polytope, place: tuple[Floats, Floats]) -> _Prefix:

@@ -120,10 +120,15 @@ class Polytope:
         return np.asarray(found.x).reshape(count, self.n) if found.status == 0 else np.zeros((0, self.n))
 
 
+def open_states(mode: Mode, limits: Limits) -> Polytope:
+    """The states of a mode as far as its pins and ties leave them open: its invariant within the limits."""
+    states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
+    return states.intersect(mode.invariant, limits.max_step)
+
+
 def mode_states(mode: Mode, limits: Limits) -> Polytope:
     """The states of a mode: its invariant, its pins and ties, within the limits of every coordinate."""
-    states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
-    states = states.intersect(mode.invariant, limits.max_step)
+    states = open_states(mode, limits)
     for pin in mode.pins:
         states = states.fix(pin.coordinate, pin.value)
     for tie in mode.ties:
