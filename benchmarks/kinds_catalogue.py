@@ -4,7 +4,7 @@ Actions are scaled, turned, late, noisy at random in every kind that has them; o
 are stops) single one of these out, and ideal ones have none. Conventions (docs/concepts/learning.md):
 
 * a part that is at its stop at the end is `rigid` there, also where no actions tell it from one that was left;
-* a curve with one freedom that is passed more than once is `path`, or `none` for a learner that has no such kind;
+* a curve with one freedom that no joint follows is `path` if it is passed more than once, else `none`;
 * of several parts, the tree and the joints that move count, but not rests: these are what the other kinds are for.
 """
 
@@ -61,7 +61,28 @@ def curve_again(rng: np.random.Generator) -> Simulated:
     position = np.stack([0.4 * s, bend * np.sin(3.0 * s), lift * np.cos(4.0 * s)], axis=1)
     rotation = Rotation.from_rotvec(np.outer(turn * np.sin(2.5 * s), [0.0, 0.0, 1.0])).as_matrix()
     base = Rotation.random(rng=rng).as_matrix()
-    return _told(_seen(position @ base.T, base @ rotation, 0.001, 0.0, rng), ("path",), ("none",))
+    return _told(_seen(position @ base.T, base @ rotation, 0.001, 0.0, rng), ("path",))
+
+
+def guided(fewest: int, most: int, wanders: bool = False) -> Draw:
+    """A door whose ends run along two walls, or a pin in a wavy slot, passed so often; `none` if only once."""
+
+    def draw(rng: np.random.Generator) -> Simulated:
+        passed, rows = int(rng.integers(fewest, most + 1)), int(rng.integers(*ROWS))
+        sweep = np.abs((passed * np.linspace(0.0, 1.0, rows) + 1.0) % 2.0 - 1.0)
+        angle, size, flat = 0.1 + 1.3 * sweep, rng.uniform(0.3, 0.8), np.zeros(rows)
+        share = rng.uniform(0.2, 0.8)
+        position = size * np.stack([share * np.sin(angle), flat, (1 - share) * np.cos(angle)], axis=1)
+        turned = np.stack([flat, -angle, flat], axis=1)
+        if rng.random() < 0.5:
+            turned = 0.0 * turned
+            position = size * np.stack([sweep, 0.1 * np.sin(2 * np.pi * sweep), flat], axis=1)
+        base = Rotation.random(rng=rng).as_matrix()
+        noise = (between(_FINE, rng), rng.uniform(*_WANDER)) if wanders else (0.001, 0.0)
+        seen = _seen(position @ base.T, base @ Rotation.from_rotvec(turned).as_matrix(), *noise, rng)
+        return _told(seen, ("path",) if passed > 1 else ("none",))
+
+    return draw
 
 
 def at_rest(white: tuple[float, float], wander: tuple[float, float]) -> Draw:
@@ -203,6 +224,10 @@ KINDS: dict[str, Draw] = {
     "two-hinges-at-once": two_hinges,
     "deforming-path": no_joint(("deforming path",), True),
     "curve-again": curve_again,
+    "guided-once": guided(1, 1),
+    "guided-again": guided(2, 3),
+    "guided-wander": guided(2, 3, wanders=True),
+    "guided-once-wander": guided(1, 1, wanders=True),
     "two-parts": parts(2, 2, _COARSE, _QUIET, False),
     "parts": parts(3, 5, _COARSE, _QUIET, False),
     "parts-actions": parts(2, 4, _COARSE, _QUIET, True),

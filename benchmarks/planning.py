@@ -33,6 +33,7 @@ from processor_clock import time_by_processor
 from saving import add_json, save_json
 
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import goal_probability
 from micah_plan.planning.cost import cost_of
@@ -41,6 +42,7 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.settings import Method
 from micah_plan.workflow import execute, solve
 
@@ -107,16 +109,16 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
     begin = process_time()
     ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
     spent = process_time() - begin
-    error, std = goal_statistics(problem, ends)
+    error, std = goal_statistics(carrying(problem), ends)
     executed, at_stop = executed_success(problem, plan, executions, FRESH + seed)
     return replace(
         basis,
-        cost=cost_of(problem, limits_of(problem), plan.trajectory),
+        cost=cost_of(carrying(problem), limits_of(problem), plan.trajectory),
         goal_error=error,
         goal_std=std,
         predicted=plan.success_probability,
         observed=float(are_in_goal(problem, ends).mean()),
-        believed=believed_success(problem, ends),
+        believed=believed_success(carrying(problem), ends),
         executed=executed,
         at_stop=at_stop,
         roll_out_seconds=spent,
@@ -184,7 +186,7 @@ def main() -> None:
     planners = list(get_args(Method))
     parser.add_argument("--planners", nargs="*", choices=planners, default=planners)
     options = parser.parse_args()
-    paths = options.problems or sorted((ROOT / "problems").glob("*.yaml"))
+    paths = options.problems or sorted(p for p in (ROOT / "problems").glob("*.yaml") if kind_of(p) == "problem")
     cases = [(path, planner) for path in paths for planner in options.planners]
     one = partial(measure, trials=options.trials, executions=options.executions, seed=options.seed)
     with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:

@@ -22,6 +22,7 @@ from resolves import beside
 from saving import add_json, save_json
 
 from micah_plan.belief.filter import initial_belief
+from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning import pomdp_hd, replanning
 from micah_plan.planning.input_memory import with_input_memory
@@ -89,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     rows = []
     print(f"{'problem':24}{'found':>9}{'rest ms':>10}{'searched':>10}{'whole':>10}{'ratio':>10}{'alike':>10}")
-    for path in options.problems or sorted((ROOT / "problems").glob("*.yaml")):
+    for path in options.problems or sorted(p for p in (ROOT / "problems").glob("*.yaml") if kind_of(p) == "problem"):
         row = measure(path, options.beliefs, options.seed)
         if row is None:
             print(f"{path.stem:24}  no plan")

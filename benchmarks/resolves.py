@@ -22,6 +22,7 @@ import numpy as np
 from planning_growth import cabinet_problem
 from saving import add_json, save_json
 
+from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.cost import cost_of
@@ -175,7 +176,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     add_json(parser)
     options = parser.parse_args()
-    paths = options.problems or sorted((ROOT / "problems").glob("*.yaml"))
+    paths = options.problems or sorted(p for p in (ROOT / "problems").glob("*.yaml") if kind_of(p) == "problem")
     if options.sequences:
         print(sequences_table(paths, options.seed))
         return

@@ -42,6 +42,12 @@ INTRODUCTIONS = {
         "problems/microwave_close.yaml",
         "What `micah-plan solve` is asked: from which uncertain start to which goal, with which model.",
     ),
+    "scene": (
+        "Scene file",
+        "problems/explore_handle.yaml",
+        "What `micah-plan explore` is asked: to open what is in the hand, within limits. See "
+        "[an object without a model](../guides/explore.md).",
+    ),
     "sweep": (
         "Sweep file",
         "problems/sweeps/drawer.yaml",

@@ -57,6 +57,10 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
         from micah_plan.documents.plan import load_plan
 
         load_plan(file)
+    elif kind == "scene":
+        from micah_plan.documents.exploration import load_scene
+
+        load_scene(file)
     elif kind == "sweep":
         from micah_plan.documents.sweep import load_sweep
 

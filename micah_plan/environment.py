@@ -66,6 +66,8 @@ LIBRARIES = (
     Library("hypothesis", "hypothesis", "run the tests", "test"),
     Library("jsonschema", "jsonschema", "run the tests", "test"),
     Library("playwright", "playwright.sync_api", "test pages in a browser", "browser"),
+    Library("imageio-ffmpeg", "imageio_ffmpeg", "write videos", "video"),
+    Library("pillow", "PIL", "write videos", "video"),
     Library("jupyterlab", "", "open the notebooks", "notebooks"),
     Library("ipykernel", "", "run the notebooks", "notebooks"),
     Library("nbclient", "", "run the notebooks", "notebooks"),

@@ -12,15 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from micah_plan import __version__
 from micah_plan.errors import InputError
-from micah_plan.learn.settings import FEWEST_ROWS
-from micah_plan.task.deadline import Deadline, TimeLimitError
-from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
+from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.task.deadline import Deadline
+from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
@@ -28,10 +28,11 @@ if TYPE_CHECKING:
     from micah_plan.automaton.hybrid import HybridAutomaton, Part
     from micah_plan.execution.plant import Plant, PlantMaker
     from micah_plan.execution.trials import Keep, TrialStatistics
+    from micah_plan.explore.run import Exploration
     from micah_plan.recording.value import Recording
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.prediction import RunPrediction
-    from micah_plan.robot.tool_path import ArmFailure
+    from micah_plan.task.exploration import Scene
     from micah_plan.task.problem import Problem
     from micah_plan.task.settings import Method as PlanningMethod
 
@@ -81,6 +82,7 @@ def learn(
     method: Method = "act-champ",
     seed: int = 0,
     parts: Sequence[Part] = (),
+    settings: LearnSettings | None = None,
     progress: Progress | None = None,
 ) -> Learned:
     """Segment a recording, fit its joints and build the hybrid automaton, or say why there is none.
@@ -90,6 +92,7 @@ def learn(
         method: Act-CHAMP uses the actions, CHAMP only the poses.
         seed: of MLESAC and of the resampling.
         parts: shapes and handles of the object's bodies, for drawing and physics.
+        settings: of the learner; None: the defaults, which are meant for every recording.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -97,15 +100,14 @@ def learn(
     """
     from micah_plan.automaton.build import build_automaton, misfit_error
     from micah_plan.learn.learn import learn_graph
-    from micah_plan.learn.settings import LearnSettings
     from micah_plan.learn.small_motion import small_motions
     from micah_plan.recording.suspicion import suspicions
 
     begin = time.perf_counter()
-    graph = learn_graph(recording, method=method, seed=seed, progress=progress)
+    graph = learn_graph(recording, method=method, settings=settings, seed=seed, progress=progress)
     provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
     bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
-    warnings = suspicions(recording) + small_motions(recording, LearnSettings())
+    warnings = suspicions(recording) + small_motions(recording, settings or LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
     return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings)
@@ -136,7 +138,10 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
     """
     from micah_plan.automaton.certainty import doubts
     from micah_plan.automaton.input_memory import left_out
+    from micah_plan.automaton.suspicion import never_taken
+    from micah_plan.planning.letting_go import with_release
     from micah_plan.planning.tightening import verified_plan
+    from micah_plan.planning.with_arm import planned_with_arm
 
     method = problem.settings.method
     rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
@@ -145,49 +150,20 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
         import micah_plan.robot.along_plan  # noqa: F401
     # Only now: what it takes to load libraries says nothing about the problem.
     deadline = Deadline(problem.settings.solve_time_limit_s)
-    found = verified_plan(problem, planner, seed, rounds, deadline)
+
+    def planned(asked: Problem) -> Plan:
+        return verified_plan(asked, planner, seed, rounds, deadline)
+
+    found = planned(problem) if problem.robot is None else planned_with_arm(problem, planned, seed, deadline)
     warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
-    answer = replace(_with_arm(problem, found, seed, deadline), warnings=warnings)
+    warnings += never_taken(problem.automaton)
+    whole = with_release(problem, found, deadline)
+    answer = replace(whole, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
     from micah_plan.planning.remedies import advised
 
     return advised(problem, answer, partial(solve, advise=False), seed)
-
-
-def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> Plan:
-    """The plan with the arm's trajectory; one that the arm cannot follow is none to execute."""
-    if problem.robot is None or plan.trajectory is None:
-        return plan
-    from micah_plan.robot.along_plan import arm_along
-
-    begin, says = time.perf_counter(), "the arm cannot follow the plan: "
-    arm: ArmTrajectory | Finding
-    try:
-        found = arm_along(problem, plan.trajectory, seed, deadline=deadline)
-        arm = found if isinstance(found, ArmTrajectory) else _arm_finding(plan, plan.trajectory, found)
-    except TimeLimitError as over:
-        says, (sentence, _, remedy) = "", over.reason.rpartition("; ")
-        arm = Finding("arm", sentence, remedy, plan.mode_sequence)
-    spent = time.perf_counter() - begin
-    plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
-    if isinstance(arm, ArmTrajectory):
-        return replace(plan, arm=arm)
-    reason = f"{says}{arm.sentence}; {arm.remedy}"
-    return replace(plan, outcome="not_verified", reason=reason, findings=(arm, *plan.findings))
-
-
-def _arm_finding(plan: Plan, trajectory: Trajectory, arm: ArmFailure) -> Finding:
-    return Finding(
-        level="arm",
-        sentence=arm.sentence,
-        remedy=arm.remedy,
-        modes=plan.mode_sequence,
-        mode=trajectory.modes[arm.knot],
-        knot=arm.knot,
-        constraint=f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind,
-        amount=arm.amount,
-    )
 
 
 def _planner(method: PlanningMethod) -> Callable[..., Plan]:
@@ -266,3 +242,28 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Pro
     from micah_plan.residual.calibrate import calibrate as calibrated
 
     return calibrated(automaton, recording, progress)
+
+
+def explore(
+    scene: Scene,
+    *,
+    plant: str | Callable[[Any], Plant] = DEFAULT_PLANT,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Exploration:
+    """Open what a hand holds without a model of it, and learn one.
+
+    Args:
+        plant: ``"nominal"`` or ``"mujoco"``, with the object that the scene names; or what makes a plant of the scene.
+        seed: of the plant's start and noise; decisions draw nothing.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: if there is no such plant, its code fails, or an answer is no usable measurement.
+        PlantError: if the machine cannot be made or reset.
+    """
+    from micah_plan.execution.handle import HandlePlant, make_handle_plant
+    from micah_plan.explore.run import explore as run
+
+    with HandlePlant(make_handle_plant(scene, plant)) as machine:
+        return run(scene, machine, np.random.default_rng(seed), progress)

@@ -18,7 +18,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 # Lowest first. A module may import from its own entry and from the lines above, never from its own line's neighbours
 # or from below. Entries are packages or files of the top level: there are no exceptions for single modules.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("arrays", "errors", "quantities"),
+    ("arrays", "errors", "quantities", "summaries"),
     ("files",),
     ("ros",),
     ("outputs",),
@@ -31,11 +31,12 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("belief",),
     ("planning",),
     ("execution",),
-    ("residual",),
+    ("explore", "residual"),
     ("view",),
     ("exchange",),
     ("checking", "environment", "templates"),
     ("workflow",),
+    ("front",),
     ("sweep",),
     ("cli",),
     ("__main__",),

@@ -227,7 +227,13 @@ def test_bad_arguments_are_one_line(micah, repository, arguments, said):
 def test_an_error_is_json_too_when_asked(micah):
     done = micah("learn", "nowhere.csv", "-o", "model.yaml", "--json")
     assert done.returncode == 2
-    assert "nowhere.csv" in only_json(done)["error"]
+    said = only_json(done)
+    assert "nowhere.csv" in said["error"]
+    (error,) = said["errors"]
+    assert error["message"] == said["error"]
+    assert error["source"].endswith("nowhere.csv")
+    assert (error["problem"], error["line"]) == ("the file does not exist", None)
+    assert error["remedy"]
 
 
 def test_version_and_help(micah):

@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
 SHIPPED = ("examples", "models", "problems")
 COMMANDS = (
+    "demo",
     "new",
     "learn",
     "solve",
@@ -30,6 +31,7 @@ COMMANDS = (
     "execute",
     "predict",
     "calibrate",
+    "explore",
     "diff",
     "sweep",
     "show",
@@ -146,6 +148,15 @@ def test_commands_have_known_names_and_options_and_read_shipped_files(page: str,
                 assert (ROOT / argument.partition(":")[0]).is_file(), argument  # FILE.py:CLASS
 
 
+def test_pages_followed_in_one_folder_do_not_get_in_each_others_way() -> None:
+    """`new` overwrites nothing, so a folder that two pages name would stop whoever follows both."""
+    made: dict[str, set[str]] = {}
+    for page in PAGES:
+        for folder in re.findall(r"micah-plan new \w+ ([\w/]+)", text_of(page)):
+            made.setdefault(folder, set()).add(page)
+    assert {folder: sorted(pages) for folder, pages in made.items() if len(pages) > 1} == {}
+
+
 def test_commands_named_in_the_text_exist() -> None:
     named = {page: set(re.findall(r"`micah-plan (\w+)", text_of(page))) - set(COMMANDS) for page in PAGES}
     assert {page: unknown for page, unknown in named.items() if unknown} == {}
@@ -251,7 +262,7 @@ def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) 
             assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors, place
 
 
-@pytest.mark.parametrize("kind", ["model", "parts", "problem", "sweep", "plan"])
+@pytest.mark.parametrize("kind", ["model", "parts", "problem", "scene", "sweep", "plan"])
 def test_the_page_on_a_file_has_every_key(kind: str, generated: dict[str, str]) -> None:
     described = schema(kind)
     page = generated[f"reference/{kind}_file.md"]

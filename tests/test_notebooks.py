@@ -14,11 +14,15 @@ NOTEBOOKS = sorted(file.stem for file in FOLDER.glob("*.ipynb"))
 
 # What the outputs must tell, in this order, for the prose around them to be true.
 TOLD = {
-    "learn": r"revolute .*\srigid .*revolute -> rigid: door >= 1\.2.*10 mm more: revolute -> rigid.*micah-plan/model/1",
+    "learn": r"revolute .*\srigid .*revolute -> rigid where door >= 1\.2.*10 mm more: revolute -> rigid.*plan/model/1",
     "plan": r"solved.*revolute -> rigid.*asked 99 %.*no_plan - the goal .* lies in the range of none.*solved",
-    "close_the_loop": r"[01] of 4 reach.*verdict: (explained|partly).*[34] of 4 reach",
+    "explore": (
+        r"opened.*prismatic \(>99 % sure\).*dead_zone.*1 of 1 trials.*none.*not noise.*explained.*dead_zone of handle: "
+        r"width 8\.\d+ mm.*1 of 1 trials"
+    ),
+    "close_the_loop": r"[01] of 4 trials reach.*(explained|partly): .*[34] of 4 trials reach",
 }
-FIGURES = {"learn": 2, "plan": 2, "close_the_loop": 2}
+FIGURES = {"learn": 2, "plan": 2, "close_the_loop": 2, "explore": 2}
 
 OFFLINE = """
 import socket

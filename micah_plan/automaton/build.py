@@ -37,7 +37,7 @@ from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, Misfit, 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
-from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.joint import UNITS, Joint
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
 from micah_plan.errors import InputError
@@ -205,8 +205,8 @@ def _pin_std(model: LocalModel) -> float:
 
 def _unit(chain: Sequence[LocalModel]) -> str:
     """rad if the first model that moves rotates, m otherwise; the other models of the edge count in their own unit."""
-    kind = next((model.joint.kind for model in chain if not model.is_rigid), "rigid")
-    return "rad" if kind in ("revolute", "screw") else "m"
+    kinds = [model.joint.kind for model in chain if not model.is_rigid]
+    return UNITS[kinds[0]] if kinds else "m"
 
 
 def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:

@@ -33,7 +33,7 @@ def check_automaton(automaton: HybridAutomaton) -> None:
     """Refuse an automaton that the algorithms could not use.
 
     Raises:
-        InputError: names that are not unique or not known, dimensions that do not fit, an invariant, guard or set of
+        InputError: names that are not unique or not known, an invariant, guard or set of
             inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
             fixed elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
             without effect, a mode that is not connected, process noise below 0, observation noise not above 0; and what
@@ -74,7 +74,7 @@ def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], Non
 
 def _check_init(automaton: HybridAutomaton, name: str, region: Region) -> None:
     automaton.mode(name)
-    _check_region(automaton, region, f"init of mode {name}")
+    _check_region(region, f"init of mode {name}")
 
 
 def _check_names(automaton: HybridAutomaton) -> None:
@@ -112,13 +112,10 @@ def _check_links(automaton: HybridAutomaton) -> None:
 
 
 def _check_mode(automaton: HybridAutomaton, mode: Mode) -> None:
-    n, m = automaton.n, automaton.m
-    where = f"mode {mode.name}"
-    if len(mode.joints) != len(automaton.links):
-        raise InputError(f"{where}: must have one joint per link, {len(automaton.links)}. Got {len(mode.joints)}")
-    _check_shape(mode.input_matrix, n, m, f"{where}: input matrix B")
+    n, where = automaton.n, f"mode {mode.name}"
+    _check_finite(mode.input_matrix, f"{where}: input matrix B")
     for what, region in (("invariant", mode.invariant), ("admissible inputs", mode.inputs)):
-        _check_region(automaton, region, f"{where}: {what}")
+        _check_region(region, f"{where}: {what}")
     for pin in mode.pins:
         if not 0 <= pin.coordinate < n:
             raise InputError(f"{where}: pinned coordinate must be 0 to {n - 1}. Got {pin.coordinate}")
@@ -155,7 +152,6 @@ def _check_tie(automaton: HybridAutomaton, mode: Mode, tie: Tie) -> None:
 
 
 def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
-    n, m = automaton.n, automaton.m
     where = f"edge {edge.name}"
     names = automaton.mode_names
     for end in (edge.source, edge.target):
@@ -163,25 +159,21 @@ def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
             raise InputError(f"{where}: unknown mode {shown(end)}", remedy=f"choose one of {', '.join(names)}")
     if edge.guard.is_everything:
         raise InputError(f"{where}: a guard must have at least one half-space, else its mode is never stayed in")
-    _check_region(automaton, edge.guard, f"{where}: guard")
+    _check_region(edge.guard, f"{where}: guard")
     if not (math.isfinite(edge.threshold_std) and edge.threshold_std >= 0):
         raise InputError(f"{where}: threshold_std must be a finite number >= 0. Got {edge.threshold_std}")
     if edge.is_self_transition and edge.reset.is_identity:
         raise InputError(f"{where}: a self transition must have a reset, else it has no effect")
-    if edge.reset.A is not None:
-        _check_shape(edge.reset.A, n, n, f"{where}: reset matrix A")
-    if edge.reset.B is not None:
-        _check_shape(edge.reset.B, n, m, f"{where}: reset matrix B")
-    if edge.reset.c is not None:
-        _check_shape((edge.reset.c,), 1, n, f"{where}: reset offset c")
+    for name, matrix in (("matrix A", edge.reset.A), ("matrix B", edge.reset.B), ("offset c", (edge.reset.c or (),))):
+        _check_finite(matrix or (), f"{where}: reset {name}")
 
 
 def _check_noise(automaton: HybridAutomaton) -> None:
     """Process noise may be 0 (known motion) and observation noise infinite (a coordinate that is not measured)."""
     n, process, observation = automaton.n, automaton.noise.process_std, automaton.noise.observation_std
-    if len(process) != n or not all(math.isfinite(std) and std >= 0 for std in process):
+    if not all(math.isfinite(std) and std >= 0 for std in process):
         raise InputError(f"noise: process_std must be {n} finite numbers >= 0. Got {shown(list(process))}")
-    if len(observation) != n or not all(std > 0 for std in observation):
+    if not all(std > 0 for std in observation):
         raise InputError(f"noise: observation_std must be {n} numbers > 0. Got {shown(list(observation))}")
     light = automaton.noise.light
     if light is None:
@@ -284,21 +276,12 @@ def _text(interval: Interval) -> str:
     return f"{low:.9g}" if low == high else f"[{low:.9g}, {high:.9g}]"
 
 
-def _check_shape(matrix: Sequence[Sequence[float]], rows: int, columns: int, where: str) -> None:
-    if len(matrix) != rows or any(len(row) != columns for row in matrix):
-        found = f"{len(matrix)} rows of {sorted({len(row) for row in matrix})}"
-        raise InputError(f"{where} must have shape ({rows}, {columns}). Got {found}")
+def _check_finite(matrix: Sequence[Sequence[float]], where: str) -> None:
     if not all(math.isfinite(value) for row in matrix for value in row):
         raise InputError(f"{where} must be finite. Got {shown(matrix)}")
 
 
-def _check_region(automaton: HybridAutomaton, region: Region, where: str) -> None:
-    for half_space in region.half_spaces:
-        if len(half_space.a) != automaton.n or len(half_space.b) != automaton.m:
-            raise InputError(
-                f"{where}: half-space '{half_space.name}' must have {automaton.n} state and {automaton.m} input "
-                f"weights. Got {len(half_space.a)} and {len(half_space.b)}"
-            )
+def _check_region(region: Region, where: str) -> None:
     if is_empty(region):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in region.half_spaces)
         raise InputError(f"{where} must not be empty. Got {names}")

@@ -13,11 +13,11 @@ from functools import partial
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.emptiness import is_empty
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton
+from micah_plan.automaton.joint import UNITS
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
 
 LARGEST = 1e6  # m or rad; beyond it a number is a mistake of units or of keys, not a place
-_UNIT_OF = {"prismatic": "m", "revolute": "rad", "screw": "rad"}
 Place = tuple[str | int, ...]
 
 
@@ -46,14 +46,14 @@ def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) ->
         mode.joints[k].kind: link.child
         for mode in automaton.modes
         for k, link in enumerate(automaton.links)
-        if link.coordinate == index and mode.joints[k].kind in _UNIT_OF
+        if link.coordinate == index and mode.joints[k].kind != "rigid"
     }
-    if kinds and coordinate.unit not in {_UNIT_OF[kind] for kind in kinds}:
+    if kinds and coordinate.unit not in {UNITS[kind] for kind in kinds}:
         kind, child = next(iter(kinds.items()))
         raise InputError(
-            f"coordinate {coordinate.name}: expected the unit {_UNIT_OF[kind]} of the {kind} joint of {child}, "
+            f"coordinate {coordinate.name}: expected the unit {UNITS[kind]} of the {kind} joint of {child}, "
             f"found {coordinate.unit}",
-            remedy=f"write {_UNIT_OF[kind]}, or correct the kind of the joint",
+            remedy=f"write {UNITS[kind]}, or correct the kind of the joint",
         )
 
 
@@ -88,6 +88,26 @@ def _check_repeated(edge: Edge, number: int, first: int) -> None:
             "taken",
             remedy="remove one of the two, or correct the guard",
         )
+
+
+def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
+    """A transition listed earlier whose guard holds wherever that of another does: the other is never taken.
+
+    Of guards that hold at one instant changes of the mode go first, then the first listed (`transition`).
+    """
+    own = automaton.edges[number]
+    rows = own.guard.half_spaces
+    for other in automaton.edges[:number]:
+        is_first = other.source == own.source and (own.is_self_transition or not other.is_self_transition)
+        if is_first and all(any(_implies(row, h) for row in rows) for h in other.guard.half_spaces):
+            return other
+    return None
+
+
+def _implies(one: HalfSpace, other: HalfSpace) -> bool:
+    """Whether all that is inside of a half-space is inside of another with the same weights."""
+    same = one.a == other.a and one.b == other.b
+    return same and (one.c > other.c or (one.c == other.c and (one.strict or not other.strict)))
 
 
 def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:

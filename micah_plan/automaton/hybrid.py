@@ -19,7 +19,10 @@ from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.region import Interval, Region
 from micah_plan.automaton.sensing import Light, Sensing
+from micah_plan.automaton.sizes import check_sizes
+from micah_plan.automaton.summary import summary_of
 from micah_plan.errors import InputError, shown
+from micah_plan.summaries import Summarised
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -36,6 +39,10 @@ class Coordinate:
 
     name: str
     unit: str
+
+    def __post_init__(self) -> None:
+        if self.unit not in ("rad", "m", ""):
+            raise InputError(f"unit of {self.name} must be one of rad, m. Got {shown(self.unit)}")
 
 
 @dataclass(frozen=True)
@@ -237,8 +244,8 @@ class Noise:
     light: Light | None = None
 
 
-@dataclass(frozen=True)
-class HybridAutomaton:
+@dataclass(frozen=True, repr=False)
+class HybridAutomaton(Summarised):
     """The object's motion model. Order matters: of modes for display, of edges for priority.
 
     Attributes:
@@ -270,6 +277,13 @@ class HybridAutomaton:
     learned: tuple[LearnedEdge, ...] = ()
     effects: tuple[Effect, ...] = ()
     input_memories: tuple[InputMemory, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_sizes(self)
+
+    def summary(self) -> str:
+        """Coordinates, modes, changes of mode and noise in a few lines."""
+        return summary_of(self)
 
     @property
     def n(self) -> int:

@@ -1,8 +1,8 @@
-"""Joints: rigid, prismatic, revolute and screw, as one-parameter motions f(c) = exp(c ξ) ∘ origin.
+"""Joints: rigid, prismatic, revolute and screw, as one-parameter motions f(c) = exp(c ξ) ∘ origin; and any path.
 
-All four are the same motion with another twist ξ, so one value and one set of functions serve them (Sturm et al.,
+The first four are the same motion with another twist ξ, so one value and one set of functions serve them (Sturm et al.,
 JAIR 2011, for the models; Murray, Li and Sastry, "A Mathematical Introduction to Robotic Manipulation", ch. 2 and 3,
-for the product of exponentials).
+for the product of exponentials). A path has poses at knots instead (`automaton.path`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
 
-JointKind = Literal["rigid", "prismatic", "revolute", "screw"]
-JOINT_KINDS: tuple[JointKind, ...] = ("rigid", "prismatic", "revolute", "screw")
+JointKind = Literal["rigid", "prismatic", "revolute", "screw", "path"]
+JOINT_KINDS: tuple[JointKind, ...] = ("rigid", "prismatic", "revolute", "screw", "path")
+SCREW_KINDS = JOINT_KINDS[:4]  # those with a constant twist
+UNITS: dict[JointKind, str] = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad", "path": "m"}
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -44,16 +46,17 @@ class Joint:
     """A one-degree-of-freedom (or rigid) connection of a part to its base.
 
     Attributes:
-        kind: rigid, prismatic, revolute or screw.
+        kind: rigid, prismatic, revolute, screw or path.
         position: origin of the part in the base frame at configuration 0 [m] (rigid: at all times).
         quaternion: orientation of the part at configuration 0, scalar last.
-        axis: unit vector of motion or rotation in the base frame; (0, 0, 0) for rigid.
-        center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) for rigid and prismatic.
+        axis: unit vector of motion or rotation in the base frame; (0, 0, 0) for rigid and path.
+        center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) for those that do not turn about one.
         pitch: translation along the axis per angle [m/rad]; 0 unless screw.
         fixed_at: configuration at which a rigid joint fixes its part [rad or m]; 0 for others.
         covariance: of the parameters, if they were estimated.
+        knots: of a path: configurations with the part's position and quaternion there; () for others.
 
-    The configuration c is in rad for revolute and screw, in m for prismatic.
+    The configuration c is in rad for revolute and screw, in m for prismatic and path.
     """
 
     kind: JointKind
@@ -64,6 +67,7 @@ class Joint:
     pitch: float = 0.0
     fixed_at: float = 0.0
     covariance: ParameterCovariance | None = None
+    knots: tuple[tuple[float, ...], ...] = ()
 
 
 def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, fixed_at: float = 0.0) -> Joint:
@@ -103,7 +107,7 @@ def turning(
 
 def radius(joint: Joint) -> float:
     """Distance of the part's origin from the axis of rotation [m]; 0 for joints that do not rotate."""
-    if joint.kind in ("rigid", "prismatic"):
+    if joint.kind not in ("revolute", "screw"):
         return 0.0
     return float(np.linalg.norm(np.subtract(joint.position, joint.center)))
 

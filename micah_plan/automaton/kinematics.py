@@ -20,6 +20,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, turning
 from micah_plan.automaton.motion_of_joints import turns_and_translations
+from micah_plan.automaton.path import along_path, closest_on_path, recounted
 from micah_plan.errors import InputError
 
 ROTATION_LENGTH = 0.2
@@ -55,6 +56,9 @@ def origin(joint: Joint) -> RigidTransform:
 def forward(joint: Joint, c: ArrayLike) -> RigidTransform:
     """f(c) = exp(c ξ) ∘ origin: (k,) poses of the part in the base frame at the configurations c (k,) [rad or m]."""
     configurations = np.atleast_1d(np.asarray(c, dtype=float))
+    if joint.kind == "path":
+        there = along_path(joint, configurations)
+        return RigidTransform.from_components(there.position, Rotation.from_quat(there.quaternion))
     return RigidTransform.from_exp_coords(configurations[:, None] * twist(joint)) * origin(joint)
 
 
@@ -107,6 +111,9 @@ def inverse(
         raise InputError(f"positions must have shape (k, 3). Got {np.shape(position)}")
     if joint.kind == "rigid":
         return np.full(len(measured), joint.fixed_at)
+    if joint.kind == "path":
+        quaternion = None if rotation is None else np.broadcast_to(rotation.as_quat(), (len(measured), 4))
+        return closest_on_path(joint, measured, quaternion, rotation_length)
     axis = np.array(joint.axis)
     along = (measured - joint.position) @ axis
     if joint.kind == "prismatic":
@@ -159,6 +166,9 @@ def jacobian(joint: Joint, c: ArrayLike) -> Floats:
 
     The rotation is a vector of rad per unit of c, as an angular velocity: R(c + dc) ≈ exp(rotation dc) R(c).
     """
+    if joint.kind == "path":
+        there = along_path(joint, c)
+        return np.concatenate([there.turning, there.velocity], axis=1)
     xi = twist(joint)
     # The velocity of the origin at configuration 0, turned by the angle (Rodrigues).
     velocity = xi[3:] + _cross(xi[:3], np.array(joint.position))
@@ -199,6 +209,8 @@ def shifted(joint: Joint, offset: float) -> Joint:
     """
     if joint.kind == "rigid":
         return replace(joint, fixed_at=joint.fixed_at - offset)
+    if joint.kind == "path":
+        return recounted(joint, offset)
     pose = forward(joint, offset)[0]
     position, quaternion = pose.translation, pose.rotation.as_quat()
     if joint.kind == "prismatic":
@@ -244,6 +256,8 @@ def reversed_direction(joint: Joint) -> Joint:
     """The same motion counted the other way: c' = -c, so f'(c') = f(c). Carries the covariance along."""
     if joint.kind == "rigid":
         return replace(joint, fixed_at=-joint.fixed_at)
+    if joint.kind == "path":
+        return recounted(joint, 0.0, -1.0)
     # The basis of -axis is (-b1, b2), so the parameters along b1 change their sign.
     covariance = joint.covariance
     if covariance is not None:

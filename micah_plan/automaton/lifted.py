@@ -86,7 +86,9 @@ def _resized(
         return replace(edge, guard=dependent(edge.guard), reset=_resized_reset(edge.reset, n, nothing))
 
     return replace(
-        mapped(automaton, resized_mode, resized_edge),
+        automaton,
+        modes=tuple(map(resized_mode, automaton.modes)),
+        edges=tuple(map(resized_edge, automaton.edges)),
         coordinates=coordinates,
         noise=Noise(
             _fit(noise.process_std, n, 0.0),

@@ -2,6 +2,8 @@
 
 - **Jumps.** A part is where it was when a transition is taken. If the joints of its two modes place it more than
   `LARGEST_JUMP_M` apart, one of them was probably edited. Smaller ones are common: joints are estimates.
+- **Never taken.** Of transitions that are possible at one instant the first listed is taken, so one that is listed
+  behind a more general one is not.
 - **Millimetres.** A part farther than `FARTHEST_M` from the part that it is linked to was probably given in
   millimetres. Solids do not show it: domains of 100 m are planned in.
 """
@@ -14,6 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.consistency import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.quantities import quantity
@@ -25,7 +28,18 @@ FARTHEST_M = 50.0
 def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
     """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
     jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
-    return (*_millimetres(automaton), *jumps)
+    return (*_millimetres(automaton), *jumps, *never_taken(automaton))
+
+
+def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
+    """One line for each transition instead of which one that leads elsewhere is taken wherever it is possible."""
+    pairs = ((edge, preceding(automaton, i)) for i, edge in enumerate(automaton.edges))
+    return tuple(
+        f"transition {edge.name} ('{edge.guard.name}') is never taken: {first.name} ('{first.guard.name}'), listed "
+        "before it, is possible wherever it is; list the more general one last"
+        for edge, first in pairs
+        if first is not None and (first.target, first.reset) != (edge.target, edge.reset)
+    )
 
 
 def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:

@@ -10,13 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
-from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian, jacobian
+from micah_plan.automaton.link_motion import link_motions
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import DEFAULT_PART, Recording
-
-# Lever arm about which nothing can turn [m].
-_NO_LEVER = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +24,7 @@ class Track:
         time: (T,) [s].
         position: (T, l, 3) [m] and quaternion: (T, l, 4) of each link's child relative to its parent; the quaternion is
             None where orientation was not measured.
-        x: (T, n) measured configuration, from the inverse kinematics of each link's moving joint.
+        x: (T, n) measured configuration, from the inverse kinematics along each link's path.
         u: (T-1, m) commanded displacement of the configuration, from the actions by the inverse Jacobian; None if
             the recording has no actions.
         action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
@@ -210,9 +206,9 @@ def _relative_actions(
         frame = ahead.get(link.parent)
         within = asked if frame is None else frame.inv().apply(asked)
         actions.append(within - seen.position[:-1])
-        joint, c = automaton.moving_joint(number), x[:-1, link.coordinate]
-        u = np.nan_to_num(inverse_jacobian(joint, c, actions[-1]))
-        moved = forward(joint, c + u) * forward(joint, c).inv() * pose
+        path, c = link_motions(automaton)[number], x[:-1, link.coordinate]
+        u = np.nan_to_num(path.commanded(c, actions[-1]))
+        moved = path.poses(c + u) * path.poses(c).inv() * pose
         ahead[link.child] = moved if frame is None else frame * moved
     return np.stack(actions, axis=1)
 
@@ -222,7 +218,7 @@ def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Flo
     x = np.zeros((len(position), automaton.n))
     for number, link in measuring_links(automaton):
         rotation = None if quaternion is None else Rotation.from_quat(quaternion[:, number])
-        x[:, link.coordinate] = inverse(automaton.moving_joint(number), position[:, number], rotation)
+        x[:, link.coordinate] = link_motions(automaton)[number].configurations(position[:, number], rotation)
     return x
 
 
@@ -238,9 +234,9 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     followed = {automaton.index(own.coordinate) for own in automaton.effects if form(own.name).layer == "place"}
     u = np.zeros((len(action), automaton.n))
     for number, link in measuring_links(automaton):
-        joint, c = automaton.moving_joint(number), x[: len(action), link.coordinate]
+        path, c = link_motions(automaton)[number], x[: len(action), link.coordinate]
         meant = in_base_frame(automaton, link.coordinate, action[:, number])
-        u[:, link.coordinate] = (aimed if link.coordinate in followed else commanded)(joint, c, meant)
+        u[:, link.coordinate] = (path.aimed if link.coordinate in followed else path.commanded)(c, meant)
     if automaton.m == automaton.n:
         return u
     effect = np.array(automaton.modes[0].B)
@@ -250,36 +246,6 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     return np.asarray(u[:, driven] @ np.linalg.pinv(effect[driven]).T)
 
 
-def commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
-    """Displacements (k,), along a joint at c (k,), that actions (k, 3) [m] of its part's origin stand for.
-
-    Of a turning part an action may be a chord f(c + u) - f(c) as well as a tangent J u: whichever fits each one better.
-    Over a large step the two differ: the tangent of an angle's chord is its sine.
-    """
-    if joint.kind == "revolute":
-        return _around(jacobian(joint, c)[:, 3:], np.array(joint.axis), action)
-    along = inverse_jacobian(joint, c, action)
-    return _on_arc(joint, c, action, along) if joint.kind == "screw" else along
-
-
-def aimed(joint: Joint, c: Floats, action: Floats) -> Floats:
-    """Displacements (k,) from c (k,) to the point of the joint next to the places to which actions (k, 3) [m] lead."""
-    place = inverse(joint, forward(joint, c).translation + action, near=c)
-    lever = np.linalg.norm(jacobian(joint, c)[:, 3:], axis=1)
-    return np.asarray(np.where(np.isfinite(place) & (lever > _NO_LEVER), place - c, 0.0))
-
-
-def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
-    """Angles (k,) of actions that start where J is `tangent` (k, 3)."""
-    lever = np.linalg.norm(tangent, axis=1)
-    safe = np.maximum(lever, _NO_LEVER)
-    along = (action * tangent).sum(axis=1) / safe
-    outward = (action * np.cross(tangent, axis)).sum(axis=1) / safe
-    is_chord = np.abs(np.hypot(lever + outward, along) - lever) < np.abs(outward)
-    angle = np.where(is_chord, np.arctan2(along, lever + outward), along / safe)
-    return np.asarray(np.where(lever > _NO_LEVER, angle, 0.0))
-
-
 def in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
     """Actions (k, 3) of which the automaton's effects on their frame are taken out."""
     for effect in automaton.effects:
@@ -287,13 +253,3 @@ def in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -
             unit, a = np.eye(3), list(action.T)
             action = np.stack([form(effect.name).frame_command(np, a, list(e), effect.values) for e in unit], axis=1)
     return action
-
-
-def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:
-    """u (k,) of actions on a screw; `along` is what they are as tangents."""
-    start = forward(joint, c)
-    arc = inverse(joint, start.translation + action, near=c) - c
-    chord = forward(joint, c + arc).translation - start.translation
-    tangent = jacobian(joint, c)[:, 3:] * along[:, None]
-    fits = np.linalg.norm(chord - action, axis=1) < np.linalg.norm(tangent - action, axis=1)
-    return np.asarray(np.where(fits & np.isfinite(arc), arc, along))

@@ -10,8 +10,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from micah_plan import __version__
-from micah_plan.cli.checking import check, diff, doctor
+from micah_plan.cli.checking import check, diff, doctor, fault
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
+from micah_plan.cli.demo import demo
+from micah_plan.cli.exploring import explore
 from micah_plan.cli.files import convert, new, schema
 from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE
 from micah_plan.cli.learning import learn
@@ -21,14 +23,30 @@ from micah_plan.cli.residuals import calibrate, predict
 from micah_plan.cli.sweeping import sweep
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
-COMMANDS = (new, learn, solve, explain, execute, predict, calibrate, diff, sweep, show, convert, check, schema, doctor)
+COMMANDS = (
+    demo,
+    new,
+    learn,
+    solve,
+    explain,
+    execute,
+    predict,
+    calibrate,
+    explore,
+    diff,
+    sweep,
+    show,
+    convert,
+    check,
+    schema,
+    doctor,
+)
 
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
     help="From a recorded demonstration of an articulated object to a plan that holds under uncertainty.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -74,7 +92,8 @@ def _fail(error: MicahError | str, code: int) -> NoReturn:
 def _say(error: MicahError | str) -> None:
     text = " ".join(str(error).split())
     if "--json" in sys.argv:
-        print(json.dumps({"error": text}))
+        faults = [fault(one) for one in error.each()] if isinstance(error, InputError) else [{"message": text}]
+        print(json.dumps({"error": text, "errors": faults}))
     err.print(f"error: {text}", markup=False, style="red")
 
 

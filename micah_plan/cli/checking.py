@@ -42,7 +42,7 @@ def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
         {
             "file": str(item.file),
             "kind": item.kind,
-            "faults": [_fault(fault) for fault in item.faults],
+            "faults": [fault(error) for error in item.faults],
             "warnings": list(item.warnings),
         }
         for item in found
@@ -50,7 +50,7 @@ def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
     return {"faults": sum(len(item.faults) for item in found), "files": files}
 
 
-def _fault(error: InputError) -> dict[str, Any]:
+def fault(error: InputError) -> dict[str, Any]:
     """An error in its pieces; line and column (from 1) are null where they are not known."""
     line, column = error.position or (None, None)
     place = {"source": error.source, "where": error.where, "line": line, "column": column}

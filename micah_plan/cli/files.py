@@ -32,21 +32,33 @@ def convert(
         list[str] | None,
         typer.Option(metavar="NAME", help="Topic or child frame of an MCAP file to read; default: all with poses."),
     ] = None,
+    part: Annotated[str | None, typer.Option(help="Of a recording, the part to write; default: all.")] = None,
+    run: Annotated[int | None, typer.Option(help="Of a recording, the run to write; default: all.")] = None,
+    poses_only: Annotated[
+        bool, typer.Option("--poses-only", help="Of a recording, leave out actions, forces and other columns.")
+    ] = False,
+    density: Annotated[
+        float, typer.Option(min=1.0, max=30000.0, help="Of a model's shapes [kg/m^3], for the masses of bodies.")
+    ] = 500.0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Convert recordings (CSV, NPZ, TUM, MCAP), plans (to JointTrajectory) and models (to and from URDF)."""
+    """Convert recordings (CSV, NPZ, TUM, MCAP), plans (to JointTrajectory) and models (to and from URDF; to MJCF)."""
     from micah_plan.exchange.convert import convert as converted
     from micah_plan.exchange.convert import targets
 
     check_outputs((source,), (Output("the target", target, targets(source)),))
-    kind, notes = converted(source, target, topics=topic or ())
+    kind, notes = converted(
+        source, target, topics=topic or (), part=part, run=run, poses_only=poses_only, density=density
+    )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}
     print_summary(as_json, summary, lambda: print_files((target,)))
 
 
 def schema(
-    kind: Annotated[Literal["problem", "model", "parts", "sweep", "plan"], typer.Argument(help="The kind of file.")],
+    kind: Annotated[
+        Literal["problem", "model", "parts", "scene", "sweep", "plan"], typer.Argument(help="The kind of file.")
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (.json); default: stdout.")
     ] = None,

@@ -17,14 +17,16 @@ from micah_plan.cli.console import (
     Seed,
     out,
     print_files,
+    print_lines,
     print_summary,
     print_warnings,
     progress_bar,
     table,
 )
 from micah_plan.errors import located_in
+from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
-from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way, with_spread
+from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
 
 if TYPE_CHECKING:
     from micah_plan.automaton.certainty import ActionChannel
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
     from micah_plan.workflow import Learned
 
 _COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
+_WIDE = 108  # columns, with which a row of the table fits on one line
 _NARROW = ("joint", "rows", "sure")
-_SUREST = 0.999  # a recording is never surer than ">99 %", whatever is left of the odds in floating point
 
 
 def learn(
@@ -141,10 +143,12 @@ def _segment(segment: Segment) -> dict[str, Any]:
 
 
 def _parameters(joint: Joint) -> dict[str, Any]:
-    """Axis (unit, base frame), center [m], radius [m], pitch [m/rad], pose at configuration 0, as far as they apply."""
+    """Pose at configuration 0; knots, or axis (unit, base frame), center, radius [m], pitch [m/rad] if they apply."""
     from micah_plan.automaton.joint import radius
 
     parameters: dict[str, Any] = {"position": joint.position, "orientation": joint.quaternion}
+    if joint.kind == "path":
+        return parameters | {"knots": joint.knots}
     if joint.kind != "rigid":
         parameters["axis"] = joint.axis
     if joint.kind in ("revolute", "screw"):
@@ -179,18 +183,21 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     """A table of the segments of every edge, how its actions move it, and what was written."""
+    from micah_plan.view.learning_words import action_words
+
+    line = " " if out.width >= _WIDE else "\n"
     for edge in learned.graph.edges:
-        shown = table(*_COLUMNS, padding=(0, 1, 0, 0), title_justify="left")
+        shown = table(*(name.replace("\n", line) for name in _COLUMNS), padding=(0, 1, 0, 0), title_justify="left")
         shown.title = f"{edge.child} relative to {edge.parent}"
         for name in _NARROW:
             shown.columns[_COLUMNS.index(name)].no_wrap = True
         for segment in edge.segments:
-            shown.add_row(*segment_row(segment))
+            shown.add_row(*(cell.replace("\n", line) for cell in segment_row(segment)))
         out.print(shown)
         if edge.certainty is not None and edge.certainty.channel is not None:
-            out.print(channel_line(edge.certainty.channel), markup=False)
+            print_lines((f"actions: {action_words(edge.certainty.channel)}",))
     if learned.graph.probability is not None:
-        out.print(f"this tree of parts: {percent(min(learned.graph.probability, _SUREST), 0)} sure")
+        out.print(f"this tree of parts: {percent(min(learned.graph.probability, SUREST), 0)} sure")
     if learned.automaton is None:
         out.print(f"no model: {learned.reason}", markup=False, style="yellow")
     else:
@@ -210,31 +217,23 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
         start = f"{first}" if first == last else f"{first}-{last}"
     if misfit is not None:
         return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", start)
-    axis = "" if joint.kind == "rigid" else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
+    axis = "" if joint.kind in ("rigid", "path") else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
     arm = quantity(radius(joint), "m") if joint.kind in ("revolute", "screw") else ""
     if joint.covariance is not None:
         axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""
         arm += f"\n± {quantity(radius_std(joint), 'm', digits=2)}" if arm else ""
     passed = plain(segment.configuration_end) if joint.kind == "rigid" else _passed(segment)
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
-    return (joint.kind, rows, passed, axis, arm, percent(min(probability, _SUREST), 0), start)
+    return (joint.kind, rows, passed, axis, arm, percent(min(probability, SUREST), 0), start)
 
 
 def _passed(segment: Segment) -> str:
     """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
+    from micah_plan.automaton.joint import UNITS
+
     ends = [segment.configuration_start, segment.configuration_end]
     low, high = segment.configuration_range
     furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
     turned = min(abs(furthest - end) for end in ends) > 0.2 * (high - low)
     stops = [ends[0], furthest, ends[1]] if turned else ends
-    return way(stops, "m" if segment.joint.kind == "prismatic" else "rad")
-
-
-def channel_line(channel: ActionChannel) -> str:
-    """The line on the action channel, with one standard deviation each."""
-    from micah_plan.view.learning_words import channel_turn
-
-    *_, gain, delay = _stds(channel.covariance)
-    made, late = with_spread(channel.gain, gain, ""), with_spread(channel.delay, delay, "s")
-    turned = in_degrees(*channel_turn(channel))
-    return f"actions explain {percent(channel.explained, 0)}: gain {made}, turned {turned}, delay {late}"
+    return way(stops, UNITS[segment.joint.kind])

@@ -3,47 +3,76 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
-from micah_plan.errors import InputError, located_in
+from micah_plan.errors import InputError, located_in, shown
+from micah_plan.files import replace_files
 from micah_plan.outputs import PAGE, Output, check_outputs
+from micah_plan.view.video import PICTURE, VIDEO, Filming
+
+View = Literal["whole", "motion", "object", "front", "side", "top"]
 
 
 def show(
     file: Annotated[Path, typer.Argument(help="A recording, a model or a plan.")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write.")] = None,
+    runs: Annotated[
+        Path | None, typer.Argument(help="Executed runs of the plan (a recording), to show beside it.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Page to write.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Film the page: .mp4, .gif or .webp; needs the extra 'browser'.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Photograph the page: .png; needs the extra 'browser'.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Write the 3-D scene alone, in MeshCat's own viewer.")] = None,
+    at: Annotated[float, typer.Option(min=0, max=1, help="Share of the time at which --picture is taken.")] = 0.5,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Pixels of --video and --picture.")] = "1280x720",
+    fps: Annotated[float, typer.Option(help="Frames per second of --video.")] = 15.0,
+    speed: Annotated[float, typer.Option(help="How fast --video plays; 2: twice as fast.")] = 1.0,
+    view: Annotated[View | None, typer.Option(help="What --video and --picture look at.")] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Serve the page to this machine's browsers until Ctrl-C.")
     ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0: any free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a self-contained page of a recording, model or plan; or serve it, and remake it when the file changes."""
-    from micah_plan.files import replace_file
+    """Write a page, a picture or a video of a recording, a model, a plan, or a plan with its runs; or serve the page.
+
+    With --live the page is made again when the file changes.
+    """
     from micah_plan.view.live import PageServer, remade_on_change
 
-    if output is None and not live:
+    wanted = {
+        "-o": (output, PAGE),
+        "--video": (video, VIDEO),
+        "--picture": (picture, PICTURE),
+        "--scene": (scene, PAGE),
+    }
+    files = {option: path for option, (path, _) in wanted.items() if path is not None}
+    if not files and not live:
         raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")
-    check_outputs((file,), (Output("-o", output, PAGE),))
+    if runs is not None and _kind_of(file) != "plan":
+        raise InputError("only a plan is shown with runs", source=file, remedy="name the plan first, then its runs")
+    check_outputs((file, runs), [Output(option, *where) for option, where in wanted.items()])
+    filming = _filming(size, fps, speed, view)
     with progress_bar(as_json) as progress:
-        current = remade_on_change(file, lambda: _page_of(file, progress))
-        page = current().encode()
-    if output is not None:
-        replace_file(output, page)
-    written = {} if output is None else {"page": str(output)}
-    summary: dict[str, str | int] = {"kind": _kind_of(file), **written, "bytes": len(page)}
+        current = remade_on_change(file, lambda: _page_of(file, runs, progress))
+        page = current()
+        _write(page, files, at, filming, progress)
+    names = {"-o": "page"}
+    written = {names.get(option, option[2:]): str(path) for option, path in files.items()}
+    summary: dict[str, str | int] = {"kind": _kind_of(file), **written, "bytes": len(page.encode())}
     if not live:
-        print_summary(as_json, summary, lambda: print_files((output,)))
+        print_summary(as_json, summary, lambda: print_files(files.values()))
         return
     with PageServer(current, port) as server:
         summary["url"] = server.url
-        print_summary(as_json, summary, lambda: print_files((output,)))
+        print_summary(as_json, summary, lambda: print_files(files.values()))
         if not as_json:
             leave = "for this machine only; reload it after a change, leave with Ctrl-C"
             print_lines((f"the page is at {server.url} {leave}",))
@@ -52,11 +81,36 @@ def show(
             server.serve_forever()
 
 
+def _filming(size: str, rate: float, speed: float, view: str | None) -> Filming:
+    width, _, height = size.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise InputError(f"--size must be WIDTHxHEIGHT, found {shown(size)}", remedy="for instance 1280x720")
+    return Filming(int(width), int(height), rate, speed, view or "")
+
+
+def _write(
+    page: str, files: Mapping[str, Path], at: float, filming: Filming, progress: Callable[[str, float], None]
+) -> None:
+    """Write what was asked for, all together."""
+    from micah_plan.view.page import bare_scene
+    from micah_plan.view.video import picture, video
+
+    contents: dict[Path, bytes] = {}
+    for option, path in files.items():
+        if option == "--video":
+            contents[path] = video(page, path.suffix.lower(), filming, progress)
+        elif option == "--picture":
+            contents[path] = picture(page, at, filming)
+        else:
+            contents[path] = (bare_scene(page) if option == "--scene" else page).encode()
+    replace_files(contents)
+
+
 def _kind_of(file: Path) -> str:
     return {".yaml": "model", ".yml": "model", ".json": "plan"}.get(file.suffix.lower(), "recording")
 
 
-def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
+def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:
     from micah_plan import workflow
 
     kind = _kind_of(file)
@@ -70,7 +124,9 @@ def _page_of(file: Path, progress: Callable[[str, float], None]) -> str:
         from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)
-        return plan_page(stored.plan, stored.problem, title=title_of(file))
+        executed = None if runs is None else workflow.read(runs)
+        with nullcontext() if runs is None else located_in(runs):
+            return plan_page(stored.plan, stored.problem, title=title_of(file), executed=executed)
     from micah_plan.view.recording_page import recording_page
 
     recording = workflow.read(file)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from micah_plan.automaton.consistency import LARGEST
 from micah_plan.cli.console import (
     NO_RESULT,
     Interrupted,
@@ -27,13 +29,15 @@ from micah_plan.cli.console import (
     progress_bar,
     title_of,
 )
-from micah_plan.errors import InputError, MicahError
+from micah_plan.errors import InputError, MicahError, shown
+from micah_plan.front.words import plan_lines, runs_lines
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
-from micah_plan.quantities import count, duration, percent, percent_interval, quantity, with_spread
+from micah_plan.quantities import duration
 from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
 from micah_plan.task.settings import Method
 
 if TYPE_CHECKING:
+    from micah_plan.documents.plan import StoredPlan
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.recording.value import Recording
     from micah_plan.task.plan import ArmTrajectory, Plan
@@ -110,6 +114,8 @@ def _arm(arm: ArmTrajectory) -> dict[str, Any]:
         "closest_knot": arm.closest_knot,
         "least_manipulability": float(arm.manipulability.min()),
         "deviation": arm.deviation,
+        "limit_margin": arm.limit_margin,
+        "limit_joint": arm.limit_joint,
     }
 
 
@@ -121,23 +127,10 @@ def _print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) 
         from micah_plan.planning.explain import explain as explanation_of
 
         print_lines(explanation_of(problem, plan).lines[1:])
-    if plan.trajectory is not None:
-        _print_figures(plan, problem)
+    print_lines(plan_lines(plan, problem))
     named = ", ".join(f"{stage} {duration(seconds)}" for stage, seconds in plan.timings.items())
     out.print(f"  time         {named}")
     print_files(files)
-
-
-def _print_figures(plan: Plan, problem: Problem) -> None:
-    unit = problem.goal_unit
-    out.print(f"  modes        {' -> '.join(plan.mode_sequence)}", markup=False)
-    if plan.goal_error is not None and plan.goal_std is not None:
-        distance = f"{quantity(plan.goal_error, unit)} from the target, σ {quantity(plan.goal_std, unit)}"
-        out.print(f"  at the end   {distance}")
-    if plan.success_probability is not None:
-        share = f"{percent(plan.success_probability)} of {count(plan.verification_trials, 'roll-out')}"
-        sure = "" if plan.success_interval is None else f" (95 % interval: {percent_interval(*plan.success_interval)})"
-        out.print(f"  success      {share}{sure}")
 
 
 def explain(
@@ -164,6 +157,11 @@ def execute(
         int | None, typer.Option(min=0, help="Optimise the rest of the plan every so many steps; 0: never.")
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write the runs beside the plan as a page.")] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Where simulated trials truly start, whatever is believed [rad or m]."),
+    ] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -175,31 +173,71 @@ def execute(
     from micah_plan import workflow
     from micah_plan.cli.own_plant import named_plant
     from micah_plan.documents.plan import load_plan, require_executable
-    from micah_plan.recording.read import write_recording
+    from micah_plan.files import replace_files
+    from micah_plan.recording.read import recording_bytes
 
-    check_outputs((plan,), (Output("-o", output, RUNS), Output("--figure", figure, FIGURE)))
+    outputs = Output("-o", output, RUNS), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
+    check_outputs((plan,), outputs)
     stored = load_plan(plan)
     require_executable(stored)
-    machine = named_plant(plant)
+    machine, problem = named_plant(plant), starting_at(stored.problem, start or ())
     print_warnings(stored.plan.warnings)
     logs: list[Recording] = []
     begin = time.perf_counter()
     try:
         with _terminated_as_interrupted(), progress_bar(as_json) as progress:
-            run = partial(workflow.execute, stored.problem, stored.plan, plant=machine, trials=trials, seed=seed)
+            run = partial(workflow.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
             statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
     except BaseException as error:
         stopped = _broken_off(error, logs, output)
         if stopped is error:
             raise
         raise stopped from error
-    write_recording(statistics.recording, output)
-    if figure is not None:
-        from micah_plan.view.figures import belief_figure, save_figure
+    drawn = _drawn_runs(stored, statistics, title_of(plan), figure, html)
+    replace_files({output: recording_bytes(statistics.recording, output), **drawn})
+    summary, unit = _executed(statistics, time.perf_counter() - begin), stored.problem.goal_unit
+    print_summary(
+        as_json, summary, lambda: _print_executed(runs_lines(statistics, unit, trials), (output, figure, html))
+    )
 
-        save_figure(belief_figure(stored.problem, stored.plan, statistics.recording), figure)
-    summary = _executed(statistics, time.perf_counter() - begin)
-    print_summary(as_json, summary, lambda: _print_executed(summary, stored.problem.goal_unit, (output, figure)))
+
+def _drawn_runs(
+    stored: StoredPlan, statistics: TrialStatistics, title: str, figure: Path | None, html: Path | None
+) -> dict[Path, bytes]:
+    """Contents of the files that show runs beside their plan."""
+    contents = dict[Path, bytes]()
+    if figure is not None:
+        from micah_plan.view.figures import belief_figure, png
+
+        contents[figure] = png(belief_figure(stored.problem, stored.plan, statistics.recording))
+    if html is not None:
+        from micah_plan.view.plan_page import plan_page
+
+        runs, failures = statistics.recording, dict(statistics.failures)
+        page = plan_page(stored.plan, stored.problem, title=title, executed=runs, failures=failures)
+        contents[html] = page.encode()
+    return contents
+
+
+def starting_at(problem: Problem, entries: Sequence[str]) -> Problem:
+    """The problem with true starts, each as NAME=VALUE.
+
+    Raises:
+        InputError: for another form, a coordinate that there is not, or a value that is no number.
+    """
+    names, found = [coordinate.name for coordinate in problem.automaton.coordinates], dict(problem.start.true)
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if name not in names:
+            raise InputError(f"--start: no coordinate {shown(name)}", remedy=f"choose among {', '.join(names)}")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= LARGEST:
+            raise InputError(f"--start {name}: expected a number, found {shown(text)}", remedy="write NAME=VALUE")
+        found[names.index(name)] = value
+    return replace(problem, start=replace(problem.start, true=tuple(found.items())))
 
 
 def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
@@ -209,21 +247,14 @@ def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
         "successes": statistics.successes,
         "believed": statistics.believed,
         "final_error": asdict(statistics.final_error),
+        **({} if statistics.released is None else {"released": statistics.released}),
         "failures": [{"trial": trial, "reason": reason} for trial, reason in statistics.failures],
         "seconds": seconds,
     }
 
 
-def _print_executed(summary: dict[str, Any], unit: str, files: tuple[Path | None, ...]) -> None:
-    """Successes and errors [unit] of trials."""
-    error, said, whose = summary["final_error"], "reached the goal", ""
-    if summary["believed"]:
-        said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
-    out.print(f"{summary['successes']} of {summary['trials']} trials {said}")
-    spread = with_spread(error["mean"], error["std"], unit)
-    out.print(f"  final error  {spread}, at most {quantity(error['max'], unit)}{whose}")
-    for failure in summary["failures"]:
-        out.print(f"  trial {failure['trial']}: {failure['reason']}", markup=False)
+def _print_executed(lines: Sequence[str], files: tuple[Path | None, ...]) -> None:
+    print_lines(lines)
     print_files(files)
 
 

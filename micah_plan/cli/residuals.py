@@ -24,12 +24,13 @@ from micah_plan.cli.console import (
 )
 from micah_plan.errors import located_in
 from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
-from micah_plan.quantities import common_unit, percent, plain, quantity
+from micah_plan.quantities import common_unit, count, percent, plain, quantity
 
 if TYPE_CHECKING:
     from micah_plan.automaton.hybrid import HybridAutomaton
     from micah_plan.documents.model_difference import Difference
     from micah_plan.residual.calibrate import Calibration, FoundEffect
+    from micah_plan.residual.judgement import Judgement
     from micah_plan.residual.missing_mode import MissingMode
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.residual.trace import LaneTrace
@@ -41,6 +42,7 @@ def predict(
     as_learned: Annotated[
         bool, typer.Option("--actions-as-learned", help="Apply the action channel that the model was learned with.")
     ] = False,
+    html: Annotated[Path | None, typer.Option(help="Write measured against predicted motion as a page.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data.
@@ -48,35 +50,30 @@ def predict(
     A held object has no model file of its own: give the problem or a plan instead.
     """
     from micah_plan import workflow
+    from micah_plan.files import replace_file
+    from micah_plan.front.inputs import automaton_of
+    from micah_plan.residual.judgement import judge
 
-    automaton = _automaton_of(model)
+    check_outputs((model, recording), (Output("--html", html, PAGE),))
+    automaton = automaton_of(model)
     measured = workflow.read(recording, minimum_rows=2)
     with located_in(recording):
         automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
         runs = workflow.predict(automaton, measured)
-    summary = _predicted(automaton, runs)
-    print_summary(as_json, summary, lambda: _print_predicted(summary))
+    judged = judge(automaton, measured, runs)
+    if html is not None:
+        from micah_plan.view.prediction_page import prediction_page
+
+        replace_file(html, prediction_page(automaton, measured, runs, judged, title=recording.stem).encode())
+    summary = _predicted(automaton, runs, judged)
+    print_summary(as_json, summary, lambda: _print_predicted(summary, html))
 
 
-def _automaton_of(path: Path) -> HybridAutomaton:
-    """The model in a file, or that of the problem in it."""
-    from micah_plan.documents.kind import kind_of
-    from micah_plan.documents.model import load_model
-    from micah_plan.documents.plan import load_plan
-    from micah_plan.documents.problem import load_problem
-
-    kind = kind_of(path)
-    if kind == "problem":
-        return load_problem(path).automaton
-    return load_plan(path).problem.automaton if kind == "plan" else load_model(path)
-
-
-def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dict[str, Any]:
+def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement) -> dict[str, Any]:
     """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
-    from micah_plan.residual.judgement import judge
     from micah_plan.residual.prediction import estimate_errors
+    from micah_plan.residual.seen import beyond_range
 
-    judged = judge(automaton, runs)
     return {
         "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
         "one_step": _rmse([run.one_step for run in runs]),
@@ -95,11 +92,20 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> dic
         "mode_changes": [
             {"run": c.run, "mode": c.mode, "measured_s": c.measured, "predicted_s": c.predicted} for c in judged.changes
         ],
-        "per_run": [
-            {"run": run.run, "one_step": _rmse([run.one_step]), "rollout": _rmse([run.rollout])} for run in runs
-        ],
+        "per_run": [_of_run(number, runs) for number in dict.fromkeys(run.run for run in runs)],
         "per_mode": _per_mode(runs),
+        "beyond_range": [
+            {"coordinate": one.name, "end": one.end, "measured": one.reached, "sentence": str(one)}
+            for one in beyond_range(automaton, [run.x for run in runs])
+        ],
     }
+
+
+def _of_run(number: int, runs: Sequence[RunPrediction]) -> dict[str, Any]:
+    """Errors of one run, whose consecutive parts are predicted by themselves."""
+    parts = [run for run in runs if run.run == number]
+    one_step, rollout = (_rmse([getattr(part, kind) for part in parts]) for kind in ("one_step", "rollout"))
+    return {"run": number, "gaps": len(parts) - 1, "one_step": one_step, "rollout": rollout}
 
 
 def _estimate(errors: tuple[float, float] | None) -> dict[str, Any]:
@@ -132,7 +138,7 @@ def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
     )
 
 
-def _print_predicted(summary: dict[str, Any]) -> None:
+def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
     """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
     shown = table("root mean square error", "position", "rotation", "configuration")
     for name, text in (("one_step", "one step"), ("rollout", "roll-out")):
@@ -146,6 +152,10 @@ def _print_predicted(summary: dict[str, Any]) -> None:
             quantity(summary["estimate"][key], summary["configuration_unit"]) for key in ("rmse", "final_error")
         )
         out.print(f"what the controller believed was {size} beside what was measured, at the end {last}", markup=False)
+    print_lines(tuple(one["sentence"] for one in summary["beyond_range"]))
+    gaps = sum(run["gaps"] for run in summary["per_run"])
+    if gaps:
+        out.print(f"{count(gaps, 'gap')} in t: rows are missing, so roll-outs begin anew after each")
     changes = summary["mode_changes"]
     both = [c["predicted_s"] - c["measured_s"] for c in changes if None not in (c["predicted_s"], c["measured_s"])]
     if changes:
@@ -155,6 +165,7 @@ def _print_predicted(summary: dict[str, Any]) -> None:
         missed = sum(c["predicted_s"] is None for c in changes)
         extra = len(changes) - len(both) - missed
         out.print(f"mode changes: {len(both)} predicted{on_average}, {missed} measured only, {extra} predicted only")
+    print_files((html,))
 
 
 def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
@@ -166,7 +177,9 @@ def calibrate(
     model: Annotated[Path, typer.Argument(help="Model (YAML).")],
     recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
     output: OutputPath,
-    report: Annotated[Path | None, typer.Option(help="Write the comparison and the effects as a page.")] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", "--report", help="Write the comparison and the effects as a page.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
@@ -175,21 +188,21 @@ def calibrate(
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
 
-    check_outputs((model, recording), (Output("-o", output, MODEL), Output("--report", report, PAGE)))
+    check_outputs((model, recording), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
     automaton = load_model(model)
     measured = workflow.read(recording, minimum_rows=2)
     begin = time.perf_counter()
     with progress_bar(as_json) as progress, located_in(recording):
         found = workflow.calibrate(automaton, measured, progress=progress)
     contents = {output: model_text(found.automaton).encode()}
-    if report is not None:
+    if html is not None:
         from micah_plan.view.calibration_page import calibration_page
 
-        contents[report] = calibration_page(found, title=recording.stem).encode()
+        contents[html] = calibration_page(found, title=recording.stem).encode()
     replace_files(contents)
     changes = differences(automaton, found.automaton)
     summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
-    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, (output, report)))
+    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, (output, html)))
     if found.verdict == "unexplained":
         raise typer.Exit(NO_RESULT)
 
@@ -249,13 +262,15 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
     return {
         "name": one.lane.coordinate,
         "unit": one.lane.unit,
-        "verdict": one.verdict,
+        "verdict": one.outcome.verdict,
+        "outcome": one.outcome.name,
+        "sentence": one.outcome.sentence,
         "unexplained_fraction": one.unexplained_fraction,
         "ranking": [
             {"name": name, "evidence": evidence, "standard_error": error} for name, evidence, error in one.ranking
         ],
-        "autocorrelation": one.correlation,
-        "whiteness_p": one.white_probability,
+        "autocorrelation": one.whiteness[0],
+        "whiteness_p": one.whiteness[1],
     }
 
 

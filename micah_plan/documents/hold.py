@@ -1,4 +1,4 @@
-"""How a hand holds the object, and what it may touch: the entry `hold` of a problem file."""
+"""How a hand holds the object, what it may touch and how it lets go: `hold` and `release` of a problem file."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ from pydantic import Field
 
 from micah_plan.automaton.contacts.values import AXES, Grip
 from micah_plan.automaton.hybrid import Part
-from micah_plan.documents.fields import ZERO, Distance, Name, Place, Vector3, named
+from micah_plan.documents.fields import (
+    ITEMS,
+    ZERO,
+    Distance,
+    Name,
+    Place,
+    Positive,
+    StdOrZero,
+    Vector3,
+    named,
+)
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.documents.parts import ShapeDocument
-from micah_plan.task.problem import Hold
+from micah_plan.task.problem import Hold, Release
 
 
 class HeldPartDocument(Document):
@@ -76,6 +86,22 @@ class HoldDocument(Document):
     @classmethod
     def written(cls, value: Hold, scope: Scope) -> Mapping[str, Any]:
         return {**vars(value.grip), "reach": value, "contacts": value.contacts}
+
+
+class ReleaseDocument(Document):
+    makes = Release
+
+    support: Annotated[Name, named("body")] = doc("Body of the scene on whose upper side the object is put.")
+    support_std: StdOrZero = doc("How well the height of that side is known [m].", Release.support_std)
+    step: Distance = doc("How far the hand goes down per step while it feels for the support [m].", Release.step)
+    force: Positive = doc("Force at which the contact is felt [N].", Release.force)
+    shift_std: StdOrZero = doc(
+        "How far the object moves along x and along y when the gripper opens [m].", Release.shift_std
+    )
+    fingers: Annotated[dict[Name, Place], ITEMS] = doc(
+        "Joints of the robot that open the gripper, and where they then are [rad or m].", dict
+    )
+    withdraw: Distance = doc("How far the hand then goes away from the object [m].", Release.withdraw)
 
 
 HoldDocument.always_written = HoldDocument.model_fields.keys() - {"datum"}

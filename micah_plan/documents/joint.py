@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from micah_plan.automaton.joint import Joint, JointKind, ParameterCovariance
+from micah_plan.automaton.path import path
 from micah_plan.documents.fields import (
     IDENTITY,
     ZERO,
@@ -15,19 +16,23 @@ from micah_plan.documents.fields import (
     Matrix,
     Place,
     Quaternion,
+    Row,
     Vector3,
     check_covariance,
     of_unit_length,
 )
 from micah_plan.documents.layout import Document, doc
 from micah_plan.documents.located import Located
+from micah_plan.errors import InputError
 
 _UNUSED: Mapping[str, tuple[str, ...]] = {
     "rigid": ("axis", "center", "pitch"),
     "prismatic": ("center", "pitch", "held"),
     "revolute": ("pitch", "held"),
     "screw": ("held",),
+    "path": ("axis", "center", "pitch", "held"),
 }
+_SAME_PLACE = 1e-6  # m, and of quaternions
 ParameterName = Literal[
     "axis_1",
     "axis_2",
@@ -63,21 +68,38 @@ class JointDocument(Document):
     makes = Joint
     renamed: ClassVar = {"held": "fixed_at"}
 
-    kind: JointKind = doc("rigid, prismatic, revolute or screw.")
+    kind: JointKind = doc("rigid, prismatic, revolute, screw or path.")
     position: Vector3 = doc("Origin of the part in the base frame at configuration 0 [m].")
     quaternion: Quaternion = doc("Its orientation there: unit quaternion, scalar last.", IDENTITY)
-    axis: Vector3 = doc("Unit vector of motion or rotation in the base frame; not for rigid.", ZERO)
+    axis: Vector3 = doc("Unit vector of motion or rotation in the base frame; not for rigid and path.", ZERO)
     center: Vector3 = doc("Point on the axis closest to `position` [m]; revolute and screw.", ZERO)
     pitch: Place = doc("Translation along the axis per angle [m/rad]; only for screw.", 0.0)
     held: Place = doc("Configuration that a rigid joint stands for [rad or m].", 0.0)
     covariance: CovarianceDocument | None = doc("Covariance of the parameters, if estimated.", None)
+    knots: Annotated[tuple[Row, ...], Listed()] = doc(
+        "Poses along a path: rows of c [m], position (3) [m] and quaternion (4).", ()
+    )
 
     def check(self, at: Located) -> None:
         for key in _UNUSED[self.kind]:
             if getattr(self, key) not in (ZERO, 0.0):
                 raise at.at(key).error(f"a {self.kind} joint has no {key}", "remove it or correct the kind")
-        if self.kind != "rigid":
+        if self.kind != "path" and self.knots:
+            raise at.at("knots").error(f"a {self.kind} joint has no knots", "remove them or correct the kind")
+        if self.kind == "path":
+            self._check_path(at)
+        elif self.kind != "rigid":
             of_unit_length(self.axis, at.at("axis"))
+
+    def _check_path(self, at: Located) -> None:
+        try:
+            start = path(self.knots)
+        except InputError as error:
+            raise at.at("knots").error(error.problem, "give smooth poses in the order of c") from None
+        off = np.subtract(start.position + start.quaternion, (*self.position, *self.quaternion))
+        if np.abs(off).max() > _SAME_PLACE:
+            there = ", ".join(f"{value:.6g}" for value in start.position)
+            raise at.at("position").error(f"expected the pose of the path at c = 0, ({there})", "correct it")
 
 
 def joint_remark(joint: Joint) -> str | None:

@@ -180,7 +180,22 @@ def usable_model(content: bytes, source: str) -> HybridAutomaton:
     Raises:
         InputError: also for what `automaton.check` refuses, with the place in the file.
     """
-    located = read_yaml(content, source)
+    return _usable(read_yaml(content, source))
+
+
+def model_of(data: Mapping[str, Any]) -> HybridAutomaton:
+    """The automaton that data with the keys of a model file describe, if the algorithms can use it.
+
+    Args:
+        data: dicts, lists, texts and numbers; `format` may be left out.
+
+    Raises:
+        InputError: with the key, what was expected and found, and the remedy.
+    """
+    return _usable(Located({"format": MODEL_FORMAT, **data}, "model"))
+
+
+def _usable(located: Located) -> HybridAutomaton:
     automaton = automaton_of(located)
     for place, check in checks(automaton):
         with located.at(*(("transitions", *place[1:]) if place[:1] == ("edges",) else place)).locating_errors():

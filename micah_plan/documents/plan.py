@@ -14,12 +14,23 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AliasChoices
+from pydantic import AliasChoices, Field
 
 from micah_plan import __version__
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import with_memory_states
-from micah_plan.documents.fields import Count, Line, Lines, Listed, ModeName, Name, Names, NonNegative, Probability
+from micah_plan.documents.fields import (
+    Count,
+    Line,
+    Lines,
+    Listed,
+    ModeName,
+    Name,
+    Names,
+    NonNegative,
+    Probability,
+    Vector3,
+)
 from micah_plan.documents.layout import Document, Mark, Scope, doc, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.model import automaton_of, model_data, scope_of
@@ -28,7 +39,7 @@ from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.task.acceptance import least_share
-from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, Trajectory
+from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, ReleasePlan, Trajectory
 from micah_plan.task.problem import Problem
 
 PLAN_FORMAT = "micah-plan/plan/1"
@@ -92,18 +103,35 @@ class ArmDocument(Document):
         "(K, J) joint positions at the knots, straight lines in between [rad or m]."
     )
     manipulability: Annotated[list[NonNegative], _ARRAY] = doc("(K) Yoshikawa's measure; 0 at singularities.")
-    clearance: Annotated[tuple[float | None, ...], Listed()] = doc(
-        "(K) smallest distance at each knot [m]; null: nothing to meet."
-    )
+    clearance: Annotated[tuple[float | None, ...], Listed()] = doc("(K) smallest distance at each knot [m], or null.")
     least_clearance: float | None = doc("Smallest distance at and between all knots [m].")
     closest_pair: Lines = doc("The two that come so close.")
     closest_knot: Count = doc("The knot at or after which they do.")
     deviation: NonNegative = doc("Largest deviation of the tool from a straight line between knots [m].")
+    limit_margin: float | None = doc("Smallest distance of a joint from an end of its range [rad or m].", None)
+    limit_joint: str = doc("Name of that joint.", "")
 
     def check(self, at: Located) -> None:
         for i, row in enumerate(self.positions):
             if len(row) != len(self.joints):
                 raise at.at("positions", i).error(f"expected {len(self.joints)} joints, found {len(row)}", _AGAIN)
+
+
+class ReleasePlanDocument(Document):
+    makes = ReleasePlan
+
+    steps: Annotated[int, Field(ge=1)] = doc("Steps down after the last knot, at most: contact is felt earlier.")
+    contact: Annotated[list[float], _ARRAY] = doc("(n) state in which contact is expected [rad or m].")
+    rest: Annotated[list[float], _ARRAY] = doc("(n) state of the object at rest that is expected [rad or m].")
+    withdrawal: Annotated[list[Vector3], _ARRAY] = doc("(W, 3) displacements of the hand after that [m].")
+    lowering: ArmDocument | None = doc("The robot from the last knot down to the lowest place.", None)
+    withdrawing: ArmDocument | None = doc("The robot from the expected contact away, its gripper open.", None)
+
+    def read(self, at: Located, scope: Scope) -> ReleasePlan:
+        for key, state in (("contact", self.contact), ("rest", self.rest)):
+            if len(state) != len(scope["coordinate"]):
+                raise at.at(key).error(f"expected {len(scope['coordinate'])} numbers, found {len(state)}", _AGAIN)
+        return ReleasePlan(**self.meanings(at, scope))
 
 
 class PlanDocument(Document):
@@ -133,6 +161,7 @@ class PlanDocument(Document):
     warnings: Lines = doc("What of the model the plan ignores.", tuple)
     trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
+    release: ReleasePlanDocument | None = doc("How the hand lets go; null where it keeps the object.", None)
     problem_file: Line = doc("Name of the problem file that was solved; empty if made in Python.")
     digests: dict[Name, Line] = doc("SHA-256 of the input files, by role.")
     problem: dict[str, Any] = doc("The problem, laid out as a problem file.")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from micah_plan.documents.fields import Distance, EachInput, NonNegative, Positive
-from micah_plan.documents.layout import Document, Scope, doc
+from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located
+from micah_plan.documents.validation import validated
 from micah_plan.task.settings import Method, PlannerSettings
 
 Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
@@ -61,6 +63,34 @@ class PlannerDocument(Document):
 PlannerDocument.always_written = PlannerDocument.model_fields.keys() - {"max_step"}
 
 
+class SettingsDocument(PlannerDocument):
+    """All settings of a problem in one place."""
+
+    confidence: Confidence = doc("As the problem's.", PlannerSettings.confidence)
+
+
+def settings_with(settings: PlannerSettings, changes: Mapping[str, Any], inputs: tuple[str, ...]) -> PlannerSettings:
+    """Settings with some of them changed.
+
+    Args:
+        settings: the others.
+        changes: by the names that files give them; `max_step` by input, or one number for all.
+        inputs: names of the model's inputs.
+
+    Raises:
+        InputError: for an unknown name, and a value that a file could not have.
+    """
+    if not changes:
+        return settings
+    given, scope = dict(changes), {"input": inputs}
+    if isinstance(given.get("max_step"), int | float):
+        given["max_step"] = dict.fromkeys(inputs, given["max_step"])
+    data = plain(SettingsDocument, settings, scope) | given
+    located = Located(data, "settings")
+    changed: PlannerSettings = validated(located, SettingsDocument).read(located, scope)
+    return changed
+
+
 class PlantDocument(Document):
     """Standing objects know the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
 
@@ -100,6 +130,10 @@ class PlantDocument(Document):
     rotor_inertia: NonNegative | None = doc(
         "Inertia of the robot's motors, as the joints feel it [kg m^2 or kg].", None
     )
+    grip_force: Positive | None = doc("Force with which each finger holds an object [N].", None)
+    grip_deflection: Positive | None = doc("Error at which a finger pushes with all its force [m].", None)
+    grip_unevenness: NonNegative | None = doc("Most by which a finger opens later than the other [s].", None)
+    force_noise: NonNegative | None = doc("Noise of the force that a hand feels (std) [N].", None)
 
     def read(self, at: Located, scope: Scope) -> dict[str, float]:
         return self.model_dump(exclude_none=True)

@@ -32,10 +32,10 @@ from micah_plan.documents.fields import (
     Std,
     checked_name,
 )
-from micah_plan.documents.hold import HoldDocument
+from micah_plan.documents.hold import HoldDocument, ReleaseDocument
 from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located, overridden
-from micah_plan.documents.model import scope_of, usable_model
+from micah_plan.documents.model import model_text, scope_of, usable_model
 from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
 from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
@@ -61,6 +61,9 @@ class StartDocument(Document):
     mean: EachCoordinate[Place] = doc("Mean of every coordinate [rad or m].")
     std: EachCoordinate[Std] = doc("Standard deviation of every coordinate [rad or m].")
     mode: ModeName | None = doc("Mode at first; default: the first whose invariant holds the mean.", None)
+    true: Annotated[dict[CoordinateName, Place], ITEMS] = doc(
+        "Where simulated trials truly start, whatever is believed [rad or m]; others are drawn from the belief.", dict
+    )
 
 
 class TargetDocument(Document):
@@ -134,6 +137,10 @@ class ProblemDocument(Document):
     )
     robot: RobotDocument | None = doc("Arm that holds the object; default: none.", None)
     grasp: GraspDocument | None = doc("What the robot holds, and where; needed with a robot.", None)
+    release: ReleaseDocument | None = doc(
+        "How a held object is let go in the end; the goal then speaks of it at rest. Default: it stays in the hand.",
+        None,
+    )
     plant: PlantDocument = doc("Physical parameters for MuJoCo.", PlantDocument)
 
     def check(self, at: Located) -> None:
@@ -141,6 +148,8 @@ class ProblemDocument(Document):
             raise at.at("robot").error("a robot without a grasp", "add 'grasp': say what it holds")
         if self.grasp is not None and self.robot is None:
             raise at.at("grasp").error("a grasp without a robot", "add 'robot': say which robot holds it")
+        if self.release is not None and self.hold is None:
+            raise at.at("release").error("only what a hand holds can be let go", "add 'hold', or drop 'release'")
 
     @classmethod
     def written(cls, value: Problem, scope: Scope) -> Mapping[str, Any]:
@@ -149,18 +158,21 @@ class ProblemDocument(Document):
         return {"format": PROBLEM_FORMAT, **vars(value), **settings, "path": value.constraints}
 
 
-def load_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Problem:
+def load_problem(
+    path: str | Path, overrides: Mapping[str, Any] | None = None, *, model: HybridAutomaton | None = None
+) -> Problem:
     """The problem that a file holds, with its model.
 
     Args:
         path: of the problem file.
         overrides: values to take instead of the file's, by dotted key, e.g. ``{"goal.target.door.value": 0.6}``.
+        model: to use instead of the one that the file names.
 
     Raises:
         InputError: if the file or its model cannot be used; one line names file, line, key, what was expected and
             found, and the remedy.
     """
-    return ProblemReader(path).load(overrides)
+    return ProblemReader(path, model).load(overrides)
 
 
 class ProblemReader:
@@ -170,9 +182,10 @@ class ProblemReader:
     times as long as replacing a value, and the contacts of a held object take seconds.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Args: the problem file."""
+    def __init__(self, path: str | Path, model: HybridAutomaton | None = None) -> None:
+        """Args: the problem file, and a model to use instead of the one that it names."""
         self._path = Path(path)
+        self._model = None if model is None else model_text(model).encode()
         self._source = str(path)
         self._parsed: tuple[bytes, Located] | None = None
         self._made: tuple[tuple[object, ...], HybridAutomaton] | None = None
@@ -181,7 +194,13 @@ class ProblemReader:
         """As `load_problem`."""
         problem, located = self._described(overrides or {})
         _check_start(problem.start, problem.automaton, located)
-        _check_goal(problem.goal, problem.automaton, located)
+        if problem.release is None:
+            _check_goal(problem.goal, problem.automaton, located)
+        else:  # the goal speaks of the object at rest, not of the hand
+            from micah_plan.task.release import carrying  # SciPy is loaded only where it is needed
+
+            with located.at("release").locating_errors():
+                carrying(problem)
         return problem
 
     def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:
@@ -198,7 +217,7 @@ class ProblemReader:
         document = validated(located, ProblemDocument)
         model_path = self._path.parent / document.model
         try:
-            model = read_bytes(model_path, LARGEST_TEXT_BYTES)
+            model = self._model or read_bytes(model_path, LARGEST_TEXT_BYTES)
         except InputError as error:
             raise located.at("model").error(f"model {model_path}: {error.problem}", error.remedy) from None
         automaton = self._automaton(model, model_path, document, located)
@@ -242,7 +261,7 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
         automaton=replace(automaton, noise=noise_with(automaton.noise, own["noise"])),
         settings=replace(own["planner"], confidence=document.confidence),
         constraints=own["path"],
-        **{key: own[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold")},
+        **{key: own[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold", "release")},
     )
 
 
@@ -257,7 +276,9 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
     for key, late in (("hold", "datum"), ("robot", "text")):
         if late in data.get(key, {}):
             data[key][late] = data[key].pop(late)
-    order = "format model start goal path confidence planner plant scene robot grasp hold"  # as plan files have it
+    order = (
+        "format model start goal path confidence planner plant scene robot grasp hold release"  # as plan files have it
+    )
     return {key: data[key] for key in order.split() if key in data}
 
 

@@ -43,7 +43,8 @@ def validated(located: Located, document: type[D]) -> D:
         InputError: for the first violation in the file, naming line, column, key, what was expected and found, and the
             number of further violations, which it carries.
     """
-    check_format(located, document)
+    if "format" in document.model_fields:  # what is part of a file has none of its own
+        check_format(located, document)
     try:
         return document.model_validate(located.data)
     except ValidationError as error:

@@ -1,8 +1,10 @@
 """YAML text <-> plain data with the line and column of every value. The only importer of ruamel.yaml.
 
 YAML 1.2 with its core schema (so ``1e-3`` is a number and ``on`` a string), less what a hostile file could use: no
-anchors and aliases, tags, directives or second documents, and bounds on size, number of values and depth. The reader
-works on the parser's events and stops at the first that is not allowed, before anything is built from it.
+tags, directives or second documents, and bounds on size, number of values and depth. A value with an anchor (``&name``)
+is written once and meant wherever its alias (``*name``) stands; what aliases stand for counts as if it were written
+out. The reader works on the parser's events and stops at the first that is not allowed, before anything is built from
+it.
 """
 
 from __future__ import annotations
@@ -140,11 +142,6 @@ def _error(source: str, place: tuple[int, int] | None, problem: str, remedy: str
 
 
 def _forbidden(event: events.Event) -> str | None:
-    if isinstance(event, events.AliasEvent):
-        return f"aliases are not allowed, found {shown('*' + event.anchor)}"
-    anchor = getattr(event, "anchor", None)
-    if anchor is not None:
-        return f"anchors are not allowed, found {shown('&' + anchor)}"
     if isinstance(event, events.DocumentStartEvent) and (event.version or event.tags):
         return "directives (%YAML, %TAG) are not allowed"
     tag = None if isinstance(event, events.DocumentStartEvent) else getattr(event, "tag", None)
@@ -159,6 +156,9 @@ class _Reader:
         self._source = source
         self._until = until
         self._places: dict[KeyPath, tuple[int, int]] = {}
+        # Where the value of each anchor is, and how many values aliases have stood for.
+        self._anchors: dict[str, tuple[KeyPath, Any]] = {}
+        self._expanded = 0
 
     def document(self) -> Located:
         event = self._next()
@@ -184,8 +184,36 @@ class _Reader:
         return _error(self._source, _place(event.start_mark), problem, remedy)
 
     def _value(self, event: events.Event, path: KeyPath) -> Any:
+        if isinstance(event, events.AliasEvent):
+            if event.anchor not in self._anchors:
+                problem = f"the alias {shown('*' + event.anchor)} stands for nothing that was written before it"
+                raise self._error(event, problem, f"write '&{event.anchor}' before the value that it means")
+            return self._meant(event, *self._anchors[event.anchor], path)
+        value = self._own(event, path)
+        if isinstance(event, events.NodeEvent) and event.anchor is not None:
+            self._anchors[event.anchor] = path, value
+        return value
+
+    def _meant(self, event: events.Event, origin: KeyPath, value: Any, path: KeyPath) -> Any:
+        """A copy of what an alias at a path stands for; its parts are where they were written."""
+        self._check_depth(event, path)
+        self._expanded += 1
+        if self._expanded > MOST_VALUES:
+            raise self._error(event, f"aliases stand for more than {MOST_VALUES} values", "split the file")
+        self._places.setdefault(path, self._places[origin])
+        if isinstance(value, dict):
+            return {key: self._meant(event, (*origin, key), item, (*path, key)) for key, item in value.items()}
+        if isinstance(value, list):
+            return [self._meant(event, (*origin, i), item, (*path, i)) for i, item in enumerate(value)]
+        return value
+
+    def _check_depth(self, event: events.Event, path: KeyPath) -> None:
         if len(path) > DEEPEST:
             raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
+
+    def _own(self, event: events.Event, path: KeyPath) -> Any:
+        """The value that an event begins."""
+        self._check_depth(event, path)
         if isinstance(event, events.ScalarEvent):
             return _scalar(event)
         if isinstance(event, events.SequenceStartEvent):

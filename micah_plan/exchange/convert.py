@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
+from micah_plan.exchange.bodies import DENSITY, left_out
+from micah_plan.exchange.mjcf_write import mjcf_text
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.recording.value import Recording
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write_log
 
 TOPIC = "/joint_trajectory"
@@ -26,7 +32,7 @@ RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
 TARGETS = {
     **dict.fromkeys(RECORDINGS, RECORDINGS),
     ".json": (".json", ".mcap"),
-    **dict.fromkeys((".yaml", ".yml"), (".urdf",)),
+    **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml")),
     ".urdf": (".yaml", ".yml"),
 }
 """What a file may be converted to, by its ending."""
@@ -45,11 +51,24 @@ def targets(path: str | Path) -> tuple[str, ...]:
     return TARGETS[suffix]
 
 
-def convert(source: str | Path, target: str | Path, *, topics: Collection[str] = ()) -> tuple[Kind, tuple[str, ...]]:
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    topics: Collection[str] = (),
+    part: str | None = None,
+    run: int | None = None,
+    poses_only: bool = False,
+    density: float = DENSITY,
+) -> tuple[Kind, tuple[str, ...]]:
     """Write what one file holds into another, at once or not at all.
 
     Args:
+        source, target: the files.
         topics: of an .mcap file, which to read; empty: all.
+        part, run: of a recording, which to write; None: all.
+        poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
+        density: of the shapes of a model, for the masses of bodies [kg/m^3].
 
     Returns:
         What it was, and what of it is not in the target, one line each.
@@ -64,8 +83,9 @@ def convert(source: str | Path, target: str | Path, *, topics: Collection[str] =
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
     given = Path(source).suffix.lower()
     if given in RECORDINGS:
-        write_recording(read_recording(source, topics=topics), target)
-        return "recording", ()
+        recording, notes = _chosen(read_recording(source, topics=topics), part, run, poses_only)
+        write_recording(recording, target)
+        return "recording", notes
     if given == ".json":
         message = joint_trajectory(load_plan(source))
         content = f"{json.dumps(message, indent=2, ensure_ascii=False)}\n".encode()
@@ -78,9 +98,26 @@ def convert(source: str | Path, target: str | Path, *, topics: Collection[str] =
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):
-        text = urdf_text(load_model(source), Path(source).stem)
+        automaton, is_urdf = load_model(source), wanted == ".urdf"
+        text = (urdf_text if is_urdf else mjcf_text)(automaton, Path(source).stem, density)
     replace_file(target, text.encode())
-    return "model", ()
+    return "model", left_out(automaton, density, handles=not is_urdf)
+
+
+def _chosen(
+    recording: Recording, part: str | None, run: int | None, poses_only: bool
+) -> tuple[Recording, tuple[str, ...]]:
+    """The rows that were asked for, and what was left out of them, one line each."""
+    if part is not None or run is not None:
+        recording = recording.select(run=run, part=part)
+    if not poses_only:
+        return recording, ()
+    lost = [name for name in ("action", "force") if getattr(recording, name) is not None] + list(recording.extra)
+    alone = len(recording.runs) == 1 and len(recording.parts) == 1
+    kept = replace(recording, action=None, force=None, extra={})
+    if alone:
+        kept = replace(kept, run=kept.run * 0, part=(), has_run=False, has_part=False)
+    return kept, (f"left out: {', '.join(lost)}",) if lost else ()
 
 
 def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
@@ -88,7 +125,8 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
 
     The joints are those of the arm [rad or m] if the plan has one, else the object's coordinates along the mean of the
     belief. One control step of the problem's plant passes between two points; transitions take no time, so of their two
-    knots the second is kept. Between points the joints move in straight lines, so no velocities are given.
+    knots the second is kept. Between points the joints move in straight lines; the velocity at a point
+    [rad/s or m/s] is the mean of those before and after it, and 0 at both ends, where it rests.
 
     Raises:
         InputError: if the plan is no solution.
@@ -100,8 +138,11 @@ def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
         names, positions = list(arm.joints), arm.positions
     period = parameters_of(stored.problem).control_period
     kept = [k for k in range(len(positions)) if k == len(positions) - 1 or not trajectory.is_transition[k]]
-    points = []
-    for step, k in enumerate(kept):
-        point = {"positions": positions[k].tolist(), "velocities": [], "accelerations": [], "effort": []}
+    points, placed = [], np.asarray(positions)[kept]
+    velocities = np.zeros_like(placed)
+    velocities[1:-1] = (placed[2:] - placed[:-2]) / (2.0 * period)
+    for step in range(len(kept)):
+        moving = {"velocities": velocities[step].tolist(), "accelerations": [], "effort": []}
+        point = {"positions": placed[step].tolist(), **moving}
         points.append({**point, "time_from_start": split_time(round(step * period * NANOSECONDS))})
     return {"header": header_at(0, "base"), "joint_names": names, "points": points}

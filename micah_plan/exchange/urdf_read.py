@@ -1,4 +1,5 @@
-"""Models from URDF: one mode, coordinates named after the joints, which stop at their limits.
+"""Models from URDF: one mode, coordinates named after the joints (or, of a joint ``PART_joint`` that moves PART, after
+the part), which stop at their limits.
 
 Links that are fixed to one another are one part, named after the first of them, or, where that has no shape, after the
 only one that is fixed to it, as `urdf_write` makes them. So a model of one mode comes back as it was, except for noise,
@@ -20,6 +21,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import Joint, prismatic, revolute
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError, located_in, shown
+from micah_plan.exchange.bodies import JOINT_SUFFIX
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.robot.xml_text import Element, parse_xml, read_xml
 
@@ -67,6 +69,12 @@ class _Moving(NamedTuple):
     limits: tuple[float, float]
 
 
+def _coordinate(joint: Element, child: _Body) -> str:
+    """The name of the joint; without ``_joint`` where the rest is the name of what it moves, as `urdf_write` has it."""
+    name = joint.attributes["name"]
+    return child.name if name == f"{child.name}{JOINT_SUFFIX}" else name
+
+
 class _Tree:
     """The links and joints of a checked file as bodies."""
 
@@ -92,7 +100,7 @@ class _Tree:
                 if child.name == BASE:
                     raise InputError("a moving link is called 'base'", remedy="give it another name")
                 link = Link(body.name, child.name, len(moving))
-                moving.append(_Moving(joint.attributes["name"], link, _joint(joint, body, child), _limits(joint)))
+                moving.append(_Moving(_coordinate(joint, child), link, _joint(joint, body, child), _limits(joint)))
                 bodies.append(child)
         if len(moving) > MOST_JOINTS:
             problem = f"expected at most {MOST_JOINTS} joints that move, found {len(moving)}"

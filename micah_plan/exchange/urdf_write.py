@@ -2,13 +2,13 @@
 
 Each link of the model must have one moving joint over all modes; it may go where any mode allows it. A part's frame
 need not lie on its joint's axis, a URDF link's must: a link ``PART_axis`` turns, and the part's link is fixed to it.
-Joints are named after the coordinates.
+Joints are named after the coordinates, with ``_joint`` behind where a part has that name already: programs that look
+frames up by name would find two.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,74 +16,53 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
-from micah_plan.automaton.joint import IDENTITY, Joint
-from micah_plan.automaton.region import Interval
-from micah_plan.errors import InputError
+from micah_plan.automaton.joint import IDENTITY
+from micah_plan.exchange.bodies import DENSITY, Inertia, MovingPart, inertia_of, moving_parts
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.xml_text import Element, write_xml
 
 AXIS_LINK = "_axis"
-_REMEDY = "URDF cannot say that; keep the YAML"
 
 
-def urdf_text(automaton: HybridAutomaton, title: str) -> str:
+def urdf_text(automaton: HybridAutomaton, title: str, density: float = DENSITY) -> str:
     """The text of a URDF of the model.
 
     Args:
+        automaton: each of its links must have one moving joint over all modes.
         title: name of the robot in the file.
+        density: of all shapes [kg/m^3].
 
     Raises:
         InputError: for a part on a screw, with different moving joints in different modes, or that moves with another.
     """
-    parts = {part.name: part for part in automaton.parts}
-    elements = [_link(BASE, parts.get(BASE))]
-    moving: set[int] = set()
-    for k, link in enumerate(automaton.links):
-        joint = _moving_joint(automaton, k)
-        if joint.kind != "rigid" and link.coordinate in moving:
-            raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
-        moving |= {link.coordinate} if joint.kind != "rigid" else set()
-        ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
-        limits = ranges[0][0], ranges[-1][1]
-        name = automaton.coordinates[link.coordinate].name
-        elements += _moved((name, link.parent, link.child), joint, limits, parts.get(link.child))
+    elements = [_link(BASE, automaton.part(BASE), None)]
+    for part in moving_parts(automaton, screws=False):
+        elements += _moved(part, density)
     lines = "".join(f"  {write_xml(element)}\n" for element in elements)
     head, _, tail = write_xml(Element("robot", {"name": title}, 0)).partition("</")
     return f'<?xml version="1.0"?>\n{head}\n{lines}</{tail}\n'
 
 
-def _moving_joint(automaton: HybridAutomaton, k: int) -> Joint:
-    """The one joint of a link that moves it in any mode; a rigid one if there is none."""
-    part = automaton.links[k].child
-    joints = [replace(mode.joints[k], covariance=None) for mode in automaton.modes]
-    moving = list(dict.fromkeys(joint for joint in joints if joint.kind != "rigid"))
-    if len(moving) > 1:
-        raise InputError(f"part {part} has different joints in different modes", remedy=_REMEDY)
-    if any(joint.kind == "screw" for joint in moving):
-        raise InputError(f"part {part} moves on a screw", remedy=_REMEDY)
-    return moving[0] if moving else joints[0]
-
-
-def _moved(names: tuple[str, str, str], joint: Joint, limits: Interval, part: Part | None) -> list[Element]:
-    """The link of a part with the joint that carries it; names of the coordinate, parent and child."""
-    name, parent, child = names
-    turn = Rotation.from_quat(joint.quaternion)
+def _moved(part: MovingPart, density: float) -> list[Element]:
+    """The link of a part with the joint that carries it."""
+    joint, parent, child = part.joint, part.parent, part.child
+    turn, link = Rotation.from_quat(joint.quaternion), _link(child, part.part, density)
     if joint.kind == "rigid":
-        return [_link(child, part), _joint(f"{child}_mount", "fixed", parent, child, joint.position, joint.quaternion)]
+        return [link, _joint(part.name, "fixed", parent, child, joint.position, joint.quaternion)]
     axis = Element("axis", {"xyz": _words(turn.inv().apply(joint.axis))}, 0)
-    free = joint.kind == "revolute" and not np.isfinite(limits).any()
-    low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in limits)
+    free = joint.kind == "revolute" and not np.isfinite(part.limits).any()
+    low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in part.limits)
     bounds = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "1"}
     described = [axis] if free else [axis, Element("limit", bounds, 0)]
     kind = "continuous" if free else joint.kind
     if joint.kind == "prismatic":
-        return [_link(child, part), _joint(name, kind, parent, child, joint.position, joint.quaternion, described)]
+        return [link, _joint(part.name, kind, parent, child, joint.position, joint.quaternion, described)]
     carrier = f"{child}{AXIS_LINK}"
     offset = turn.inv().apply(np.subtract(joint.position, joint.center))
     return [
-        _link(carrier, None),
-        _joint(name, kind, parent, carrier, joint.center, joint.quaternion, described),
-        _link(child, part),
+        _link(carrier, None, None),
+        _joint(part.name, kind, parent, carrier, joint.center, joint.quaternion, described),
+        link,
         _joint(f"{child}_mount", "fixed", carrier, child, offset, IDENTITY),
     ]
 
@@ -96,9 +75,18 @@ def _joint(
     return Element("joint", {"name": name, "type": kind}, 0, [_origin(position, quaternion), *ends, *described])
 
 
-def _link(name: str, part: Part | None) -> Element:
+def _link(name: str, part: Part | None, density: float | None) -> Element:
+    """A link with its shapes; with a density also with its mass and moments."""
     shapes = [] if part is None else [_shape(shape, tag) for shape in part.shapes for tag in ("visual", "collision")]
+    if part is not None and density is not None:
+        shapes.insert(0, _inertial(inertia_of(part, density)))
     return Element("link", {"name": name}, 0, shapes)
+
+
+def _inertial(inertia: Inertia) -> Element:
+    moments = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(inertia.moments[i, j])) for i in range(3) for j in range(i, 3)}
+    mass = Element("mass", {"value": repr(inertia.mass)}, 0)
+    return Element("inertial", {}, 0, [_origin(inertia.center, IDENTITY), mass, Element("inertia", moments, 0)])
 
 
 def _shape(shape: Primitive, tag: str) -> Element:

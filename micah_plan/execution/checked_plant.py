@@ -38,14 +38,17 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
         PlantError: if the machine does not answer.
     """
     if not isinstance(kind, str):
-        maker = kind
-    elif kind in BUILT_IN:
-        maker = resolve_name(BUILT_IN[kind].maker)
-    else:
-        raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
+        return made(kind, problem, "problem")
+    if kind in BUILT_IN:
+        return made(resolve_name(BUILT_IN[kind].maker), problem, "problem")
+    raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
+
+
+def made(maker: Callable[[Any], Plant], given: object, what: str) -> Plant:
+    """What a class or function makes when it is called with a problem or a scene, if it is a plant."""
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
-    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}(problem)", maker, problem)
+    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, given)
     check_methods(plant, type(plant).__name__)
     return plant
 
@@ -72,7 +75,7 @@ class CheckedPlant:
         """The true state now; None if the plant is no referee."""
         if not isinstance(self._plant, Referee):
             return None
-        answer = self._ask("truth")
+        answer = self.ask("truth")
         if not isinstance(answer, Truth):
             raise InputError(f"the plant's truth() must give a Truth. Got {type(answer).__name__}")
         return answer
@@ -82,17 +85,18 @@ class CheckedPlant:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         if error is None:
-            self._ask("close")
+            self.ask("close")
         else:
             with suppress(Exception):  # the first error is the one to report
                 self._plant.close()
 
-    def _ask(self, method: str, *arguments: object) -> object:
+    def ask(self, method: str, *arguments: object) -> object:
+        """What a method of the plant answers, unchecked; an exception of its code becomes one line."""
         kind = type(self._plant)
         return _called(kind, f"{kind.__name__}.{method}", getattr(self._plant, method), *arguments)
 
     def _measured(self, method: str, argument: object) -> Measurement:
-        measurement = checked(self._ask(method, argument), self._parts, self._time)
+        measurement = checked(self.ask(method, argument), self._parts, self._time)
         self._time = measurement.time
         return measurement
 

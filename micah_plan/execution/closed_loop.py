@@ -19,6 +19,7 @@ from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import CheckedPlant
+from micah_plan.execution.letting_go import LettingGo
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
@@ -28,8 +29,9 @@ from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
-from micah_plan.task.plan import ArmTrajectory, Trajectory
+from micah_plan.task.plan import ArmTrajectory, ReleasePlan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 
 _SPARE_STEPS = 20
 
@@ -53,6 +55,9 @@ class TrialResult:
         continuations: how often the rest of the plan was optimised again.
         refusals: why new plans were not followed.
         beliefs: after each measurement, steps + 1 of them.
+        released: whether the object was let go and stands in the goal on its own, where the problem lets go; then this
+            is the success, and the final values are of the object at rest. None: it stays in the hand. Log, steps and
+            beliefs end where the hand begins to put it down: what holds of an object in a hand ends there.
     """
 
     recording: Recording
@@ -68,6 +73,7 @@ class TrialResult:
     continuations: int
     refusals: tuple[str, ...]
     beliefs: tuple[HybridBelief, ...]
+    released: bool | None = None
 
 
 class Episode:
@@ -82,7 +88,8 @@ class Episode:
 
     Every step the updated belief is looked at. The execution stops when the plan is done and the belief is in the goal
     set with the problem's confidence: stopping earlier ends at its edge. A new plan is asked for where a belief leaves
-    it, misses a transition or ends short of the goal; where none leads on, it stops.
+    it, misses a transition or ends short of the goal; where none leads on, it stops. Where the problem lets go of the
+    object, the hand then puts it down and withdraws, see `letting_go`.
     """
 
     def __init__(
@@ -94,17 +101,24 @@ class Episode:
         replanning: Replanning | None = None,
         max_steps: int | None = None,
         run: int = 0,
+        release: ReleasePlan | None = None,
     ) -> None:
         """Nothing has happened yet.
 
         Args:
-            problem: automaton, start belief, goal, confidence and input limits.
+            problem: automaton, start belief, goal, confidence and input limits; of one that lets go, the goal is of the
+                object at rest.
             trajectory: the plan.
             arm: joints of the arm along the trajectory; None: there is no arm.
             replanning: where new plans come from; None: none are asked for.
             max_steps: control steps at most; None: twice the plan's plus 20.
             run: the run's number in the log.
+            release: how the object is let go in the end; None: it stays in the hand.
         """
+        self._rest_goal, self._putting_down = problem.goal, False
+        asked = problem.release
+        self._letting = None if asked is None or release is None else LettingGo(problem, asked, release)
+        problem = carrying(problem)
         augmented = with_input_memory(problem)
         self.automaton: HybridAutomaton = augmented.automaton
         """Over whose states, memories of inputs among them, the belief is."""
@@ -136,6 +150,8 @@ class Episode:
         Args:
             belief: before it, to tell whole turns apart and for the joints of the most likely mode.
         """
+        if self._letting is not None and self._letting.phase == "withdrawing":
+            return np.full(self.automaton.n, np.nan)  # the parts are no longer where the hand is
         plain, mode = self._problem.automaton, belief.most_likely
         near = belief.means[mode, : plain.n]
         z = configuration(plain, plain.modes[mode].name, measurement.position, measurement.quaternion, near)
@@ -149,8 +165,10 @@ class Episode:
             belief: after the measurement.
             truth: only for the log and the score; None in every step if it is unknown.
         """
-        self._beliefs.append(belief)
         self._truth = truth
+        if self._letting is not None and self._putting_down:
+            return self._letting.command(belief, measurement)
+        self._beliefs.append(belief)
         self._confidence = lasting_probability(self.automaton, self._problem.goal, belief)
         plain, likely = self._problem.automaton, belief.most_likely
         mode, x = self._state(belief)
@@ -160,7 +178,8 @@ class Episode:
         true_x = None if truth is None else x
         if self._has_ended(belief):
             self._log.add(measurement, belief, true_x, None)
-            return None
+            self._putting_down = self._letting is not None and self._is_confident
+            return self._letting.command(belief, measurement) if self._letting and self._putting_down else None
         u = self._commanded = self._pilot.input(belief, measurement.joints)
         order = command(plain, plain.modes[likely].name, belief.means[likely, : plain.n], u)
         self._log.add(measurement, belief, true_x, order.origin)
@@ -172,17 +191,24 @@ class Episode:
         Args:
             failure: what the machine failed with after the last command; empty if it did not.
         """
-        goal, pilot, truth = self._problem.goal, self._pilot, self._truth
+        pilot, truth, released = self._pilot, self._truth, self._is_released()
+        goal = self._rest_goal if self._is_open else self._problem.goal
         mode, x = self._state(self._beliefs[-1])
         # A mode that the model does not have is a collision.
         in_goal = goal.contains(mode, x) and mode in self._problem.automaton.mode_names
         reached = (self._is_confident if truth is None else in_goal) and not self._path.is_broken.any()
+        reached = reached and released is not False
         reason = self._ending()
         if failure:
             reason = f"the machine failed in step {len(self._beliefs)}: {failure}"
         elif not reached:
             incident = [truth.incident] if truth is not None and truth.incident else []
-            misses = [*incident, *self._misses(mode, x)]
+            missed = self._misses(goal, mode, x)
+            if self._putting_down and not self._is_open:  # how low the hand is then says nothing
+                missed = ["no contact was felt on the way down, so it was not let go"]
+            elif released is False:
+                missed = missed or ["it does not stand on its own"]
+            misses = [*incident, *missed]
             reason += f", but {' and '.join(misses)}" if misses else ""
         return TrialResult(
             recording=self._log.recording(self._run),
@@ -198,7 +224,22 @@ class Episode:
             continuations=pilot.continuations,
             refusals=tuple(pilot.refusals),
             beliefs=tuple(self._beliefs),
+            released=None if released is None else released and not failure,
         )
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether the gripper was opened."""
+        return self._letting is not None and self._letting.felt
+
+    def _is_released(self) -> bool | None:
+        """Whether the object stands in the goal on its own, as far as is known; None if it is not let go."""
+        if self._letting is None:
+            return None
+        if self._truth is None:  # it is put down from where it comes to rest in the goal
+            return self._letting.felt and self._is_confident
+        mode, x = self._state(self._beliefs[-1])
+        return self._is_open and self._truth.stands and not self._truth.incident and self._rest_goal.contains(mode, x)
 
     def _state(self, belief: HybridBelief) -> tuple[str, Floats]:
         """Mode and x (n,) in the model's terms: the true ones or, where they are unknown, the believed ones."""
@@ -230,9 +271,9 @@ class Episode:
             return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
         return f"the {steps} allowed steps ended with {percent(self._confidence)} probability of the goal{refused}"
 
-    def _misses(self, mode: str, x: Floats) -> list[str]:
-        """In which respects the true or believed state is not in the goal set, and which constraints were broken."""
-        automaton, goal = self._problem.automaton, self._problem.goal
+    def _misses(self, goal: Goal, mode: str, x: Floats) -> list[str]:
+        """In which respects the true or believed state is not in a goal set, and which constraints were broken."""
+        automaton = self._problem.automaton
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
         misses = []
         for (i, _, tolerance), away, missed in zip(goal.target, goal.distances(x), goal.misses(x), strict=True):

@@ -18,7 +18,8 @@ from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
-from micah_plan.task.problem import Problem
+from micah_plan.task.problem import Problem, Release
+from micah_plan.task.release import Rest, rest_of
 from micah_plan.task.start import Start, sample_start
 
 # Std [rad] beyond which an orientation is not measured at all: of a slide that is seen to metres only.
@@ -35,8 +36,16 @@ class NominalPlant:
     true mode and place. The pose of a part that another one carries is measured relative to that one.
     """
 
-    def __init__(self, automaton: HybridAutomaton, start: Start, control_period: float = 0.5) -> None:
-        """Args: the model, the belief from which true starts are drawn, and the duration of a control step [s]."""
+    def __init__(
+        self,
+        automaton: HybridAutomaton,
+        start: Start,
+        control_period: float = 0.5,
+        release: tuple[Release, Rest] | None = None,
+    ) -> None:
+        """Args: the model, the belief from which true starts are drawn, the duration of a control step [s], and how an
+        object in a hand is let go, if it is."""
+        self._release = release
         self.automaton = self._true = automaton
         self.start, self._period = start, control_period
         self._process_std = np.array(automaton.noise.process_std)
@@ -45,7 +54,8 @@ class NominalPlant:
     @classmethod
     def of(cls, problem: Problem) -> NominalPlant:
         """The plant that is just what the problem says."""
-        return cls(problem.automaton, problem.start, parameters_of(problem).control_period)
+        release = None if problem.release is None else (problem.release, rest_of(problem))
+        return cls(problem.automaton, problem.start, parameters_of(problem).control_period, release)
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial from a start drawn from the belief."""
@@ -54,24 +64,49 @@ class NominalPlant:
         self._mode, self._x = sample_start(self._true, self.start, rng)
         self._rng, self._channel, self._time = rng, InputChannel(self._true), 0.0
         self._tracker = PoseTracker(pose_noise(self.automaton), len(self.automaton.links), rng)
+        self._force, self._stands = 0.0, False
+        self._raised = 0.0 if self._release is None else self._release[0].support_std * float(rng.standard_normal())
         return self._measure(self._tracker, 0.0)
 
     def apply(self, command: Command) -> Measurement:
         """One step of the automaton with a drawn disturbance."""
         if self._tracker is None:
             raise RuntimeError("apply before reset")
+        self._time += self._period
         disturbance = self._process_std * self._rng.standard_normal(self.automaton.n)
+        if self._release is not None and (self._stands or command.opens or command.force_limit is not None):
+            self._let_go(command, disturbance, *self._release)
+            return self._measure(self._tracker, self._period)
         given = self._channel.pass_on(command.input, self._mode, self._x)
         after = step(self._true, self._mode, self._x, given, disturbance)
         self._mode, self._x = after.mode, after.x
-        self._time += self._period
         return self._measure(self._tracker, self._period)
+
+    def _let_go(self, command: Command, disturbance: Floats, release: Release, rest: Rest) -> None:
+        """A step of a hand that puts the object down: it stops at the support, and lets the object turn until it lies.
+
+        What stands stays, wherever the hand goes."""
+        if self._stands:
+            return
+        if command.opens:
+            self._x = rest.state(self._x, self._raised)
+            self._x[:2] += release.shift_std * self._rng.standard_normal(2)
+            self._stands = True
+            return
+        lowest = rest.top + rest.touching + self._raised
+        self._x = self._x + self.automaton.mode(self._mode).B @ command.input + disturbance
+        for pin in self.automaton.mode(self._mode).pins:
+            self._x[pin.coordinate] = pin.value
+        touches = self._x[2] <= lowest
+        self._x[2] = max(self._x[2], lowest)
+        self._force = -2.0 * release.force if touches else 0.0
 
     def truth(self) -> Truth:
         """The true mode and configuration."""
         joints = moving_joints(self.automaton, self._mode)
         position, quaternion = components(chain(self.automaton, joints, self._x))
-        return Truth(self._mode, self._x.copy(), position, quaternion, ~self.automaton.mode(self._mode).free)
+        latched = ~self.automaton.mode(self._mode).free
+        return Truth(self._mode, self._x.copy(), position, quaternion, latched, stands=self._stands)
 
     def close(self) -> None:
         """Nothing to free."""
@@ -94,7 +129,8 @@ class NominalPlant:
         sensing = automaton.sensing(automaton.mode(self._mode))
         noise = pose_noise(automaton, slope * sensing.std_at(self._x))
         seen = matrices(*tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
-        return Measurement(self._time, *components(carried(automaton, seen)))
+        force = None if self._release is None else np.tile([0.0, 0.0, self._force], (len(automaton.links), 1))
+        return Measurement(self._time, *components(carried(automaton, seen)), force)
 
 
 def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None) -> TrackerNoise:

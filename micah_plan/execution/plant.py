@@ -34,7 +34,9 @@ class Measurement:
         time: [s] since the reset; later at every step.
         position: (l, 3) [m], measured origin of each link's child part in the base frame.
         quaternion: (l, 4) its measured orientation, part to base, unit norm, scalar last.
-        force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if forces are not measured.
+        force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if forces are not measured. An
+            object that is let go needs that at the part in the hand, with its weight or without; after a step with a
+            limit of force at least that at which the hand stopped.
         joints: (J,) what the encoders of the arm say [rad or m]; None if there is no arm.
     """
 
@@ -57,12 +59,17 @@ class Command:
         origin: (l, 3) [m], base frame: displacement of each part's origin. It is what the log calls the action.
         handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand that holds it is told.
         posture: (J,) joints at which the plan has the arm after the step [rad or m]; None: any will do.
+        force_limit: force on the hand, compared with that at the beginning of the step, at which it stops where it is
+            [N]; None: it goes on. Only where a problem lets go of the object, which is lowered so.
+        opens: whether the gripper is opened in this step; it then stays open.
     """
 
     input: Floats
     origin: Floats
     handle: Floats
     posture: Floats | None = None
+    force_limit: float | None = None
+    opens: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +82,8 @@ class Truth:
         position, quaternion: (l, 3) [m] and (l, 4), the true poses of the parts in the base frame.
         latched: (n,) whether a latch has caught each coordinate.
         incident: what went wrong in between and cannot be seen at the end, such as a collision; empty if nothing.
+        stands: after the gripper was opened, whether the object stands on its own as it should, touched by nothing that
+            moves the hand; x then is the state in which a hand would hold it there.
     """
 
     mode: str | None
@@ -83,6 +92,7 @@ class Truth:
     quaternion: Floats
     latched: NDArray[np.bool_]
     incident: str = ""
+    stands: bool = False
 
 
 @runtime_checkable

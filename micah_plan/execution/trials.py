@@ -20,6 +20,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 
 ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
@@ -50,6 +51,7 @@ class TrialStatistics:
         failures: (trial, reason) of those that did not end in the goal set.
         recording: the logs of all trials; the run is the trial's number.
         results: one per trial.
+        released: after how many the object stands in the goal on its own; None where it stays in the hand.
     """
 
     trials: int
@@ -59,6 +61,7 @@ class TrialStatistics:
     failures: tuple[tuple[int, str], ...]
     recording: Recording
     results: tuple[TrialResult, ...]
+    released: int | None = None
 
 
 def run_trials(
@@ -97,11 +100,14 @@ def run_trials(
         raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
-    replanning = _replanning(problem, plan, replan, None if continuation is None else continuation(problem, trajectory))
+    carried = carrying(problem)
+    replanning = _replanning(carried, plan, replan, None if continuation is None else continuation(carried, trajectory))
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
 
-    make = partial(Episode, problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps)
+    make = partial(
+        Episode, problem, trajectory, arm=plan.arm, replanning=replanning, max_steps=max_steps, release=plan.release
+    )
     abreast = min(trials, _ABREAST) if isinstance(plant, str) and plant in BUILT_IN and BUILT_IN[plant].abreast else 1
     results, report = list[TrialResult](), _reporting(trials, progress)
     with ExitStack() as opened:
@@ -163,4 +169,5 @@ def summarise(results: list[TrialResult]) -> TrialStatistics:
         failures=failures,
         recording=concatenated([result.recording for result in results]),
         results=tuple(results),
+        released=None if results[0].released is None else sum(bool(result.released) for result in results),
     )

@@ -54,7 +54,7 @@ def learn_acted_run(
 
 def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
     """The channel of the joint that governs the most rows."""
-    moving = [piece for piece in learned.pieces if piece.joint.kind != "rigid"]
+    moving = [piece for piece in learned.pieces if piece.leader is not None]
     if not moving or track.action is None or any(sure.misfit for sure in learned.certainties):
         return None
     longest = max(moving, key=lambda piece: piece.end - piece.start)

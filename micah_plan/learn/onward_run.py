@@ -11,12 +11,14 @@ from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.learn.doubt import doubt_of, misfit_of
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.joint_arrays import arrays_of
 from micah_plan.learn.row_window import WindowRows
-from micah_plan.learn.run import LearnedRun, fitted_pieces, unless_free
+from micah_plan.learn.run import LearnedRun, fitted_pieces
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import KnownJoints, Usual, segment_onward, usual_of
+from micah_plan.learn.segmenting.segmented import Segmented
 from micah_plan.learn.segmenting.stating import kind_probabilities
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.segments import FittedPiece, chained, to_segment
@@ -138,13 +140,22 @@ def learn_onward(
     noise = found.noise.of_rows(steps.size)
     settled: Sequence[KnownJoint] = state.known
     free, misfit = -np.inf, None
+
+    def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
+        joints = [one.joint for one in settled]
+        pieces = answer.segmentation.pieces
+        return fitted_pieces(pieces, answer, steps, track, inlier, settings, use_actions, rng, joints)
+
+    fitted, places = fitted_to(found)
     if fresh is not None:
-        fresh, log_odds, misfit = unless_free(fresh, track, inlier, noise, settings, use_actions)
-        if misfit is not None:
-            found, settled, free = fresh, (), log_odds
+        # A window is no place to look for a curve that is passed again.
+        doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False), use_actions)
+        if doubt is not None:
+            found, settled, free = doubt.single, (), doubt.log_odds
+            fitted, places = fitted_to(found)
+            if doubt.moves_freely:
+                misfit = misfit_of(fitted, track, inlier, noise, settings, free)
     pieces = found.segmentation.pieces
-    joints = [one.joint for one in settled]
-    fitted, places = fitted_pieces(pieces, found, steps, track, inlier, settings, use_actions, rng, joints)
     before = state.pieces()
     certainties, of_piece = [], []
     for piece, place in zip(pieces, [state.start, *places[1:]], strict=True):

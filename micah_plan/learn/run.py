@@ -9,17 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans
-from micah_plan.automaton.certainty import EvidenceTrace, Misfit, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.learn.doubt import doubt_of, misfit_of
 from micah_plan.learn.inliers import find_inliers
-from micah_plan.learn.joints.comparison import compare_all
 from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.segmenting.changepoints import Piece
-from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.noise_fit import first_noise
-from micah_plan.learn.segmenting.posterior import ChangepointPosterior
-from micah_plan.learn.segmenting.segmentation import best_single, segment_track, without_rests
+from micah_plan.learn.segmenting.posterior import ChangepointPosterior, without_changepoints
+from micah_plan.learn.segmenting.segmentation import segment_track, without_rests
 from micah_plan.learn.segmenting.segmented import Segmented
 from micah_plan.learn.segmenting.stating import WithoutRest, kind_probabilities, posterior_of
 from micah_plan.learn.segmenting.steps import Steps, steps_of
@@ -28,9 +26,6 @@ from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
-_FREE_IS_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
-_BEYOND_NOISE = 2.0  # times the scatter of the rows
-_FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 
@@ -122,13 +117,32 @@ def with_joints(
     """The run with joints fitted to all rows of its segments, and how sure they are."""
     track, inlier, posterior = found.track, found.inlier, found.posterior
     noise = found.segmented.noise.of_rows(found.steps.size)
-    segmented, log_odds, misfit = unless_free(found.segmented, track, inlier, noise, settings, use_actions)
+    segmented, misfit = found.segmented, None
+
+    def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
+        pieces = answer.segmentation.pieces
+        return fitted_pieces(pieces, answer, found.steps, track, inlier, settings, use_actions, rng)
+
+    fitted, places = fitted_to(segmented)
+    doubt = doubt_of(segmented, fitted, track, inlier, noise, settings, use_actions)
+    if doubt is not None:
+        segmented = doubt.single
+        fitted, places = fitted_to(segmented)
+        if doubt.log_odds <= 0:
+            posterior = posterior_of(segmented, (), settings, use_actions)
+        if doubt.moves_freely:
+            misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
-    fitted, places = fitted_pieces(pieces, segmented, found.steps, track, inlier, settings, use_actions, rng)
+    fewer = found.fewer if doubt is None else ()
+    against = -np.inf if doubt is None else doubt.log_odds
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, against, fewer) for p in pieces]
+    if doubt is not None and doubt.path is not None:
+        fitted = [FittedPiece(0, len(track) - 1, doubt.path, np.zeros(3), None, doubt.log_evidence)]
+        (shares,) = kinds
+        rest = 1 - sum(share for _, share in shares)
+        kinds = [(*shares, ("path", rest))]
+        posterior = without_changepoints(posterior, rest)
     chain = chained(fitted, track, inlier, noise)
-    free = -np.inf if misfit is None else log_odds
-    fewer = found.fewer if segmented is found.segmented else ()
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, free, fewer) for p in pieces]
     certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
@@ -224,61 +238,6 @@ def _joints(
             settings,
         ).joint
     return found
-
-
-def unless_free(
-    segmented: Segmented,
-    track: PartTrack,
-    inlier: Booleans,
-    noise: MeasurementNoise,
-    settings: LearnSettings,
-    use_actions: bool,
-) -> tuple[Segmented, float, Misfit | None]:
-    """The segments; or, where free motion is likelier, one of the best single joint and how far that misses the rows.
-
-    The number is the log odds of free motion. It counts only if the joint misses the rows further than their noise lets
-    them scatter.
-    """
-    rough = first_noise(segmented.track, settings)
-    free = free_log_probability(segmented.track, rough, segmented.table.trust)
-    log_odds = free - _FREE_IS_RARE - segmented.log_probability
-    if log_odds <= 0:
-        return segmented, log_odds, None
-    single = best_single(segmented, settings, use_actions)
-    misfit = _misfit(single, track, inlier, noise, settings, log_odds)
-    return (segmented if misfit is None else single), log_odds, misfit
-
-
-def _misfit(
-    segmented: Segmented,
-    track: PartTrack,
-    inlier: Booleans,
-    noise: MeasurementNoise,
-    settings: LearnSettings,
-    log_odds: float,
-) -> Misfit | None:
-    """How far the single joint of a segment misses its rows; None if not further than their noise lets them scatter."""
-    if inlier.sum() < _FEWEST_TO_DOUBT:
-        return None
-    joint = segmented.table.pool.hypotheses.joints.joint(segmented.segmentation.pieces[0].hypothesis)
-    seen = compare_all([joint], track.position, track.quaternion, noise.rotation_length)
-    error = seen.error[0].T[inlier]
-    turned = track.quaternion is not None
-    missed = np.sqrt([(error[:, -3:] ** 2).sum(axis=1).mean(), (error[:, :3] ** 2).sum(axis=1).mean()])
-    # How far rows are from their neighbours is no motion either: few rows leave open how much of it the noise is. And a
-    # tracker wanders as far as it is assumed to; what was fitted to these misses as wander may be the motion itself.
-    rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
-    whites = [[noise.position_white, rough.position_white], [noise.rotation_white, rough.rotation_white]]
-    scatter = np.sqrt(3) * np.hypot(np.max(whites, axis=1), [settings.position_wander, settings.rotation_wander])
-    if not (missed > _BEYOND_NOISE * scatter)[: 1 + turned].any():
-        return None
-    return Misfit(
-        position=float(missed[0]),
-        rotation=float(missed[1]) if turned else None,
-        position_noise=float(scatter[0]),
-        rotation_noise=float(scatter[1]) if turned else None,
-        log_odds=log_odds,
-    )
 
 
 def _row_posterior(located: Located, track: PartTrack) -> RowPosterior:

@@ -12,7 +12,6 @@ from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
-from micah_plan.learn.joints.comparison import compare_all
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.track import PartTrack
 
@@ -144,6 +143,14 @@ def configurations(joint: Joint, rows: Ints, track: PartTrack, noise: Measuremen
     return np.asarray(np.unwrap(c)) if joint.kind == "revolute" else c
 
 
+def left_by(joint: Joint, rows: Ints, track: PartTrack, rotation_length: float) -> Floats:
+    """(k, 6) or (k, 3) how far rows lie off a joint: rotation [rad], if it was measured, and position [m]."""
+    rotation = None if track.rotation is None else track.rotation[rows]
+    closest = forward(joint, inverse(joint, track.position[rows], rotation, rotation_length))
+    off = track.position[rows] - closest.translation
+    return off if rotation is None else np.hstack([(rotation * closest.rotation.inv()).as_rotvec(), off])
+
+
 def _meeting(
     before: Joint, before_near: float, after: Joint, after_near: float, noise: MeasurementNoise
 ) -> tuple[float, float]:
@@ -210,16 +217,15 @@ def _smoothed(c: Floats) -> Floats:
 
 def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> float:
     """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
-    quaternion = None if track.quaternion is None else track.quaternion[rows]
-    error = compare_all([joint], track.position[rows], quaternion, noise.rotation_length).error[0].T
+    error = left_by(joint, rows, track, noise.rotation_length)
     direction = jacobian(measured_by, 0.0)[0]
     moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
-    turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if quaternion is not None else 0.0
+    turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if track.quaternion is not None else 0.0
     share = moves / max(moves + turns, 1e-12)
     along = 0.0 if joint.kind == "rigid" else 1.0
     position = max(float((error[:, -3:] ** 2).sum(axis=1).mean()) / (3 - along * share), noise.position_white**2)
     variance = moves * position
-    if quaternion is not None:
+    if track.quaternion is not None:
         turning = float((error[:, :3] ** 2).sum(axis=1).mean()) / (3 - along * (1 - share))
         variance += turns * noise.rotation_length**2 * max(turning, noise.rotation_white**2)
     return float(np.sqrt(variance)) / max(moves + turns, 1e-12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from micah_plan.automaton.joint import JOINT_KINDS, JointKind
+from micah_plan.automaton.joint import SCREW_KINDS, JointKind
 from micah_plan.errors import InputError, shown
 
 # Rows that a run needs of each of its parts: with fewer, joints cannot be told from noise.
@@ -16,7 +16,8 @@ class LearnSettings:
     """What the learner assumes before it sees the rows.
 
     Attributes:
-        kinds: candidate joints.
+        kinds: candidate joints of a constant twist.
+        paths: whether a part that no such joint holds, and that comes along one curve again, moves along a path.
         position_std, rotation_std: white noise of one pose measurement [m, rad]; None: estimated from the rows.
         position_wander, rotation_wander: std of the tracker's slowly wandering error [m, rad].
         wander_durations: time over which that error forgets, in durations of the run, which makes the result
@@ -38,7 +39,8 @@ class LearnSettings:
         sweeps: how often the part moves there and back, for the number of steps; None: as the rows say it.
     """
 
-    kinds: tuple[JointKind, ...] = JOINT_KINDS
+    kinds: tuple[JointKind, ...] = SCREW_KINDS
+    paths: bool = True
     position_std: float | None = None
     rotation_std: float | None = None
     position_wander: float = 0.004
@@ -58,11 +60,11 @@ class LearnSettings:
     sweeps: float | None = None
 
     def __post_init__(self) -> None:
-        if not self.kinds or any(kind not in JOINT_KINDS for kind in self.kinds):
-            raise InputError(f"LearnSettings.kinds must be among {JOINT_KINDS}. Got {shown(self.kinds)}")
+        if not self.kinds or any(kind not in SCREW_KINDS for kind in self.kinds):
+            raise InputError(f"LearnSettings.kinds must be among {SCREW_KINDS}. Got {shown(self.kinds)}")
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name != "kinds" and value is not None and not value > 0:
+            if item.name not in ("kinds", "paths") and value is not None and not value > 0:
                 raise InputError(f"LearnSettings.{item.name} must be positive. Got {shown(value)}")
 
     def of_steps(self, rows: float) -> LearnSettings:

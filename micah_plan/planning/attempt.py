@@ -12,6 +12,7 @@ from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.start import start_mode
 
 Progress = Callable[[str, float], None]
@@ -109,6 +110,7 @@ def attempted(
     """
     for constraint in problem.constraints:
         check_constraint(constraint, problem.automaton)
+    problem = carrying(problem)
     attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:

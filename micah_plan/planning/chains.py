@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.consistency import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
@@ -43,7 +44,7 @@ class ChainEdge(Edge):
 
 
 def with_chains(problem: Problem) -> Problem:
-    """The problem with the chains that its model allows behind the edges that it has."""
+    """The problem with the edges that its model can take, and the chains that these allow behind them."""
     automaton = _chained(problem.automaton, "\0".join(problem.goal.modes))
     return problem if automaton is problem.automaton else replace(problem, automaton=automaton)
 
@@ -62,6 +63,9 @@ def stds_of(edge: Edge) -> tuple[float, ...]:
 def _chained(automaton: HybridAutomaton, goal_modes: str) -> HybridAutomaton:
     if any(isinstance(edge, ChainEdge) for edge in automaton.edges):
         return automaton
+    taken = tuple(edge for i, edge in enumerate(automaton.edges) if preceding(automaton, i) is None)
+    if len(taken) < len(automaton.edges):
+        automaton = sharing_motion(replace(automaton, edges=taken), automaton)
     after = {mode.name: _leading_on(automaton, mode.name, goal_modes.split("\0")) for mode in automaton.modes}
     found: list[ChainEdge] = []
     begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]

@@ -27,6 +27,7 @@ from micah_plan.planning.transcription.programme import Transcription, transcrib
 from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of, solve
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.start import Start
 
 # A threshold counts as learned once its estimate has moved by this many of its stds, or its std shrunk by this share.
@@ -46,6 +47,7 @@ class RecedingHorizon:
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
         """Args: the problem, and the plan's trajectory."""
+        problem = carrying(problem)
         settings = problem.settings
         settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
         self._problem, self._plan = with_input_memory(replace(problem, settings=settings)), trajectory

@@ -22,6 +22,7 @@ from micah_plan.planning.verification import verify
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.start import Start
 
 
@@ -42,7 +43,7 @@ def replan(
     Returns:
         None if there is no trajectory, or none that roll-outs confirm.
     """
-    here = believed_problem(with_input_memory(problem), belief)
+    here = believed_problem(with_input_memory(carrying(problem)), belief)
     # Both attempts share one time limit: the execution waits for them.
     deadline, confirm = Deadline(here.settings.solve_time_limit_s), partial(verify, sequential=True)
     confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)

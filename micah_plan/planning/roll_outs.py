@@ -25,6 +25,7 @@ from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.start import draw_states
 
 
@@ -123,6 +124,10 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
-    """(t,) whether each true end lies in the goal set, and no constraint on the path was broken on the way."""
-    admitted = problem.goal.admitted(problem.automaton.mode_names)
-    return np.asarray(admitted[ends.modes] & problem.goal.holds(ends.states) & ~ends.path.is_broken)
+    """(t,) whether each true end lies in the goal set, and no constraint on the path was broken on the way.
+
+    Of a problem that lets go, ends of the plan are those of the hand: whether it is where it is to let go.
+    """
+    goal = carrying(problem).goal
+    admitted = goal.admitted(problem.automaton.mode_names)
+    return np.asarray(admitted[ends.modes] & goal.holds(ends.states) & ~ends.path.is_broken)

@@ -24,6 +24,7 @@ from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Offer, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
@@ -59,7 +60,7 @@ def verify(
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
-    confidence = problem.settings.confidence
+    problem, confidence = carrying(problem), problem.settings.confidence
     if (needed := least_trials(confidence)) > _MOST_TRIALS:
         sentence = (
             f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"

@@ -47,16 +47,25 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:
-    """Write a recording CSV, at once or not at all, so that reading it gives the same values to the last bit.
+    """Write what `csv_bytes` makes, at once or not at all.
 
     Raises:
-        InputError: if the file cannot be written or the recording is not one that could be read back.
+        InputError: also if the file cannot be written.
+    """
+    replace_file(path, csv_bytes(recording, path))
+
+
+def csv_bytes(recording: Recording, path: str | Path) -> bytes:
+    """The content of a recording CSV, so that reading it gives the same values to the last bit.
+
+    Raises:
+        InputError: if the recording is not one that could be read back.
     """
     with located_in(path):
         columns = _texts(checked(recording))
     header = ",".join(_quoted(name) for name in columns)
     rows = (",".join(row) for row in zip(*columns.values(), strict=True))
-    replace_file(path, ("\n".join((header, *rows)) + "\n").encode())
+    return ("\n".join((header, *rows)) + "\n").encode()
 
 
 def _table(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:

@@ -44,17 +44,26 @@ def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str
 
 
 def write_mcap(recording: Recording, path: str | Path) -> None:
-    """Write a recording as MCAP, at once or not at all.
+    """Write what `mcap_bytes` makes, at once or not at all.
 
     Raises:
-        InputError: if the file cannot be written, or the recording has what the messages cannot hold: several runs,
+        InputError: also if the file cannot be written.
+    """
+    replace_file(path, mcap_bytes(recording, path))
+
+
+def mcap_bytes(recording: Recording, path: str | Path) -> bytes:
+    """The content of a recording as MCAP.
+
+    Raises:
+        InputError: if the recording has what the messages cannot hold: several runs,
             further columns, no orientation, or times before 0. Nothing is left out silently.
         MissingDependencyError: without the extra ``ros``.
     """
     with located_in(path):
         recording = checked(recording)
         _check_fits(recording)
-    replace_file(path, write_log([message for row in range(len(recording)) for message in _messages(recording, row)]))
+    return write_log([message for row in range(len(recording)) for message in _messages(recording, row)])
 
 
 def _check_fits(recording: Recording) -> None:

@@ -49,10 +49,19 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
 
 
 def write_npz(recording: Recording, path: str | Path) -> None:
-    """Write a recording as NPZ, at once or not at all.
+    """Write what `npz_bytes` makes, at once or not at all.
 
     Raises:
-        InputError: if the file cannot be written or the recording is not one that could be read back.
+        InputError: also if the file cannot be written.
+    """
+    replace_file(path, npz_bytes(recording, path))
+
+
+def npz_bytes(recording: Recording, path: str | Path) -> bytes:
+    """The content of a recording as NPZ.
+
+    Raises:
+        InputError: if the recording is not one that could be read back.
     """
     with located_in(path):
         recording = checked(recording)
@@ -71,7 +80,7 @@ def write_npz(recording: Recording, path: str | Path) -> None:
         raise InputError(problem, source=path, remedy="write a .csv")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    replace_file(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:

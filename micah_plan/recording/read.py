@@ -6,15 +6,15 @@ from collections.abc import Collection
 from pathlib import Path
 
 from micah_plan.errors import InputError, shown
-from micah_plan.files import read_bytes
-from micah_plan.recording.csv_file import read_csv, write_csv
-from micah_plan.recording.mcap_file import read_mcap, write_mcap
-from micah_plan.recording.npz_file import read_npz, write_npz
-from micah_plan.recording.tum_file import read_tum, write_tum
+from micah_plan.files import read_bytes, replace_file
+from micah_plan.recording.csv_file import csv_bytes, read_csv
+from micah_plan.recording.mcap_file import mcap_bytes, read_mcap
+from micah_plan.recording.npz_file import npz_bytes, read_npz
+from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 
 _READERS = {".csv": read_csv, ".npz": read_npz, ".tum": read_tum}
-_WRITERS = {".csv": write_csv, ".npz": write_npz, ".tum": write_tum, ".txt": write_tum, ".mcap": write_mcap}
+_CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
 _REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays) or .mcap (ROS 2 messages)"
 
 
@@ -52,10 +52,19 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     Raises:
         InputError: if the file cannot be written or its format cannot hold all that the recording has.
     """
+    replace_file(path, recording_bytes(recording, path))
+
+
+def recording_bytes(recording: Recording, path: str | Path) -> bytes:
+    """What `write_recording` writes to a file of that name, for files that are replaced together.
+
+    Raises:
+        InputError: if its format cannot hold all that the recording has.
+    """
     suffix = Path(path).suffix.lower()
-    if suffix not in _WRITERS:
+    if suffix not in _CONTENTS:
         raise _unknown(path, suffix)
-    _WRITERS[suffix](recording, path)
+    return _CONTENTS[suffix](recording, path)
 
 
 def _has_commas(path: str | Path) -> bool:

@@ -30,10 +30,19 @@ def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
 
 
 def write_tum(recording: Recording, path: str | Path) -> None:
-    """Write poses as a TUM trajectory, at once or not at all.
+    """Write what `tum_bytes` makes, at once or not at all.
 
     Raises:
-        InputError: if the file cannot be written, or if the recording has what the format cannot hold: several runs or
+        InputError: also if the file cannot be written.
+    """
+    replace_file(path, tum_bytes(recording, path))
+
+
+def tum_bytes(recording: Recording, path: str | Path) -> bytes:
+    """The content of a TUM trajectory with the poses.
+
+    Raises:
+        InputError: if the recording has what the format cannot hold: several runs or
             parts, actions, forces, further columns, or no orientation. Nothing is left out silently.
     """
     with located_in(path):
@@ -53,7 +62,7 @@ def write_tum(recording: Recording, path: str | Path) -> None:
             raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")
     table = np.column_stack([recording.time, recording.position, recording.quaternion])
     lines = [f"# {' '.join(_COLUMNS)}", *(" ".join(map(repr, row)) for row in table.tolist())]
-    replace_file(path, ("\n".join(lines) + "\n").encode())
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _parsed(lines: list[str], minimum_rows: int) -> Recording:

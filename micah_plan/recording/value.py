@@ -15,6 +15,8 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError
+from micah_plan.quantities import count, interval, quantity
+from micah_plan.summaries import Summarised, aligned, listed
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -36,8 +38,8 @@ COLUMNS = {
 """The arrays of numbers, and what text files call their columns."""
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Summarised):
     """Rows of one or several runs of one or several parts, in the order of the file.
 
     All arrays are read-only and have one row per sample (n rows).
@@ -87,6 +89,25 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def summary(self) -> str:
+        """Rows, runs, parts, time, extent and what else was recorded, in a few lines."""
+        columns = (("orientation", self.quaternion), ("actions", self.action), ("forces", self.force))
+        with_them = [name for name, array in columns if array is not None]
+        rows = count(len(self), "row") + (f" in {count(len(self.runs), 'run')}" if len(self.runs) > 1 else "")
+        if not len(self):
+            return "Recording of no rows"
+        size = np.ptp(self.position, axis=0)
+        return aligned(
+            f"Recording of {rows}",
+            {
+                "parts": listed(self.parts),
+                "time": f"{interval(float(self.time.min()), float(self.time.max()), 's')}",
+                "moves over": f"{' x '.join(quantity(float(side), 'm') for side in size)} (x, y, z)",
+                "with": ", ".join(with_them) or "positions only",
+                "columns": listed(tuple(self.extra)),
+            },
+        )
 
     @cached_property
     def runs(self) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.lane import lanes
 from micah_plan.residual.missing_mode import MissingMode
+from micah_plan.residual.search import Search
 from micah_plan.residual.trace import LaneTrace, trace
 
 # A piece between changepoints is a line in the command.
@@ -34,7 +35,7 @@ def with_missing_modes(
             split = with_split(split, one.lane.index, place)
     if split is automaton:
         return automaton, traces
-    again = tuple(trace(lane) for lane in lanes(split, tuple(measured)))
+    again = tuple(trace(Search(lane)) for lane in lanes(split, tuple(measured)))
     if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
         return automaton, traces
     return split, tuple(_told(split, old, new) for old, new in zip(traces, again, strict=True))

@@ -13,20 +13,20 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import Track, tracks
+from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
-from micah_plan.quantities import interval, percent, plain, quantity
+from micah_plan.quantities import count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.added_mode import with_missing_modes
 from micah_plan.residual.candidates import Candidate
-from micah_plan.residual.geometry import DirectFinding, geometry_findings, scatter_across
+from micah_plan.residual.examined import Examined, examined
+from micah_plan.residual.geometry import DirectFinding, scatter_across
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.interval import CONFIDENCE
-from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
+from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.pure_error import correctable_share
-from micah_plan.residual.reading import reading_findings
+from micah_plan.residual.seen import Beyond, closed, sections, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
@@ -117,50 +117,52 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
-    seen = tracks(automaton, recording)
-    _check_same_object(automaton, seen)
-    geometry = geometry_findings(automaton, seen)
-    read = reading_findings(automaton, seen)
-    corrected = with_effect(automaton, *(found.effect for found in (*geometry, *read)))
-    measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
-    if sum(len(track.time) for track in measured) < FEWEST_ROWS:
-        raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
-    able = lanes(corrected, measured)
-    if not able:
-        raise InputError("no mode of the model moves anything", remedy="take a model with a joint that moves")
+    known = examined(automaton, recording)
+    _check_usable(automaton, known)
+    corrected, measured, beyond, able = known.automaton, known.measured, known.beyond, known.searches
     traces = tuple(
-        trace(lane, _shared(progress, number, len(able)) if progress else None) for number, lane in enumerate(able)
+        trace(search, _shared(progress, number, len(able)) if progress else None) for number, search in enumerate(able)
     )
     corrected, traces = with_missing_modes(corrected, traces, measured)
-    found = [_direct_effect(own) for own in (*geometry, *read)]
-    for one in traces:
-        found += [_found(one.lane, finding) for finding in one.findings]
+    found = [_direct_effect(own) for own in known.direct]
+    found += [own for one in traces for own in _all_found(one, beyond)]
     found.sort(key=lambda effect: -effect.evidence)
-    improved = with_effect(corrected, *_to_add(traces))
+    added = with_shifts(_to_add(traces), beyond)
+    improved = with_effect(closed(corrected, beyond, added), *without_old_ends(added, beyond))
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
-    # The better of what was added and what was only found: what is left out is no noise.
-    floor = _together([min(map(one.search.noise_floor, (one.final, one.chosen))) for one in traces], traces)
-    if geometry:
+    floor = _together([one.floor for one in traces], traces)
+    if known.geometry:
         before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
         across, arm = scatter_across(corrected, measured)
         floor = float(np.hypot(across, arm * floor))
-    answer = overall([one.verdict for one in traces] + (["explained"] if geometry or read else []))
+    verdicts: list[Verdict] = [one.outcome.verdict for one in traces]
+    verdicts += ["explained"] if known.direct else []
+    verdicts += ["unexplained"] if known.beside else []
     return Calibration(
         automaton=improved,
-        verdict=answer,
+        verdict=overall(verdicts),
         effects=tuple(found),
         before=before,
         after=after,
         noise_floor=floor,
-        unexplained_fraction=max((one.unexplained_fraction for one in traces), default=0.0),
+        unexplained_fraction=max(_left_beside(known), *(one.unexplained_fraction for one in traces)),
         traces=traces,
-        notes=(*_notes(traces), *_told_of_beliefs(corrected, seen, measured)),
+        notes=(
+            *_notes(traces),
+            *(f"{one}: no effect has that name" for one in known.beside),
+            *_told_of_rows(beyond, measured),
+            *_told_of_beliefs(corrected, known.seen, measured),
+        ),
         experiment=_next_experiment(found, traces),
     )
 
 
-def _check_same_object(automaton: HybridAutomaton, seen: Sequence[Track]) -> None:
-    across, arm = scatter_across(automaton, seen)
+def _check_usable(automaton: HybridAutomaton, known: Examined) -> None:
+    if sum(len(track.time) for track in known.measured) < FEWEST_ROWS:
+        raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
+    if not known.searches:
+        raise InputError("no mode of the model moves anything", remedy="take a model with a joint that moves")
+    across, arm = scatter_across(automaton, known.seen)
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
             f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",
@@ -168,17 +170,29 @@ def _check_same_object(automaton: HybridAutomaton, seen: Sequence[Track]) -> Non
         )
 
 
+def _left_beside(known: Examined) -> float:
+    """Share of the evidence that poses lie beside the joints which what was found of them leaves, 0 to 1."""
+    named, left = (sum(one.evidence for one in found) for found in (known.geometry, known.beside))
+    return left / (named + left) if left else 0.0
+
+
 def _shared(progress: Progress, number: int, count: int) -> Progress:
     return lambda message, fraction: progress(message, (number + fraction) / count)
 
 
-def _found(lane: Lane, finding: Finding) -> FoundEffect:
-    own = finding.part.term.form
-    effect = effect_of(lane, finding.part, finding.interval)
+def _all_found(one: LaneTrace, beyond: Sequence[Beyond]) -> list[FoundEffect]:
+    told = [_found(one.lane, finding, beyond) for finding in one.findings]
+    return [own for own in told if without_old_ends([own.effect], beyond)]
+
+
+def _found(lane: Lane, finding: Finding, beyond: Sequence[Beyond]) -> FoundEffect:
+    (effect,) = with_shifts([effect_of(lane, finding.part, finding.interval)], beyond)
+    own, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
+    ends[0] += 0.0 if effect.name == finding.part.name else effect.values[0] - finding.part.starts[0, 0]
     return FoundEffect(
         effect=effect,
         units=tuple(parameter.unit_for(lane.unit) for parameter in own.parameters),
-        interval=tuple((float(low), float(high)) for low, high in finding.interval[: len(own.parameters)]),
+        interval=tuple((float(low), float(high)) for low, high in ends),
         evidence=finding.evidence,
         tied=finding.tied,
         since=_since(lane, finding.part.starts[0]),
@@ -216,6 +230,13 @@ def _told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after:
             f"{coordinate.name}: runs ended {was} beside what the controller believed, {now} with its sensor corrected"
         )
     return notes
+
+
+def _told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track]) -> list[str]:
+    """What rows lie beyond the range, and that others are missing."""
+    missing = sum(len(sections(track.time)) - 1 for track in measured)
+    gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
+    return [*map(str, beyond), *([gaps] if missing else [])]
 
 
 def _direct_effect(found: DirectFinding) -> FoundEffect:
@@ -301,7 +322,7 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         moving = u[np.abs(u) > 0.05 * lane.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if one.verdict == "none":
+        if one.outcome.verdict == "none":
             least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
             step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
             notes.append(
@@ -313,27 +334,17 @@ def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
         notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in one.missing_modes]
         left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
-        if left_out and any(may_remember(lane, finding) for finding in one.findings):
-            notes.append(
-                f"{name}: {left_out} was not added: with runs like these it may as well come from earlier commands"
-            )
-        elif left_out:
-            notes.append(
-                f"{name}: {left_out} was not added: single steps get better but the roll-out worse "
-                f"({plain(one.longer)} times the error), so something else is missing as well"
-            )
+        if left_out:
+            notes.append(f"{name}: {left_out} was not added: {one.outcome.sentence}")
         if one.closest:
             notes.append(
                 f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
             )
-        if abs(one.correlation) > 0.25:
-            notes.append(f"{name}: what remains is correlated in time ({plain(one.correlation, 2)} from step to step)")
-            able = correctable_share(lane, one.search.errors(one.final, "one_step"))
-            if able is not None:
-                notes.append(
-                    f"{name}: steps from alike places with alike commands still differ: no correction of mode, "
-                    f"configuration, direction and speed could take out more than {percent(able, 0)} of squared errors"
-                )
+        if one.facts.is_corrected:
+            notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
+        if one.left is not None and one.left.is_more and not one.facts.smooth:
+            share = percent(one.left.share, 0)
+            notes.append(f"{name}: what remains is no noise: {share} of it follows {one.left}")
     return tuple(notes)
 
 
@@ -346,7 +357,7 @@ def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) 
             if mode.modes:
                 continue
             return experiments.for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
-        if one.verdict in ("partly", "unexplained"):
+        if one.outcome.verdict in ("partly", "unexplained"):
             low, high = one.lane.visited
             return experiments.for_unexplained(f"over {interval(low, high, one.lane.unit)}")
     if found:

@@ -11,7 +11,6 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.formulas import SMOOTH_BUMPS
 from micah_plan.automaton.effects.registry import form, forms
-from micah_plan.automaton.kinematics import jacobian
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.simulation import GATES, Term
 
@@ -22,6 +21,8 @@ _AS_LONG = 1.02
 # A threshold that lies further away than this share of the range is no shifted one but another stop.
 _LARGEST_SHIFT = 0.15
 NEVER_GATED = (-np.inf,) * GATES
+# The form of a correction without a name.
+UNNAMED = "unexplained"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
     """All forms that the lane can show, each acting always and everywhere."""
     found = []
     for own in forms():
-        if own.name == "unexplained" or own.layer in ("geometry", "place"):
+        if own.name == UNNAMED or own.layer in ("geometry", "place"):
             continue
         made = _STARTS[own.name](lane) if own.name in _STARTS else _plain(own, lane)
         if made is not None:
@@ -86,7 +87,7 @@ def smooth(lane: Lane, *, is_lean: bool = False) -> Candidate:
     start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *NEVER_GATED]
     free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
     scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
-    return Candidate(Term(form("unexplained")), np.array([start]), free, np.array(scale[: len(free)]))
+    return Candidate(Term(form(UNNAMED)), np.array([start]), free, np.array(scale[: len(free)]))
 
 
 def _bounds(name: str, lane: Lane) -> dict[int, tuple[float, float]]:
@@ -136,7 +137,7 @@ def _frame_rotation(lane: Lane) -> _Made:
     if lane.action is None:
         return None
     rows = lane.counted_starts
-    tangent, u = jacobian(lane.joint, lane.z[rows])[:, 3:], lane.u[rows]
+    tangent, u = lane.path.tangents(lane.z[rows])[:, 3:], lane.u[rows]
     squared = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
     across = np.cross(lane.action[rows], tangent) / squared
     along = np.stack([np.ones_like(u), u, u * np.abs(u), u * u], axis=1)
@@ -152,7 +153,7 @@ def _may_be_a_turn(gain: float, lane: Lane) -> bool:
     if lane.action is None or _frame_rotation(lane) is not None:
         return False
     rows = lane.counted_starts
-    arm2 = (jacobian(lane.joint, lane.z[rows])[:, 3:] ** 2).sum(axis=1)
+    arm2 = (lane.path.tangents(lane.z[rows])[:, 3:] ** 2).sum(axis=1)
     longest2 = float((lane.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
     return gain**2 * float((lane.u[rows] ** 2).sum()) < _AS_LONG**2 * longest2
 
@@ -187,6 +188,16 @@ def _backlash(lane: Lane) -> _Made:
     size = lane.command_size
     starts = [[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)]
     return np.array(starts), (0,), [0.5 * size]
+
+
+def _stick_slip(lane: Lane) -> _Made:
+    """The best of many grips: with a wrong one the part lets go in other rows, and nothing leads to the right one."""
+    grip, own = np.geomspace(0.2, 10.0, 200)[:, None] * lane.command_size, form("stick_slip")
+    memory, missed = own.at_rest((grip,)), np.zeros(len(grip))
+    for t in range(lane.z.shape[1] - 1):
+        arrived, memory = own.remember(np, lane.u[:, t], memory, (grip,))
+        missed += (np.abs(lane.z[:, t + 1] - lane.z[:, t] - arrived) * lane.counted[:, t + 1]).sum(axis=1)
+    return grip[np.argsort(missed, kind="stable")[:5]], (0,), [0.1 * lane.command_size]
 
 
 def _spring(lane: Lane) -> _Made:
@@ -228,10 +239,10 @@ def _guard_shift(lane: Lane) -> _Made:
 
 
 def _guard_hysteresis(lane: Lane) -> _Made:
-    """Only where a mode holds the coordinate at an end and the recording gets there."""
+    """Only where the part may cling to an end, and the recording gets there."""
     low, high = lane.visited
     reach = 0.05 * (high - low)
-    seen = (lane.holds[0] and low < lane.lower + reach) or (lane.holds[1] and high > lane.upper - reach)
+    seen = (lane.clings[0] and low < lane.lower + reach) or (lane.clings[1] and high > lane.upper - reach)
     at = _quantiles(lane, 0.3, 0.7, 0.95) if seen else []
     return (np.array([[q] for q in at]), (0,), [0.3 * lane.command_size]) if at else None
 
@@ -246,6 +257,7 @@ _STARTS = {
     "saturation": _saturation,
     "dead_zone": _dead_zone,
     "backlash": _backlash,
+    "stick_slip": _stick_slip,
     "spring": _spring,
     "gravity": _gravity,
     "latch": _latch,

@@ -23,6 +23,7 @@ _SEPARATING: dict[frozenset[str], str] = {
     frozenset({"delay", "lag"}): "command one large step after a rest: a delay moves all at once, a lag gradually",
     frozenset({"lag", "backlash"}): "reverse slowly: play loses the same distance at any speed, a lag less",
     frozenset({"delay", "backlash"}): "reverse slowly: play loses the same distance at any speed, a delay less",
+    frozenset({"backlash", "stick_slip"}): "command many small steps one way: with play all but the first arrive",
     frozenset({"guard_shift", "limit"}): (
         "push the part against the end and look whether it latches: a shifted threshold changes the mode, a stop not"
     ),

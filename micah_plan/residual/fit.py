@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.likelihood import Fitness, fitness, log_density
+from micah_plan.residual.likelihood import SMALLEST_SCALE, Fitness, fitness, log_density
 from micah_plan.residual.simulation import Kind, Model, columns, simulate
 
 # Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
@@ -25,6 +25,8 @@ _SHARE_BOUND = 5.0
 _LINE = (1.0, 0.4, 0.1)
 _SMALLEST_STEP = 2e-2
 _DERIVATIVE = 1e-3
+# Share of rows that may lie anywhere.
+_ANYWHERE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +89,16 @@ def optimise(
 
 
 def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
-    """(M, S) log predictive density per stretch under each fit, and (M, S, T) errors [nats, rad or m]."""
+    """(M, S) log predictive density per stretch under each fit, and (M, S, T) errors [nats, rad or m].
+
+    A row may lie anywhere in the range now and then: where a threshold is known but for a hair, a row on its other side
+    must not count as hundreds of standard deviations (contaminated normal, Box and Tiao, Biometrika 1968).
+    """
     prediction = simulate(problem.lane, problem.model, fit.parameters, _logistic(fit.share), kind)
-    density = log_density(prediction, fit.scale, problem.freedom) * problem.lane.counted
+    density = log_density(prediction, fit.scale, problem.freedom)
+    low, high = problem.lane.visited
+    anywhere = np.log(_ANYWHERE / max(high - low, SMALLEST_SCALE))
+    density = np.logaddexp(density + np.log1p(-_ANYWHERE), anywhere) * problem.lane.counted
     return np.asarray(density.sum(axis=2)), prediction.error
 
 

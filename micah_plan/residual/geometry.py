@@ -20,8 +20,10 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis
-from micah_plan.automaton.kinematics import forward, inverse, jacobian
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, inverse, jacobian
+from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, measuring_links
+from micah_plan.quantities import quantity
 
 # Evidence [nats] that a change of geometry must have, in all and per row; what wanders can look like one.
 _LEAST_EVIDENCE, _PER_ROW = 20.0, 0.01
@@ -31,6 +33,10 @@ _FOLDS = 4
 _FEWEST_ROWS = 20
 # Weight of orientation against position at which the angle is read from orientation alone [m/rad].
 _BY_ORIENTATION = 1e3
+# Degrees of the curves that poses may lie beside a joint by (a high one says nothing of places that it has not seen);
+# scatter of exact data.
+_DEGREES = (0, 1, 3, 5)
+_EXACT = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +73,8 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
     """Changes of turning joints that predict held-out poses clearly better; the best one per coordinate."""
     found = []
     for number, link in measuring_links(automaton):
-        joint = automaton.moving_joint(number)
-        if joint.kind not in ("revolute", "screw"):
+        joint, *others = link_motions(automaton)[number].joints
+        if others or joint.kind not in ("revolute", "screw"):
             continue
         name = automaton.coordinates[link.coordinate].name
         axial, radial = _across(joint, tracks, number, link.coordinate)
@@ -84,19 +90,91 @@ def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple
     """Root mean square distance of measured origins from their joints, and length of the lever arm or 1 [m, m/rad]."""
     squared, arms = 0.0, []
     for number, link in measuring_links(automaton):
-        joint = automaton.moving_joint(number)
-        away, lever = [], []
-        for track in tracks:
-            c = track.x[:, link.coordinate]
-            tangent = jacobian(joint, c)[:, 3:]
-            length2 = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
-            off = track.position[:, number] - forward(joint, c).translation
-            off = off - tangent * ((off * tangent).sum(axis=1, keepdims=True) / length2)
-            away.append((off**2).sum(axis=1))
-            lever.append(np.sqrt(length2[:, 0]))
-        squared += float(np.mean(np.concatenate(away)))
-        arms.append(float(np.mean(np.concatenate(lever))))
+        path, c = link_motions(automaton)[number], np.concatenate([track.x[:, link.coordinate] for track in tracks])
+        length2 = (path.tangents(c)[:, 3:] ** 2).sum(axis=1)
+        squared += float(
+            np.mean(np.concatenate([(beside(automaton, t, number)[:, :3] ** 2).sum(axis=1) for t in tracks]))
+        )
+        arms.append(float(np.mean(np.sqrt(np.maximum(length2, 1e-12)))))
     return float(np.sqrt(squared / len(arms))), float(np.mean(arms))
+
+
+def beside(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
+    """(T, 6) by how much measured poses lie beside a link's path: offset and turn [m, rad], in the part's frame.
+
+    What is along the motion is no part of it: that is in the configuration. The turn is 0 where orientation was not
+    measured. A motion keeps its direction in the part's frame, and so does what a wrong joint leaves.
+    """
+    path, position = link_motions(automaton)[link], track.position[:, link]
+    rotation = None if track.quaternion is None else Rotation.from_quat(track.quaternion[:, link])
+    c = path.configurations(position, rotation)
+    pose, tangent = path.poses(c), path.tangents(c)
+    frame = pose.rotation.inv()
+    turn = np.zeros_like(position) if rotation is None else (rotation * pose.rotation.inv()).as_rotvec()
+    scale = np.repeat([1.0, ROTATION_LENGTH if rotation is not None else 0.0], 3)
+    away = scale * np.hstack([frame.apply(position - pose.translation), frame.apply(turn)])
+    along = scale * np.hstack([frame.apply(tangent[:, 3:]), frame.apply(tangent[:, :3])])
+    length2 = np.maximum((along**2).sum(axis=1, keepdims=True), 1e-12)
+    away = away - along * ((away * along).sum(axis=1, keepdims=True) / length2)
+    return np.asarray(away / np.repeat([1.0, ROTATION_LENGTH], 3))
+
+
+@dataclass(frozen=True)
+class Beside:
+    """That poses lie beside their joint by what depends on where the part is: root mean squares of that [m, rad]."""
+
+    coordinate: str
+    position: float
+    rotation: float
+    evidence: float
+
+    def __str__(self) -> str:
+        sizes = [(self.position, "m"), (self.rotation, "rad")]
+        said = " and ".join(quantity(size, unit, digits=2, degrees=False) for size, unit in sizes if size > _EXACT)
+        return f"poses lie {said} beside the joint of {self.coordinate}, by what depends on where it is"
+
+
+def lying_beside(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[Beside, ...]:
+    """`lies_beside` of every coordinate that is measured."""
+    found = [
+        lies_beside(
+            automaton.coordinates[link.coordinate].name,
+            [track.x[:, link.coordinate] for track in tracks],
+            [beside(automaton, track, number) for track in tracks],
+        )
+        for number, link in measuring_links(automaton)
+    ]
+    return tuple(one for one in found if one is not None)
+
+
+def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats]) -> Beside | None:
+    """Whether poses lie beside a joint as a smooth function of the configuration; None if they do not.
+
+    Args:
+        places: configurations (T,) of each run, away: (T, 6) as `beside` gives it.
+    """
+    c, every = np.concatenate(list(places)), np.concatenate(list(away))
+    if len(c) < _FEWEST_ROWS or np.ptp(c) < 1e-9:
+        return None
+    every_curve = np.polynomial.legendre.legvander(2.0 * (c - c.min()) / np.ptp(c) - 1.0, max(_DEGREES))
+    block, starts = _blocks([len(own) for own in places])
+    fitted, total = np.zeros_like(every), 0.0
+    for k in range(every.shape[1]):
+        if np.std(every[:, k]) < _EXACT:
+            continue
+        tried = []
+        for degree in _DEGREES:
+            curves = every_curve[:, : degree + 1]
+            rows = _Rows(every[:, k], curves, block, starts, np.zeros(len(c), dtype=np.int64))
+            tried.append((*_held_out(rows, np.zeros((len(c), 0))), curves, rows))
+        evidence, left, curves, rows = max(tried, key=lambda one: one[0])
+        if evidence > max(_LEAST_EVIDENCE, _PER_ROW * len(c)) and left < _MOST_LEFT:
+            total += evidence
+            fitted[:, k] = curves @ _regression(rows, curves, np.ones(len(c), dtype=bool))[0]
+    if not total:
+        return None
+    sizes = np.sqrt((fitted**2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
+    return Beside(coordinate, float(sizes[0]), float(sizes[1]), total)
 
 
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:
@@ -104,10 +182,10 @@ def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -
 
     Where orientation was measured the angle is read from it alone: then a moved axis shows along the motion as well.
     """
-    along, out, tangential, c, blocks, starts = [], [], [], [], [], []
+    along, out, tangential, c = [], [], [], []
     axis, basis = np.array(joint.axis), axis_basis(joint.axis)
     by_out, by_tangent = [], []
-    for number, track in enumerate(tracks):
+    for track in tracks:
         turned = None if track.quaternion is None else Rotation.from_quat(track.quaternion[:, link])
         angle = track.x[:, coordinate]
         if turned is not None and joint.kind == "revolute":
@@ -126,10 +204,7 @@ def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -
         if turned is not None and joint.kind == "revolute":
             tangential.append((away * tangent).sum(axis=1))
             by_tangent.append((moved * tangent[:, :, None]).sum(axis=1))
-        split = 1 if len(tracks) >= _FOLDS else _FOLDS
-        blocks.append(number * split + np.arange(len(angle)) * split // max(len(angle), 1))
-        starts.append(np.arange(len(angle)) == 0)
-    block, first = np.concatenate(blocks) % _FOLDS, np.concatenate(starts)
+    block, first = _blocks([len(track.x) for track in tracks])
     axial = _Rows(np.concatenate(along), np.concatenate(c)[:, None], block, first, np.zeros(len(block), dtype=np.int64))
     count = 1 + bool(tangential)
     radial = _Rows(
@@ -148,8 +223,24 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     without = rows.constants
     with_it, own = np.hstack([without, rows.regressors]), without.shape[1]
     everything = np.ones(len(rows.residual), dtype=bool)
-    beta, covariance, scatter, _ = _regression(rows, with_it, everything)
-    unit = scatter[rows.direction]
+    beta, covariance, _, _ = _regression(rows, with_it, everything)
+    evidence, left = _held_out(rows, without)
+    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)) or left > _MOST_LEFT:
+        return None
+    std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
+    pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
+    spread = tuple(float(s) for s in std)
+    return DirectFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
+
+
+def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
+    """Evidence for the regressors on top of others (K, j) [nats], and the share of squared errors that they leave.
+
+    Both on held-out blocks.
+    """
+    with_it, own = np.hstack([without, rows.regressors]), without.shape[1]
+    everything = np.ones(len(rows.residual), dtype=bool)
+    unit = _regression(rows, with_it, everything)[2][rows.direction]
     evidence, kept = 0.0, np.zeros(2)
     for fold in range(_FOLDS):
         train, test = rows.block != fold, rows.block == fold
@@ -161,14 +252,14 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
             # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
             effect = design[:, own:] @ fitted[own:]
             kept[k] += float((((rows.residual - effect) / unit)[test] ** 2).sum())
-    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)):
-        return None
-    if kept[0] > _MOST_LEFT * kept[1]:
-        return None
-    std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
-    pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
-    spread = tuple(float(s) for s in std)
-    return DirectFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
+    return evidence, float(kept[0] / max(kept[1], 1e-300))
+
+
+def _blocks(rows: Sequence[int]) -> tuple[Ints, NDArray[np.bool_]]:
+    """(K,) which rows are held out together, runs or parts of the few there are, and whether a run starts at them."""
+    split = 1 if len(rows) >= _FOLDS else _FOLDS
+    blocks = [number * split + np.arange(count) * split // max(count, 1) for number, count in enumerate(rows)]
+    return np.concatenate(blocks) % _FOLDS, np.concatenate([np.arange(count) == 0 for count in rows])
 
 
 def _predicts(rows: _Rows, design: Floats, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:
@@ -187,7 +278,9 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
     covariance: Floats = np.eye(design.shape[1])
     for _ in range(4):
         target = _whitened(rows, rows.residual, memory)[chosen]
-        columns = np.stack([_whitened(rows, column, memory) for column in design.T], axis=1)[chosen]
+        columns = design[chosen]
+        if design.shape[1]:
+            columns = np.stack([_whitened(rows, column, memory) for column in design.T], axis=1)[chosen]
         direction = rows.direction[chosen]
         unit = scatter[direction]
         a, b = columns / unit[:, None], target / unit

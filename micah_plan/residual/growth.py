@@ -48,6 +48,7 @@ PLAINEST = (
     "delay",
     "lag",
     "backlash",
+    "stick_slip",
     "guard_shift",
     "limit",
     "latch",
@@ -212,14 +213,8 @@ def improves(search: Search, better: Scored, base: Scored) -> bool:
 
 
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether held-out one-step errors get smaller and roll-out errors no larger.
-
-    Roll-outs of displacements add up the noise of all steps, so those of stretches decide. Those of places forget it:
-    there whole runs must be rolled out no worse either.
-    """
-    kinds: list[_Errors] = ["one_step", "rollout"]
-    if search.leads_to_places(base):
-        kinds.append("whole")
+    """Whether held-out one-step errors get smaller and roll-out errors, of stretches and of whole runs, no larger."""
+    kinds: tuple[_Errors, ...] = ("one_step", "rollout", "whole")
     steps, *rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in kinds)
     return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.kinematics import jacobian
-from micah_plan.residual.leftover import UNLIKELY, Circumstances, Leftover, lagged, leftover
+from micah_plan.automaton.link_motion import link_motions
+from micah_plan.recording.value import Recording
+from micah_plan.residual.examined import Examined, examined
+from micah_plan.residual.leftover import Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.prediction import RunPrediction
-
-# Standard errors by which successive errors must be alike to say that they last.
-_CLEARLY = 4.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,9 @@ class Judgement:
 
     Attributes:
         one_step, rollout: floors; None where there are too few rows to tell.
-        is_noise: whether one-step errors look like noise alone; None where there are too few rows.
+        is_noise: whether the model leaves noise alone (then `calibrate` finds nothing); None where that is not certain.
         sentence: the same in words.
-        follows: (coordinate, what, probability if it were noise) of what one-step errors follow.
+        follows: (coordinate, what, probability if it were noise) of what innovations follow.
         correlation: of one-step errors with the next; 0 to -0.5 for noise.
         changes: of modes.
     """
@@ -58,42 +57,38 @@ class Judgement:
     changes: tuple[ModeChange, ...]
 
 
-def judge(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Judgement:
-    """Compare the errors of predicted runs with the noise that the same runs show."""
-    errors = np.concatenate([run.one_step.configuration for run in runs])
-    found = [leftover(errors[:, i : i + 1], _circumstances(runs, i)) for i in range(automaton.n)]
-    correlations = [_correlation([run.one_step.configuration[:, i] for run in runs]) for i in range(automaton.n)]
+def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPrediction]) -> Judgement:
+    """Compare the errors of predicted runs with the noise that the same runs show.
+
+    Whether anything is left is asked of innovations, and poses beside the joints, as `calibrate` asks it.
+    """
     changes = tuple(change for run in runs for change in _changes(run))
-    correlation = max(correlations, key=abs)
+    errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
+    correlation = max(map(_correlation, errors), key=abs)
+    found = [leftover(np.concatenate(own)[:, None], _circumstances(runs, i)) for i, own in enumerate(errors)]
     known = [one for one in found if one is not None]
     if len(known) < len(found):
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     one_step, rollout = _floors(automaton, runs, known)
-    names = automaton.coordinate_names
-    follows = [(name, *one) for name, own in zip(names, known, strict=True) for one in own.follows]
-    lasting = [n for n, r in zip(names, correlations, strict=True) if r * np.sqrt(len(errors)) > _CLEARLY]
-    surely = [name for name, own in zip(names, known, strict=True) if own.probability < UNLIKELY]
-    is_noise = not (surely or follows or lasting)
-    return Judgement(
-        one_step, rollout, is_noise, _sentence(surely, follows, lasting), tuple(follows), correlation, changes
-    )
+    seen = examined(automaton, recording)
+    told = _sentence(seen)
+    follows = tuple((search.lane.coordinate, *one) for search, left in seen.left if left for one in left.follows)
+    return Judgement(one_step, rollout, seen.is_noise, told, follows, correlation, changes)
 
 
-def _sentence(surely: list[str], follows: list[tuple[str, str, float]], lasting: list[str]) -> str:
-    told = []
-    for name in dict.fromkeys([*surely, *(one[0] for one in follows), *lasting]):
-        what = [group for coordinate, group, _ in follows if coordinate == name]
-        said = []
-        if what:
-            said.append("follow " + ", ".join(what))
-        elif name in surely:
-            said.append("follow several things together")
-        if name in lasting:
-            said.append("last from step to step")
-        told.append(f"those of {name} {' and '.join(said)}")
-    if not told:
-        return "one-step errors look like noise: this recording shows nothing that the model lacks"
-    return f"one-step errors are not noise: {'; '.join(told)}. calibrate names what is missing"
+def _sentence(seen: Examined) -> str:
+    if seen.is_noise:
+        return "errors look like noise: this recording shows nothing that the model lacks"
+    told = [f"those of {search.lane.coordinate} follow {left}" for search, left in seen.left if left and left.is_more]
+    said = [f"errors are not noise: {'; '.join(told)}"] if told else []
+    said += map(str, seen.beside)
+    named = [f"{one.effect.name} of {one.effect.coordinate}" for one in seen.direct]
+    said += [f"poses and readings ask for {', '.join(named)}"] if named else []
+    if not said and not seen.searches:
+        return "whether errors are noise is told only where each coordinate has an input of its own"
+    if not said:
+        return "errors may be more than noise, but not surely: calibrate looks closer"
+    return f"{'; '.join(said)}. calibrate names what is missing"
 
 
 def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:
@@ -164,7 +159,7 @@ def _across(
         if found is None:
             return None
         x = np.concatenate([run.x[1:, i] for run in runs])
-        j = jacobian(automaton.moving_joint(number), x)[:, first : first + 3]
+        j = link_motions(automaton)[number].tangents(x)[:, first : first + 3]
         lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((found.floor**2).sum())
         totals.append((size2, max(size2 - lever2 * one2[i], 0.0) + lever2 * roll2[i]))
     one, roll = np.sqrt(np.mean(totals, axis=0))

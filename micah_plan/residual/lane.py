@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -14,8 +15,9 @@ from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.tracks import Track, aimed, in_base_frame, measuring_links
+from micah_plan.automaton.link_motion import LinkMotion, link_motions
+from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
+from micah_plan.residual.seen import sections
 
 # Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
 WARM_UP = 15
@@ -29,6 +31,7 @@ ENOUGH_RUNS = 4
 _SHORTEST = 5
 # Correlation of place and time from which on they say the same.
 _ALIKE = 0.95
+_NORMAL_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Lane:
         mode: (S, T) index of the automaton's mode in which the row is.
         run: (S,) number of the run.
         action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
-        joint: that is measured.
+        path: that is measured.
         lower, upper: ends of the range, infinite where there is none.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
@@ -72,7 +75,7 @@ class Lane:
     mode: Ints
     run: Ints
     action: Floats | None
-    joint: Joint
+    path: LinkMotion
     lower: float
     upper: float
     release: tuple[float, float]
@@ -90,6 +93,19 @@ class Lane:
     def process_profile(self) -> Floats:
         """(S, T) variance of the process noise of the step that starts at each row, relative to its mean."""
         return (1.0 - self.motion_noise) + self.motion_noise * (self.u / self.command_size) ** 2
+
+    @property
+    def clings(self) -> tuple[bool, bool]:
+        """Whether the part may cling to its lower and upper end: where modes hold it or, if none does, at any end."""
+        return self.holds if any(self.holds) else (bool(np.isfinite(self.lower)), bool(np.isfinite(self.upper)))
+
+    @cached_property
+    def blur(self) -> float:
+        """Std of a measurement, if the part did as it was told in most steps [rad or m]."""
+        starts = self.counted_starts
+        error = (np.roll(self.z, -1, axis=1) - self.z - self.u)[starts]
+        # An error from one measured row to the next has the noise of two.
+        return float(_NORMAL_MAD * np.median(np.abs(error - np.median(error))) / np.sqrt(2.0))
 
     def visits_end(self) -> bool:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
@@ -172,7 +188,9 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
     pieces, passed = [], 0
     total = sum(len(track.time) for track in tracks)
     for number, track in enumerate(tracks):
-        pieces += [_Piece(number, *cut, passed / total) for cut in cuts(len(track.time), len(tracks))]
+        for a, b in sections(track.time):
+            found = cuts(b - a, len(tracks))
+            pieces += [_Piece(number, a + first, a + start, a + end, passed / total) for first, start, end in found]
         passed += len(track.time)
     return pieces
 
@@ -185,7 +203,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     action = np.zeros((*shape, 3))
-    moving, joint = next(mode for mode in automaton.modes if mode.driven[i]), automaton.moving_joint(link)
+    moving, path = next(mode for mode in automaton.modes if mode.driven[i]), link_motions(automaton)[link]
     for s, piece in enumerate(kept):
         track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
         rows, count = slice(first, end), end - first
@@ -197,7 +215,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
             place[s] += u[s]
         else:
             own = in_base_frame(automaton, i, track.action[rows, link])
-            place[s, : len(own)] += aimed(joint, z[s, : len(own)], np.nan_to_num(own))
+            place[s, : len(own)] += path.aimed(z[s, : len(own)], np.nan_to_num(own))
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
         mode[s, :count] = row_modes(automaton, track.x[rows])
@@ -220,7 +238,7 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         mode=mode,
         run=np.array([tracks[piece.track].run for piece in kept]),
         action=np.nan_to_num(action) if vectors else None,
-        joint=joint,
+        path=path,
         lower=lower,
         upper=upper,
         release=release,
@@ -256,7 +274,7 @@ def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
 def _uncut(rows: int, _: int) -> list[tuple[int, int, int]]:
     """A whole run; one that is very long in parts."""
     edges = np.linspace(0, rows, math.ceil(rows / _LONGEST_ROLLOUT) + 1).astype(int).tolist()
-    return [(start, start, end) for start, end in pairwise(edges)]
+    return [(start, start, end) for start, end in pairwise(edges) if end - start > 1]
 
 
 def _thinned(pieces: list[_Piece]) -> list[_Piece]:

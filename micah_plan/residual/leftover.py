@@ -24,8 +24,13 @@ _PLACES = 8
 # Rows per function that a regression takes.
 _ROWS_PER_FUNCTION = 4
 FEWEST_ROWS = 12
-# Probability below which a residual is not noise, and residuals of arithmetic.
-UNLIKELY = 1e-4
+_FIRST = ("a constant", "the command", "earlier commands")  # of what few rows are asked for
+# Probabilities: below the first a residual is not noise, above the second it is (an effect with one parameter and the
+# evidence that it needs has 4e-4 among seven groups).
+UNLIKELY, _SUSPECT = 1e-4, 3e-3
+# Share of the variance that may follow something: a fourth of what is correlated from row to row, squared.
+_FOLLOWS = 0.0625
+# Residuals of arithmetic.
 _EXACT = 1e-9
 _RANK = 1e-8
 
@@ -39,12 +44,29 @@ class Leftover:
         left: (N, d) what the regression leaves.
         probability: that noise alone gave as much that the regression explains.
         follows: (what, probability if it were noise) of each group of functions that explains more than those before.
+        share: of the variance that the regression explains, beyond what noise would give, 0 to 1.
+        least: smallest probability of a single group, times their number.
     """
 
     floor: Floats
     left: Floats
     probability: float
     follows: tuple[tuple[str, float], ...]
+    share: float = 0.0
+    least: float = 1.0
+
+    def __str__(self) -> str:
+        return ", ".join(what for what, _ in self.follows) or "several things together"
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether nothing can be added: neither all functions together nor any group of them explain anything."""
+        return min(self.probability, self.least) > _SUSPECT
+
+    @property
+    def is_more(self) -> bool:
+        """Whether it is certainly more than noise, and more than a trifle."""
+        return min(self.probability, self.least) < UNLIKELY and self.share > _FOLLOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +78,16 @@ class Circumstances:
         command: (N, 1 + LAGS) of the step and of those before it, the latest first.
         time: (N,) since the start of the run [s].
         order: (N,) place in the recording, 0 to 1.
+        errors: (N, k) of the steps before; None where they cannot be independent.
+        away: (N, k) of each end that a part is at, the command that leads away from it; 0 elsewhere.
     """
 
     place: Floats
     command: Floats
     time: Floats
     order: Floats
+    errors: Floats | None = None
+    away: Floats | None = None
 
 
 def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
@@ -88,11 +114,13 @@ def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
     kept = residual - every @ np.linalg.lstsq(every, residual, rcond=_RANK)[0]
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
     sure = tuple(one for one in tests if one[1] < UNLIKELY)
-    return Leftover(np.asarray(floor), np.asarray(kept), chance, sure)
+    share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, _EXACT**2)
+    least = min(1.0, len(tests) * min(one[1] for one in tests))
+    return Leftover(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
 
 
 def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
-    """(N, k) functions by what they depend on; fewer where rows are few."""
+    """(N, k) functions by what they depend on; of few rows as many as they can tell."""
     v, one = under.command[:, :1], np.ones((rows, 1))
     speed = max(float(np.sqrt(np.mean(v**2))), _EXACT)
     low, high = float(under.place.min()), float(under.place.max())
@@ -106,14 +134,24 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
         "the command": v / speed,
         "the size or direction of the command": np.hstack([np.abs(v), v * np.abs(v) / speed]) / speed,
         "earlier commands": under.command[:, 1:] / speed,
+        **({} if under.errors is None else {"earlier errors": _unit(under.errors)}),
+        **({} if under.away is None else {"the ends": under.away / speed}),
         "time": np.hstack([clocks, clocks * v / speed]),
         "the configuration": np.hstack([bumps[:, 1:], bumps[:, 1:] * v / speed]),
     }
     if sum(group.shape[1] for group in groups.values()) * _ROWS_PER_FUNCTION > rows:
-        groups = {**groups, "the configuration": middle, "earlier commands": under.command[:, 1:2] / speed}
-    if sum(group.shape[1] for group in groups.values()) * _ROWS_PER_FUNCTION > rows:
-        groups = {name: groups[name] for name in ("a constant", "the command")}
-    return groups
+        groups = {**groups, "the configuration": middle}
+    kept, room = set[str](), rows // _ROWS_PER_FUNCTION
+    for name in _FIRST + tuple(groups):
+        if name not in kept and name in groups and groups[name].shape[1] <= room:
+            kept.add(name)
+            room -= groups[name].shape[1]
+    return {name: groups[name] for name in groups if name in kept}
+
+
+def _unit(values: Floats) -> Floats:
+    """Values (N, k) in units of their spread, without outliers."""
+    return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), _EXACT))
 
 
 def lagged(commands: Floats) -> Floats:

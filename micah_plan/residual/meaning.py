@@ -2,10 +2,12 @@
 
 A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
 the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
-held-out rows, each from all measurements before. Where that is the same (a part that does as it is told, seen without
-noise), what was meant is what is more regular by itself: the sequence of displacements, or that of places. Roll-outs
-cannot decide, since places contain the measured poses that they are relative to; but where commands were relative to
-what a controller believed, and something else measured the part, they can, and do.
+held-out rows, each from all measurements before. What was meant is also more regular by itself, the sequence of
+displacements or that of places, since what blurs a measurement is in the other one: that decides where both predict the
+same (a part that does as it is told, seen without noise), and speaks against places that hardly predict better, as
+measured poses do where the noise of a tracker wanders. Roll-outs cannot decide,
+since places contain the measured poses that they are relative to; but where commands were relative to what a controller
+believed, and something else measured the part, they can, and do.
 
 The response to a place is one family (`follow`): a share of the way per row, and an offset; then delay, momentum
 (second order), gain and a dead zone, each where it predicts clearly better and makes whole roll-outs shorter.
@@ -23,7 +25,7 @@ from scipy.stats import t as student_t
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import Candidate
-from micah_plan.residual.growth import LEAST_EVIDENCE, is_worth, ranked, shortens
+from micah_plan.residual.growth import LEAST_EVIDENCE, is_worth, ranked
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.likelihood import SMALLEST_SCALE
 from micah_plan.residual.search import Scored, Search
@@ -43,6 +45,9 @@ _MEMORY = 2
 # Degrees of freedom of what is not foretold, rounds of the fit, and the least that counts, as a share of the spread.
 _FREEDOM, _ROUNDS, _FINEST = 2.0, 30, 1e-3
 
+# Share of what a sequence of commands says by being irregular that counts: its rows are no independent witnesses.
+_HEARD = 0.25
+
 # What one more parameter may leave of the squared errors of whole roll-outs: a place is for going far without looking.
 _PAYS = 0.95
 
@@ -54,8 +59,10 @@ def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
         return rolled < other
     if not is_worth(place, search.nominal, search.lane):
         return False
-    gain = place.over(displaced)[0]
-    return gain > LEAST_EVIDENCE or (gain > -LEAST_EVIDENCE and _regularity(search.lane) > LEAST_EVIDENCE)
+    gain, regular = place.over(displaced)[0], _regularity(search.lane)
+    if gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE:
+        return True
+    return gain > -LEAST_EVIDENCE and regular > LEAST_EVIDENCE
 
 
 def _regularity(lane: Lane) -> float:
@@ -95,7 +102,8 @@ def followed(search: Search) -> Scored:
         grown = {column: search.score((_freed(best.parts[0], column, lane),)) for column in sorted(left)}
         found = ranked(list(grown.values()))[0]
         rolled, other = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (found, best))
-        if not (is_worth(found, best, lane) and shortens(search, found, best) and rolled < _PAYS * other):
+        # No one-step errors here: from two measured rows a velocity is mostly noise, whoever is right.
+        if not (is_worth(found, best, lane) and rolled < _PAYS * other):
             break
         best = found
         left -= {column for column, one in grown.items() if one is found}

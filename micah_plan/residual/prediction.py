@@ -9,19 +9,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.tracks import Track, tracks
+from micah_plan.automaton.link_motion import link_motions
+from micah_plan.automaton.tracks import Track, configurations, tracks
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
-
-# Rows that a run needs to show its own noise.
-_ROWS_FOR_NOISE = 8
+from micah_plan.residual.geometry import beside
+from micah_plan.residual.seen import beyond_range, noise_of, opened, without_gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,7 @@ class RunPrediction:
         v: (K, n) commanded displacement of each coordinate, in the modes that move it.
         believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
             never is. Effects of sensors are taken out, see `tracks`.
+        beside: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry.beside`.
     """
 
     run: int
@@ -68,6 +70,7 @@ class RunPrediction:
     x: Floats
     v: Floats
     believed: Floats | None
+    beside: Floats
     one_step: PredictionError
     rollout: PredictionError
 
@@ -79,6 +82,8 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     equation 2) through guards and resets, in the mode that the belief filter holds most likely and from within its
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
+    A run with gaps in its times is predicted in its consecutive parts, and joints go on where the recording goes beyond
+    a range that no mode ends (see `seen`).
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -89,10 +94,11 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
-    usable = [track for track in tracks(automaton, recording) if len(track.time) > 1]
+    usable = [own for track in tracks(automaton, recording) for own in without_gaps(track)]
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    return tuple(_predicted(automaton, track) for track in usable)
+    reaching = opened(automaton, beyond_range(automaton, [track.x for track in usable]))
+    return tuple(_predicted(reaching, track) for track in usable)
 
 
 def rmse(errors: list[Floats]) -> float:
@@ -120,6 +126,7 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
         x=track.x,
         v=_inputs(track) @ np.stack(rows, axis=1),
         believed=None if track.believed is None else track.believed - track.x,
+        beside=np.stack([beside(automaton, track, number) for number in range(len(automaton.links))], axis=1),
         one_step=_one_step(automaton, track),
         rollout=_rollout(automaton, track),
     )
@@ -167,7 +174,7 @@ def _within(mode: Mode, x: Floats) -> Floats:
 def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     """The belief after the first measurement of a run, with the run's own noise if that is larger than the model's."""
     std = np.array(automaton.noise.observation_std)
-    for spread in (std, np.maximum(std, _noise(track))):
+    for spread in (std, np.maximum(std, noise_of(track.x))):
         try:
             return initial_belief(automaton, track.x[0], spread)
         except InputError:
@@ -186,15 +193,6 @@ def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     )
 
 
-def _noise(track: Track) -> Floats:
-    """(n,) std of the measured configurations, as third differences show it: no smooth motion has any."""
-    if len(track.x) < _ROWS_FOR_NOISE:
-        return np.zeros(track.x.shape[1])
-    third = np.diff(track.x, 3, axis=0)
-    # Third differences of white noise have 1 + 9 + 9 + 1 times its variance.
-    return np.asarray(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0))
-
-
 def _inputs(track: Track) -> Floats:
     if track.u is None:  # predict_recording has checked
         raise InputError("expected actions, found none")
@@ -204,12 +202,28 @@ def _inputs(track: Track) -> Floats:
 def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str, ...]) -> PredictionError:
     offset = np.zeros((len(x), len(automaton.links), 3))
     turn = None if track.quaternion is None else np.zeros_like(offset)
+    shown = _as_measured(automaton, track, x)
     for k, mode in enumerate(modes):
         for number, link in enumerate(automaton.links):
-            pose = forward(automaton.mode(mode).joints[number], x[k : k + 1, link.coordinate])
+            c = shown[k : k + 1, link.coordinate]
+            joint = automaton.mode(mode).joints[number]
+            is_shown = c[0] != x[k, link.coordinate] and joint.kind == "rigid"
+            pose = link_motions(automaton)[number].poses(c) if is_shown else forward(joint, c)
             frame = pose.rotation[0].inv()
             offset[k, number] = frame.apply(pose.translation[0] - track.position[k + 1, number])
             if turn is not None and track.quaternion is not None:
                 measured = Rotation.from_quat(track.quaternion[k + 1, number])
                 turn[k, number] = frame.apply((pose.rotation[0] * measured.inv()).as_rotvec())
     return PredictionError(offset, turn, x - track.x[1:], modes)
+
+
+def _as_measured(automaton: HybridAutomaton, track: Track, x: Floats) -> Floats:
+    """(K, n) predicted configurations as the sensor that measured the poses would read them."""
+    sensors = [effect for effect in automaton.effects if form(effect.name).layer == "sensor"]
+    if track.is_outside or not sensors:
+        return x
+    slope = np.ones(automaton.n)
+    for effect in sensors:
+        own, i = form(effect.name), automaton.index(effect.coordinate)
+        slope[i] *= own.measured(np, 1.0, 0.0, effect.values) - own.measured(np, 0.0, 0.0, effect.values)
+    return np.asarray(configurations(automaton, track.position, track.quaternion)[1:] + slope * (x - track.x[1:]))

@@ -10,11 +10,11 @@ from scipy.stats import chi2
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.registry import form
-from micah_plan.residual.candidates import NEVER_GATED, Candidate, smooth
+from micah_plan.residual.candidates import NEVER_GATED, UNNAMED, Candidate, smooth
 from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
 from micah_plan.residual.interval import independent_share, intervals
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.leftover import Circumstances, lagged, leftover
+from micah_plan.residual.leftover import LAGS, Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns
 
 FOLDS = 5
@@ -27,10 +27,10 @@ _POLISH_ROUNDS = 5
 _START_SHARES = (-1.0, 2.0)
 _FREEDOMS = (60.0, 10.0, 4.0)
 _MOTION_NOISES = (0.0, 0.6, 0.97)
-# Innovations that are less probable than this if they were noise are looked at further.
-_SUSPECT = 0.02
 # Likelihood by which a less plain kind of noise must fit better [nats].
 _CLEARLY = 3.0
+# Standard deviations of a measurement within which a part may be at an end.
+_NEAR = 3.0
 # The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
 _LOOSE = 20.0
 
@@ -141,15 +141,12 @@ class Search:
     def noise_floor(self, scored: Scored) -> float:
         """Root mean square of a one-step error that noise alone would leave, if this model were true.
 
-        The noise is that of the model's innovations; an error from one measured row to the next contains the
-        measurement noise twice, the innovation of a filter less than that.
+        The noise is what no regression takes out of the model's innovations; an error from one measured row to the next
+        contains the measurement noise twice, the innovation of a filter less than that.
         """
-        problem = self._problem(scored.parts)
-        density, errors = held_out(problem, scored.folds, "filter")
-        del density
-        own = errors[self.fold, np.arange(len(self.fold))]
-        counted = self.lane.counted
-        innovation = float(np.mean(own[counted] ** 2))
+        own = self.innovations(scored)[self.lane.counted]
+        left = self.left_by(scored)
+        innovation = float(np.mean(own**2)) * (1.0 - (left.share if left is not None else 0.0))
         r = float(measurement_share(scored.fit.share)[0])
         q = (1.0 - r) * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
         # Steady state of the scalar Riccati equation: prior variance p with p = p r / (p + r) + q.
@@ -174,7 +171,7 @@ class Search:
                 lower.append(max(parameter.lower, low))
                 upper.append(min(parameter.upper, high))
             at += part.term.size
-        tight = any(part.name == "unexplained" for part in parts)
+        tight = any(part.name == UNNAMED for part in parts)
         return Problem(
             lane=self.lane,
             model=(*self.given, *(part.term for part in parts)),
@@ -216,16 +213,29 @@ class Search:
             found.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
         return found
 
-    def leaves_nothing(self, scored: Scored) -> bool:
-        """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""
+    def left_by(self, scored: Scored) -> Leftover | None:
+        """What the innovations follow: commands, places, time, and innovations before them."""
         lane = self.lane
         # A place that the innovation's own measurements have no part in: from the row before.
         before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
         starts = lane.counted_starts
-        under = Circumstances(before[starts], lagged(lane.u)[starts], lane.time[starts], lane.order[starts])
-        innovations = np.roll(self.innovations(scored), -1, axis=1)[starts]
-        found = leftover(innovations[:, None], under)
-        return found is not None and min(found.probability, self.whiteness(scored)[1]) > _SUSPECT
+        own = self.innovations(scored)
+        past = np.stack([np.roll(own, k, axis=1) for k in range(LAGS)], axis=-1)
+        past[:, :LAGS] = 0.0
+        under = Circumstances(
+            place=before[starts],
+            command=lagged(lane.u)[starts],
+            time=lane.time[starts],
+            order=lane.order[starts],
+            errors=past[starts],
+            away=_away(lane, before)[starts],
+        )
+        return leftover(np.roll(own, -1, axis=1)[starts][:, None], under)
+
+    def leaves_nothing(self, scored: Scored) -> bool:
+        """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""
+        found = self.left_by(scored)
+        return found is not None and found.is_noise
 
     def _cross_validated(self, problem: Problem, parts: Sequence[Candidate], fit: Fit) -> Scored:
         trained = self.fold[None, :] != np.arange(self.folds)[:, None]
@@ -262,6 +272,13 @@ class Search:
         if best is None:
             return self.lane, self.freedom
         return best[1], best[2]
+
+
+def _away(lane: Lane, place: Floats) -> Floats:
+    """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
+    reach = _NEAR * lane.blur
+    at_low, at_high = place < lane.lower + reach, place > lane.upper - reach
+    return np.stack([at_low * np.maximum(lane.u, 0.0), at_high * np.minimum(lane.u, 0.0)], axis=-1)
 
 
 def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:

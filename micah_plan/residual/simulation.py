@@ -16,7 +16,6 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm
-from micah_plan.automaton.tracks import commanded
 from micah_plan.residual.lane import Lane
 
 Kind = Literal["filter", "one_step", "rollout"]
@@ -25,6 +24,8 @@ Kind = Literal["filter", "one_step", "rollout"]
 GATES = 2
 # Share of the variance that is left where a stop holds the part: a stop is no perfect pin.
 _HELD_VARIANCE = 0.05
+# Standard deviations of a measurement by which a part is not where it was predicted.
+_CLEARLY_AWAY = 4.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class _Run:
         spread = slope**2 * self.variance + self.r
         if kind == "rollout":
             return error, spread
-        gone = self._let_go(error, slope) if self.is_held else None
+        gone = self._let_go(t, error, slope) if self.is_held else None
         if kind == "one_step":
             self.c = self.c + error / slope
             return error, spread
@@ -172,13 +173,23 @@ class _Run:
         self.variance = left if gone is None else np.where(gone, self.r / slope**2, left)
         return error, spread
 
-    def _let_go(self, error: Floats, slope: Any) -> Any:
-        """Whether a part is measured further from an end than it takes to leave it: then it never arrived there."""
-        at_low, at_high = self.at_ends
-        gone_low = at_low & (self.release[0] > 0) & (error > self.release[0] * slope)
-        gone_high = at_high & (self.release[1] > 0) & (-error > self.release[1] * slope)
-        self.at_ends = at_low & ~gone_low, at_high & ~gone_high
-        return gone_low | gone_high
+    def _let_go(self, t: int, error: Floats, slope: Any) -> Any:
+        """Which parts were predicted on the wrong side of being held: measured away from an end, or left behind there.
+
+        Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
+        measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
+        """
+        noise, changed = _CLEARLY_AWAY * self.lane.blur, np.zeros_like(error, dtype=bool)
+        low, high = self._ends_at(t - 1)
+        ends = []
+        for end, side, at, release in zip((low, high), (1.0, -1.0), self.at_ends, self.release, strict=True):
+            away = side * (self.c + error / slope - end)
+            gone = at & (release > 0) & (side * error > np.minimum(release * slope, noise))
+            caught = ~at & (release > 0) & (side * error < -noise) & (away < noise)
+            ends.append((at & ~gone) | caught)
+            changed = changed | gone | caught
+        self.at_ends = ends[0], ends[1]
+        return changed
 
     def _sensor(self, t: int, like: Floats) -> tuple[Any, Any]:
         """Offset and slope of the reading at row t; sensors are affine."""
@@ -201,7 +212,7 @@ class _Run:
             if term.form.layer == "guard":
                 low, high = term.form.stops(np, low, high, p)
                 for side in (0, 1):
-                    if self.lane.holds[side]:
+                    if self.lane.clings[side]:
                         release[side] = np.maximum(release[side], term.form.release(p))
         return low, np.maximum(high, low), (release[0], release[1])
 
@@ -225,7 +236,7 @@ class _Run:
                 a, wide = list(np.moveaxis(lane.action, -1, 0)), [value[:, :, None] for value in p]
                 meant = np.stack([term.form.frame_command(np, a, list(unit), wide) for unit in np.eye(3)], axis=-1)
                 places = np.broadcast_to(lane.z, meant.shape[:-1])
-                u = commanded(lane.joint, places.ravel(), meant.reshape(-1, 3))
+                u = lane.path.commanded(places.ravel(), meant.reshape(-1, 3))
                 return np.asarray(np.nan_to_num(u).reshape(meant.shape[:-1]))
         return None
 

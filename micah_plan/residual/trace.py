@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
-from micah_plan.residual.candidates import Candidate, candidates, indistinguishable, smooth
+from micah_plan.residual.candidates import UNNAMED, Candidate, candidates, indistinguishable, smooth
 from micah_plan.residual.growth import (
     LEAST_EVIDENCE,
     TIE,
@@ -28,17 +28,13 @@ from micah_plan.residual.growth import (
     shortens,
 )
 from micah_plan.residual.lane import Lane
+from micah_plan.residual.leftover import Leftover
 from micah_plan.residual.meaning import CONTAINED, FOLLOW, followed, means_places
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.verdict import Verdict, verdict
+from micah_plan.residual.verdict import Facts, Outcome, outcome_of
 
-# Innovations that are correlated more than this, and less probably so by chance, have something left in them.
-_CORRELATED = 0.25
-_UNLIKELY = 1e-4
-# Errors below this are those of arithmetic [rad or m].
-_EXACT = 1e-7
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
 _SLACK = 0.5
@@ -72,89 +68,107 @@ class LaneTrace:
 
     Attributes:
         nominal, chosen: the model as it is, and with the effects.
-        remaining: the chosen model with a smooth correction on top.
+        final: what a new automaton should have: the chosen model, with a smooth correction if it is worth it.
         ranking: (name, evidence [nats], standard error) of every candidate alone, best first, the smooth correction
             among them as ``unexplained``.
-        correlation, white_probability: largest autocorrelation of the innovations that remain, and how probable it were
-            if they were white.
-        longer: by how much what was found but not added would make the roll-out longer, as a factor; 1 if nothing was.
+        facts, outcome: what is known, and what is concluded from it.
+        whiteness: largest autocorrelation of the innovations that remain, and how probable it were if they were white.
+        left: what the innovations that remain follow; None where rows are too few.
+        floor: one-step error that noise alone would leave [rad or m].
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `added_mode`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
-        final: what a new automaton should have: the chosen model, with the correction if it is worth it.
     """
 
     lane: Lane
     search: Search
     nominal: Scored
     chosen: Scored
-    remaining: Scored
     final: Scored
     findings: tuple[Finding, ...]
     ranking: tuple[tuple[str, float, float], ...]
-    verdict: Verdict
-    unexplained_fraction: float
-    correlation: float
-    white_probability: float
-    longer: float = 1.0
+    facts: Facts
+    outcome: Outcome
+    whiteness: tuple[float, float]
+    left: Leftover | None
+    floor: float
     missing_modes: tuple[MissingMode, ...] = ()
     closest: tuple[str, ...] = ()
 
+    @property
+    def unexplained_fraction(self) -> float:
+        """Share of the explainable residual that effects leave, 0 to 1."""
+        if self.findings or self.facts.smooth:
+            return self.facts.smooth
+        return float((self.facts.is_left or self.facts.is_corrected) and not self.missing_modes)
 
-def trace(lane: Lane, progress: Progress | None = None) -> LaneTrace:
-    """Find what a lane's model lacks."""
-    told = progress or _silent
-    told(f"{lane.coordinate}: noise", 0.0)
-    search = Search(lane)
-    lane = search.lane
-    nominal = search.nominal
-    singles, growth = _explored(search, told)
-    loose = _smoothed(search, search.nominal)
-    ranking = sorted([(one.names[-1], *one.over(nominal)) for one in [*singles, loose]], key=lambda row: -row[1])
-    chosen = growth.chosen
-    is_enough = search.leaves_nothing(chosen)
-    modes: tuple[MissingMode, ...] = ()
-    if not is_enough:
-        # An idle correction predicts as the model without it, which is among them.
-        rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
-        modes = missing_modes(lane, search.innovations(search.nominal), search.fold, rivals)
-    is_outdone = chosen is not search.nominal and _is_outdone(chosen, loose) and shortens(search, loose, search.nominal)
-    closest = chosen.names if is_outdone and not modes else ()
-    if modes or is_outdone:
-        # Effects that act everywhere only imitate what a mode of its own does in one place.
+
+def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
+    """Find what a lane's model lacks; where it leaves noise alone, nothing is sought."""
+    told, lane, nominal = progress or _silent, search.lane, search.nominal
+    is_quiet = search.leaves_nothing(nominal)
+    singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, told)
+    loose = nominal if is_quiet else _smoothed(search, search.nominal)
+    modes = () if search.leaves_nothing(growth.chosen) else _modes(search, growth.chosen, loose)
+    closest = () if modes else _imitated(search, growth.chosen, loose)
+    if modes or closest:
+        # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
         growth = Growth(search.nominal, growth.alternatives)
-        chosen, is_enough = search.nominal, False
+    chosen = growth.chosen
     told(f"{lane.coordinate}: what remains", 0.9)
+    is_enough = not modes and not closest and search.leaves_nothing(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
-    correlation, chance = search.whiteness(chosen)
-    size = float(np.sqrt(chosen.squared / lane.counted.sum()))
-    is_wandering = abs(correlation) > _CORRELATED and chance < _UNLIKELY and size > _EXACT
-    is_left = is_worth(remaining, chosen, lane)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, nominal, named, growth.alternatives)
-    is_open = any(may_remember(lane, one) for one in findings)
-    is_suspect = is_wandering or named is not chosen or bool(modes) or is_open
-    fraction = 0.0 if modes else _fraction_left(nominal, named, [loose, remaining])
-    is_added = named is chosen and not is_open
-    final = remaining if is_left and shortens(search, remaining, chosen) else chosen
-    if is_open:
-        final = search.nominal
+    left, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, lane)
+    facts = Facts(
+        effects=len(named.parts),
+        modes=len(modes),
+        is_open=any(may_remember(lane, one) for one in findings),
+        is_blocked=named is not chosen,
+        smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
+        is_left=left is not None and left.is_more,
+        is_corrected=any(effect.name == UNNAMED for effect in lane.effects),
+    )
+    final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
     return LaneTrace(
         lane=lane,
         search=search,
         nominal=nominal,
         chosen=chosen,
-        remaining=remaining,
-        final=final,
-        findings=tuple(replace(finding, is_added=is_added) for finding in findings),
-        ranking=tuple(ranking),
+        final=search.nominal if facts.is_open else final,
+        findings=tuple(replace(one, is_added=not (facts.is_open or facts.is_blocked)) for one in findings),
+        ranking=() if is_quiet else _ranking(nominal, [*singles, loose]),
         missing_modes=modes,
-        verdict=verdict(len(named.parts) + len(modes), is_left, is_suspect, fraction),
-        unexplained_fraction=fraction if named.parts or is_left else float(is_wandering),
-        correlation=correlation,
-        white_probability=chance,
-        longer=_longer(search, growth.blocked) if not chosen.parts else 1.0,
+        facts=facts,
+        outcome=outcome_of(facts),
+        whiteness=search.whiteness(chosen),
+        left=left,
+        floor=min(map(search.noise_floor, {id(one): one for one in (final, chosen, named)}.values())),
         closest=closest,
     )
+
+
+def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, float, float], ...]:
+    return tuple(sorted([(one.names[-1], *one.over(nominal)) for one in models], key=lambda row: -row[1]))
+
+
+def _modes(search: Search, chosen: Scored, loose: Scored) -> tuple[MissingMode, ...]:
+    """Modes that the automaton lacks. An idle correction predicts as the model without it, which is a rival anyway."""
+    rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
+    return missing_modes(search.lane, search.innovations(search.nominal), search.fold, rivals)
+
+
+def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
+    """Names of effects that only imitate what a correction without a name does; none if they do more than that.
+
+    One is the plainer of the two: only evidence as for an effect speaks against it. Two together must have that
+    evidence themselves: nearly any smooth curve is a sum of two effects.
+    """
+    if chosen is search.nominal or not chosen.parts or loose.is_idle:
+        return ()
+    least = -LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE
+    is_outdone = chosen.over(loose)[0] < least and shortens(search, loose, search.nominal)
+    return chosen.names if is_outdone else ()
 
 
 def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growth]:
@@ -166,7 +180,9 @@ def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growt
     singles, growth = _grown(search, library, told)
     told(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
     place = followed(search)
-    rivals = [growth.chosen, *((growth.blocked,) if growth.blocked is not None else ())]
+    # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
+    loose = _smoothed(search, search.nominal)
+    rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
     if not means_places(search, place, ranked(rivals)[0]):
         return singles, growth
     search.nominal = place
@@ -180,17 +196,6 @@ def _grown(search: Search, library: Sequence[Candidate], told: Progress) -> tupl
     return tuple(singles), grow(search, library, [one for one in singles if not one.is_idle], told)
 
 
-def _is_outdone(chosen: Scored, loose: Scored) -> bool:
-    """Whether effects only imitate what a correction without a name does.
-
-    One is the plainer of the two: only evidence as for an effect speaks against it. Two together must have that
-    evidence themselves: nearly any smooth curve is a sum of two effects.
-    """
-    if not chosen.parts or loose.is_idle:
-        return False
-    return chosen.over(loose)[0] < (-LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE)
-
-
 def may_remember(lane: Lane, finding: Finding) -> bool:
     """Whether it is open if an effect comes from this command or from earlier ones.
 
@@ -201,14 +206,6 @@ def may_remember(lane: Lane, finding: Finding) -> bool:
     if own == "force" and lane.repeats_one_motion:
         return True
     return any((form(name).layer == "memory") != (own == "memory") for name in finding.tied)
-
-
-def _longer(search: Search, blocked: Scored | None) -> float:
-    """Roll-out error with what was not added over that without."""
-    if blocked is None:
-        return 1.0
-    with_it, without = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (blocked, search.nominal))
-    return float(np.sqrt(with_it / max(without, 1e-300)))
 
 
 def _silent(message: str, fraction: float) -> None:

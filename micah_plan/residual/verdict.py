@@ -1,7 +1,9 @@
-"""The four answers of a calibration."""
+"""What a calibration concludes of a coordinate: ordered outcomes, of which the first that the facts allow is told."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["none", "explained", "partly", "unexplained"]
@@ -12,26 +14,83 @@ SENTENCES: dict[Verdict, str] = {
     "unexplained": "The model lacks something that no effect of the library explains.",
 }
 
-# Shares of the explainable residual that effects leave: up to here it is explained, from there on it is not.
+# Shares of the explainable residual that effects leave to a correction without a name: up to here it is explained, from
+# there on it is not.
 _EXPLAINED = 0.03
 _UNEXPLAINED = 0.5
 
 
-def verdict(effects: int, is_left: bool, is_suspect: bool, fraction_left: float) -> Verdict:
-    """What to say.
+@dataclass(frozen=True)
+class Facts:
+    """What is known of a coordinate once effects were looked for.
 
-    Args:
-        effects: how many named effects were found.
-        is_left: whether a smooth correction still predicts better, by `fraction_left` of the explainable error.
-        is_suspect: whether what remains is correlated in time, or the correction alone predicts better.
+    Attributes:
+        effects: how many have a name; modes: how many the automaton lacks.
+        is_open: whether an effect may come from this command or from earlier ones.
+        is_blocked: whether the effects help single steps and make whole roll-outs longer.
+        smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
+        is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
+        is_corrected: whether the model came with a correction without a name.
     """
-    if not effects:
-        return "unexplained" if is_left or is_suspect else "none"
-    if is_left and fraction_left > _UNEXPLAINED:
-        return "unexplained"
-    if is_suspect or (is_left and fraction_left > _EXPLAINED):
-        return "partly"
-    return "explained"
+
+    effects: int
+    modes: int
+    is_open: bool
+    is_blocked: bool
+    smooth: float
+    is_left: bool
+    is_corrected: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A conclusion.
+
+    Attributes:
+        sentence: of a coordinate, in plain words.
+        holds: whether the facts allow it.
+    """
+
+    name: str
+    verdict: Verdict
+    sentence: str
+    holds: Callable[[Facts], bool]
+
+
+OUTCOMES: tuple[Outcome, ...] = (
+    Outcome("mode", "partly", "a mode of its own is missing", lambda f: f.modes > 0),
+    Outcome(
+        "unnamed",
+        "unexplained",
+        "what is left follows something that no effect names",
+        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_left or f.is_corrected)),
+    ),
+    Outcome(
+        "remembered",
+        "partly",
+        "with runs like these the effect may as well come from earlier commands",
+        lambda f: f.is_open,
+    ),
+    Outcome(
+        "steps_only",
+        "partly",
+        "single steps get better but the roll-out worse, so something else is missing as well",
+        lambda f: f.is_blocked,
+    ),
+    Outcome(
+        "more",
+        "partly",
+        "the effects leave something that is no noise",
+        lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
+    ),
+    Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
+    Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),
+)
+
+
+def outcome_of(facts: Facts) -> Outcome:
+    """The first outcome that the facts allow."""
+    return next(outcome for outcome in OUTCOMES if outcome.holds(facts))
 
 
 def overall(verdicts: list[Verdict]) -> Verdict:

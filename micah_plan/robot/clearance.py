@@ -138,11 +138,59 @@ class ClearanceModel:
             np.asarray(result.normal) @ (velocities[1] - velocities[0])
         )
 
+    def overlap(self, pair: Pair) -> tuple[tuple[Floats, float], ...]:
+        """Where the tool may be for the two that meet: (direction (3,), how far along it at most [m]), all of them.
+
+        Of the last configuration that was asked about. Directions are the sides of the boxes around both solids: where
+        the tool, as it is turned now, is further along any of them, a plane keeps the two apart. Empty unless one of
+        the pair is a link that moves with the tool and the other stands still: else the posture counts, too.
+        """
+        index = min(
+            (k for k, name in enumerate(self.names) if name == pair), key=lambda k: float(self._results[k].min_distance)
+        )
+        numbers = int(self.first[index]), int(self.second[index])
+        moves = [self._joint_of(number) for number in numbers]
+        if sorted(moves) != [0, self.arm.tool_joint] or not self.carried.isdisjoint(pair):
+            return ()
+        link, still = (self._box_around(number) for number in (numbers if moves[0] else numbers[::-1]))
+        tool = self.arm.data.oMi[self.arm.tool_joint].act(self.arm.model.frames[self.arm.tool].placement.translation)
+        sides = np.concatenate([edges for edges, _ in (link, still)])
+        sides = np.unique(np.round(np.concatenate([sides, -sides]), 9) + 0.0, axis=0)
+        return tuple((side, float((still[1] @ side).max() - ((link[1] - tool) @ side).min())) for side in sides)
+
+    def _box_around(self, geometry: int) -> tuple[Floats, Floats]:
+        """(3, 3) directions of the edges and (8, 3) corners of the box around a solid, as it lies in its frame."""
+        item, at = self.geometry.geometryObjects[geometry].geometry, self._room.oMg[geometry]
+        ends = np.array([item.aabb_local.min_, item.aabb_local.max_]).T
+        return np.array(at.rotation).T, np.array([at.act(np.array(corner)) for corner in product(*ends)])
+
+    def tool_distances(self, pair: Pair, tools: RigidTransform) -> Floats:
+        """(k, s) distance [m] of each two solids of a pair with the tool at poses (k,), whatever the posture.
+
+        Args:
+            pair: something that moves with the tool and something that stands still, as `overlap` tells.
+        """
+        numbers = [k for k, name in enumerate(self.names) if name == pair]
+        frame = self.arm.model.frames[self.arm.tool]
+        found = np.empty((len(tools), len(numbers)))
+        for row, matrix in zip(found, tools.as_matrix(), strict=True):
+            joint = pin.SE3(matrix) * frame.placement.inverse()
+            for geometry in {int(i) for k in numbers for i in (self.first[k], self.second[k])}:
+                item = self.geometry.geometryObjects[geometry]
+                moves = item.parentJoint == self.arm.tool_joint
+                self._room.oMg[geometry] = joint * item.placement if moves else item.placement
+            row[:] = [pin.computeDistance(self.geometry, self._room, k).min_distance for k in numbers]
+        return found
+
+    def _joint_of(self, geometry: int) -> int:
+        """Number of the joint that a solid moves with; 0: of none."""
+        if any(geometry == number for name in self.carried for number, _ in self.parts[name]):
+            return self.arm.tool_joint
+        return int(self.geometry.geometryObjects[geometry].parentJoint)
+
     def _point_jacobian(self, geometry: int, point: Floats) -> Floats:
         """(3, n) derivative of a point of a solid by q, the point in the base frame."""
-        joint = int(self.geometry.geometryObjects[geometry].parentJoint)
-        if any(geometry == number for name in self.carried for number, _ in self.parts[name]):
-            joint = self.arm.tool_joint
+        joint = self._joint_of(geometry)
         if joint == 0:
             return np.zeros((3, self.arm.n))
         columns = pin.getJointJacobian(self.arm.model, self.arm.data, joint, pin.WORLD)

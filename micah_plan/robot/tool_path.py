@@ -68,6 +68,7 @@ class ArmFailure:
         names: the joint at its limit, or the pair that meets; empty for others.
         amount: how far the tool stays behind, how deep the pair meets, or how far a joint would jump [m or rad].
         sentence, remedy: the same in words.
+        overlap: of a collision that no posture changes, where the tool is while it lasts: `ClearanceModel.overlap`.
     """
 
     knot: int
@@ -76,6 +77,7 @@ class ArmFailure:
     amount: float
     sentence: str
     remedy: str
+    overlap: tuple[tuple[Floats, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +147,8 @@ def follow(
                 if not isinstance(tried, ArmFailure):
                     rows = tried if way is path else tried[::-1]
                     found.append((follower.cost(path, rows), rows))
+                elif tried.overlap and way is path:  # so of every posture
+                    return tried
                 elif way is path:  # its knots are what a reader counts
                     failures.append(tried)
                 if len(found) >= follower.settings.enough:
@@ -240,6 +244,8 @@ class _Follower:
                 swept.append((self._sweep(path, k, q, rows[k + 1], None), k))
         closest, knot = min(swept, key=lambda pair: pair[0].distance)
         met = np.isfinite(closest.distance)
+        margins = np.minimum(rows - self.arm.lower, self.arm.upper - rows).min(axis=0)
+        nearest = int(np.argmin(margins))
         return ArmTrajectory(
             joints=self.arm.joints,
             positions=rows,
@@ -249,6 +255,8 @@ class _Follower:
             closest_pair=closest.pair if met else (),
             closest_knot=knot,
             deviation=_deviation(self.arm, rows),
+            limit_margin=float(margins[nearest]) if np.isfinite(margins[nearest]) else None,
+            limit_joint=self.arm.joints[nearest] if np.isfinite(margins[nearest]) else "",
         )
 
     def _step(self, path: ToolPath, knot: int, q: Floats) -> Reached:
@@ -304,7 +312,8 @@ class _Follower:
         apart = quantity(abs(clearance.distance), "m")
         says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
         sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's root, the grasp or the scene"
-        return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy)
+        overlap = self.model.overlap(clearance.pair)
+        return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy, overlap)
 
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
         away = float(np.linalg.norm(reached.error[3:]))

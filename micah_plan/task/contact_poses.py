@@ -4,6 +4,7 @@ A belief's mean may lie where no object can be: while it is unsure whether the l
 joint is that of the free one although the hand is low; where it is unsure whether it latched, the mean closes further
 than the latch. For drawing and for an arm's clearances the hand's place counts, and the rest follows from contact: the
 joint as the hand's height above the face asks for, flat parts flat, a latched object that rests turned in the hand.
+Only where the joint is closed does the object stop the hand.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Face, Grip
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Tie
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.scene.body import corners
 from micah_plan.scene.surroundings import faces_of
@@ -58,14 +59,23 @@ def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Fl
     for contact in automaton.modes:  # line before surface: pressing passes from one to the other
         for tie in contact.ties:
             low, high = contact.invariant.interval(tie.coordinate)
-            asked = float(tie.value(x))
-            closes = 1.0 if low + high > 2 * x[tie.coordinate] else -1.0
-            begin = low if closes > 0 else high
-            touches = (asked - x[tie.coordinate]) * closes > 0 or bool(automaton.mode(mode).ties)
+            closes = _closing(automaton, contact.name, tie)
+            begin, end = (low, high) if closes > 0 else (high, low)
+            asked, at = float(tie.value(x)), float(x[tie.coordinate])
+            touches = bool(automaton.mode(mode).ties) or (at - end) * closes < 0 < (asked - at) * closes
             if touches and (asked - begin) * closes >= 0:
                 found, followed = contact.name, x.copy()
                 followed[tie.coordinate] = min(max(asked, low), high)
+                # At the end of the last piece the object stops the hand.
+                over, weights = followed[tie.coordinate] - asked, np.array(tie.weights)
+                followed[: tie.coordinate] += (weights * over / float(weights @ weights))[: tie.coordinate]
     return found, followed
+
+
+def _closing(automaton: HybridAutomaton, mode: str, tie: Tie) -> float:
+    """+1 where the joint grows in a contact mode as its hand presses on, -1 where it falls."""
+    rows = [h for edge in automaton.edges_from(mode) for h in edge.guard.half_spaces if h.on_input]  # withdrawing
+    return -float(np.sign(sum(float(np.dot(tie.weights[: len(h.b)], h.b)) for h in rows)))
 
 
 def _rested(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> dict[str, RigidTransform]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from micah_plan.arrays import Booleans, Floats
+from micah_plan.summaries import Summarised
 
 Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
@@ -115,6 +116,8 @@ class ArmTrajectory:
         closest_pair: names of the two that come so close; empty if nothing can meet.
         closest_knot: the knot at or after which they do.
         deviation: largest distance of the tool, halfway between knots, from the middle of its positions at them [m].
+        limit_margin: smallest distance of a joint from an end of its range [rad or m]; None if no joint has one.
+        limit_joint: its name.
     """
 
     joints: tuple[str, ...]
@@ -125,10 +128,33 @@ class ArmTrajectory:
     closest_pair: tuple[str, ...]
     closest_knot: int
     deviation: float
+    limit_margin: float | None = None
+    limit_joint: str = ""
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ReleasePlan:
+    """How the hand lets go after the last knot: it is lowered until contact is felt, opens, and withdraws.
+
+    Attributes:
+        steps: at most so many go down; contact is felt earlier.
+        contact: (n,) state in which it is expected [rad or m].
+        rest: (n,) state of the object at rest that is expected then: where a hand would hold it there [rad or m].
+        withdrawal: (W, 3) displacements of the hand, base frame [m].
+        lowering, withdrawing: the arm meanwhile, from the last knot down to the lowest place where contact may be felt,
+            and from the expected contact away with the gripper open; None without one.
+    """
+
+    steps: int
+    contact: Floats
+    rest: Floats
+    withdrawal: Floats
+    lowering: ArmTrajectory | None = None
+    withdrawing: ArmTrajectory | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Summarised):
     """What `solve` returns. A plan without success has no trajectory, so it cannot be executed by mistake.
 
     Attributes:
@@ -148,6 +174,7 @@ class Plan:
         findings: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
             part.
         arm: the robot along the trajectory; None if the problem has none.
+        release: how the hand lets go in the end; None if it keeps the object.
         warnings: one line for each thing in the model that the plan does not take into account, or that learning
             was not sure of.
     """
@@ -166,7 +193,12 @@ class Plan:
     success_interval: tuple[float, float] | None = None
     findings: tuple[Finding, ...] = ()
     arm: ArmTrajectory | None = None
+    release: ReleasePlan | None = None
     warnings: tuple[str, ...] = ()
+
+    def summary(self) -> str:
+        """Outcome and reason in one line."""
+        return f"Plan, {self.outcome}: {self.reason}"
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
-from micah_plan.quantities import common_unit
+from micah_plan.quantities import common_unit, percent, with_spread
 from micah_plan.scene.body import Body
 from micah_plan.scene.robot_description import Grasp, RobotDescription
+from micah_plan.summaries import Summarised, aligned, listed
 from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint
 from micah_plan.task.settings import PlannerSettings
@@ -34,7 +35,30 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Release:
+    """How a held object is let go.
+
+    Attributes:
+        support: body of the scene on whose upper side it is put.
+        support_std: how well the height of that side is known [m].
+        step: how far the hand goes down per control step while it feels for the support [m].
+        force: at which the contact is felt [N].
+        shift_std: how far the object moves along x and along y when the gripper opens [m].
+        fingers: (joint of the robot, position when open [rad or m]); empty: a gripper without an arm.
+        withdraw: how far the hand goes away from the object [m].
+    """
+
+    support: str
+    support_std: float = 0.002
+    step: float = 0.004
+    force: float = 2.0
+    shift_std: float = 0.002
+    fingers: tuple[tuple[str, float], ...] = ()
+    withdraw: float = 0.12
+
+
+@dataclass(frozen=True, repr=False)
+class Problem(Summarised):
     """Everything `solve` needs.
 
     Attributes:
@@ -46,6 +70,7 @@ class Problem:
         robot: the arm that holds the object; None: none is planned for.
         grasp: what it holds.
         hold: how a hand holds the object by one part; None: it stands, and its joints are moved.
+        release: how a held object is let go in the end, which the goal then speaks of; None: it stays in the hand.
         constraints: what is asked of the path, beyond the boundaries of the model.
     """
 
@@ -60,7 +85,33 @@ class Problem:
     robot: RobotDescription | None = None
     grasp: Grasp | None = None
     hold: Hold | None = None
+    release: Release | None = None
     constraints: tuple[PathConstraint, ...] = ()
+
+    def summary(self) -> str:
+        """Start, goal, confidence and what is around, in a few lines."""
+        coordinates = self.automaton.coordinates
+        start = [
+            f"{c.name} {with_spread(mean, std, c.unit, degrees=False)}"
+            for c, mean, std in zip(coordinates, self.start.mean, self.start.std, strict=True)
+        ]
+        goal = [
+            f"{coordinates[i].name} {with_spread(value, room, coordinates[i].unit, degrees=False)}"
+            for i, value, room in self.goal.target
+        ]
+        goal += [f"in mode {' or '.join(listed(self.goal.modes).split(', '))}"] if self.goal.modes else []
+        return aligned(
+            f"Problem {self.source}".strip(),
+            {
+                "start": listed(start),
+                "goal": listed(goal),
+                "confidence": percent(self.settings.confidence),
+                "planner": self.settings.method,
+                "scene": listed([body.name for body in self.scene]),
+                "held by": "a hand" if self.hold is not None else "",
+                "robot": "" if self.robot is None else "an arm",
+            },
+        )
 
     @property
     def goal_unit(self) -> str:

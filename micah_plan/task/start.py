@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,12 +28,14 @@ class Start:
         mean, std: (n,) of the Gaussian over x [rad or m].
         mode: the mode the object is in; None: the first mode whose invariant holds the mean.
         posture: (J,) joints that an arm starts with [rad or m], as a plan has them; None: any that hold the object.
+        true: (coordinate, value [rad or m]) where simulated trials truly start, whatever is believed; others are drawn.
     """
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
     mode: str | None = None
     posture: tuple[float, ...] | None = None
+    true: tuple[tuple[int, float], ...] = ()
 
 
 def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, str]:
@@ -76,15 +78,34 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
     """A true start: its mode and x (n,), from the initial Gaussian given that the mode's invariant (and Init) holds.
 
     Where the invariant is all but improbable under the belief, the mean is taken. Pinned coordinates are at their pins.
+    Coordinates that truly start elsewhere do, in the mode that is believed if it allows that, else in one that does.
 
     Raises:
-        InputError: if the start is in no mode.
+        InputError: if the start, or the true one, is in no mode.
     """
     name, reason = start_mode(automaton, start)
     if name is None:
         raise InputError(reason)
-    mode = automaton.mode(name)
-    return name, draw_states(automaton, mode, start, rng, np.zeros((1, threshold_stds(automaton).size)))[0]
+    x = draw_states(automaton, automaton.mode(name), start, rng, np.zeros((1, threshold_stds(automaton).size)))[0]
+    return (name, x) if not start.true else _true_start(automaton, start, name, x)
+
+
+def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floats) -> tuple[str, Floats]:
+    """Mode and state (n,) of a start that is elsewhere than believed."""
+    for index, value in start.true:
+        x[index] = value
+    there = replace(start, mean=tuple(x.tolist()), std=(_SMALLEST_STD,) * automaton.n, mode=believed)
+    name, reason = start_mode(automaton, there)
+    if name is None:
+        name, reason = start_mode(automaton, replace(there, mode=None))
+    if name is None:
+        raise InputError(f"the true start: {reason.removeprefix('the start ')}", remedy="choose one that a mode allows")
+    for pin in automaton.mode(name).pins:
+        if abs(x[pin.coordinate] - pin.value) > LIMIT_ROOM:
+            own = automaton.coordinates[pin.coordinate]
+            text = f"the true start: mode '{name}' holds {own.name} at {pin.value:g} {own.unit}"
+            raise InputError(f"{text}, found {x[pin.coordinate]:g}", remedy="start there, or in another mode")
+    return name, x
 
 
 def draw_states(

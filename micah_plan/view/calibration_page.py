@@ -37,7 +37,7 @@ def calibration_page(found: Calibration, title: str) -> str:
     page = {
         "title": title,
         "kind": "calibration: measured motion against the model",
-        "badge": _BADGES[found.verdict],
+        "badge": _badge(found),
         "message": SENTENCES[found.verdict],
         "notes": found.notes,
         "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
@@ -50,6 +50,14 @@ def calibration_page(found: Calibration, title: str) -> str:
         "experiment": f"{capital(found.experiment)}.",
     }
     return render("calibration.html.j2", page=page)
+
+
+def _badge(found: Calibration) -> tuple[str, Status]:
+    """The verdict; green only if the recording leaves one explanation."""
+    others = {name for one in found.effects for name in one.tied}
+    if found.verdict == "explained" and others:
+        return f"explained, by one of {len(others) + 1} causes", "fair"
+    return _BADGES[found.verdict]
 
 
 def _parameters(found: Calibration) -> Table:
@@ -93,10 +101,10 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
     """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
     lane = one.lane
     steps, runs = count(int(lane.counted.sum()), "step"), count(len(np.unique(lane.run)), "run")
-    chance = percent(one.white_probability)
+    chance = percent(one.whiteness[1])
     summary = (
         f"{steps} of {runs} were compared; a fifth of {count(len(lane.run), 'stretch', 'stretches')} was held out in "
-        f"turn. What remains has an autocorrelation of {plain(one.correlation, 2)}; noise alone would have so much "
+        f"turn. What remains has an autocorrelation of {plain(one.whiteness[0], 2)}; noise alone would have so much "
         f"with a probability of {chance}."
     )
     best = [row for row in one.ranking if row[1] > 0][:_MOST_BARS]

@@ -56,6 +56,9 @@ def draw_joint(scene: Scene, path: str, joint: Joint, limits: tuple[float, float
     curve = joint_curve(joint, *limits, look.point)
     axis = joint_axis(joint, 1.1 * size if joint.kind == "prismatic" else 1.25 * size)
     scene.reserve(curve)
+    if joint.kind == "path":
+        scene.mesh(f"{path}/path", tube(curve, 0.008 * thickness * size), color)
+        return
     if axis is None:
         rings = [tube(circle(curve[0], normal, 0.07 * size), 0.007 * thickness * size) for normal in np.eye(3)[1:]]
         scene.mesh(f"{path}/rigid", merge(rings), color)
@@ -131,7 +134,7 @@ def object_size(automaton: HybridAutomaton) -> float:
         joint = automaton.moving_joint(number)
         if joint.kind in ("revolute", "screw"):
             sizes.append(float(np.linalg.norm(np.array(joint.position) - joint.center)))
-        elif joint.kind == "prismatic":
+        elif joint.kind != "rigid":
             sizes.append(reach(automaton, number))
         sizes += [float(max(shape.size)) for shape in link_shapes(automaton, number)]
     return max(sizes)
@@ -163,7 +166,7 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
     """Shapes of a moving part, in its own frame.
 
     A thin panel from the axis to the part's origin for revolute and screw, a box along the motion for prismatic, a
-    small cube for rigid.
+    small cube for rigid and path.
 
     Args:
         joint: that moves the part.
@@ -177,7 +180,7 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
         return (_box(pose, pose.translation, frame, (length, 0.7 * length, 0.35 * length)),)
     arm = np.array(joint.position) - joint.center
     radius = float(np.linalg.norm(arm))
-    if joint.kind == "rigid" or radius < _SMALLEST / 4:
+    if joint.kind in ("rigid", "path") or radius < _SMALLEST / 4:
         return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
     frame = np.column_stack([arm / radius, np.cross(axis, arm / radius), axis])
     return (_box(pose, joint.center + arm / 2, frame, (radius, 0.05 * radius, 0.75 * radius)),)
@@ -186,7 +189,7 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
 def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
     """Shapes of the base that carries a joint, in the base frame: a post on the axis, or a rail under the motion."""
     axis, position = np.array(joint.axis), np.array(joint.position)
-    if joint.kind == "rigid":
+    if joint.kind in ("rigid", "path"):
         return ()
     if joint.kind == "prismatic":
         length = max(reach, 2 * _SMALLEST)

@@ -20,20 +20,21 @@ from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.files import replace_file
 from micah_plan.quantities import count, percent, plain
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
+from micah_plan.view.executed import configurations
 from micah_plan.view.motion import step_times, stretches
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK, mode_colors
 from micah_plan.view.placement import guards_of, thresholds
+from micah_plan.view.plan_charts import step_label
 
 _DPI = 150
 _MOST_BARS = 30
-_TRUE_COLUMN = "true_{}"
 # The view holds every mean and the ellipses that are not larger than this many times the median one. It is not much
 # narrower than high, or the other way round.
 _LARGE = 6.0
@@ -54,12 +55,13 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     Raises:
         InputError: if the plan has no trajectory.
     """
+    problem = carrying(problem)
     if plan.trajectory is None:
         raise InputError(
             f"a plan with outcome '{plan.outcome}' has no belief to draw", remedy="solve the problem first"
         )
     automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
-    executed = [] if runs is None else executed_configurations(problem, runs)
+    executed = [] if runs is None else configurations(problem, runs)
     figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
     steps, colors, settings = step_times(trajectory), mode_colors(automaton), problem.settings
     bands = [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in stretches(trajectory.modes)]
@@ -77,7 +79,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
             axes.plot(x[:, i], color=EXECUTED, lw=1.1, alpha=0.85, label=label, zorder=3)
         _plot_belief(axes, steps, trajectory.means[:, i], bars[:, i], margin)
         axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
-    grid[-1].set_xlabel("step")
+    grid[-1].set_xlabel(step_label(problem))
     grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     _legend(grid[0], grid, bbox_to_anchor=(0.5, 1.05), ncols=4, fontsize=9)
     return figure
@@ -112,20 +114,6 @@ def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]
     plot_plane(figure.add_subplot(columns[:, 0]), problem, trajectory, executed)
     upper = figure.add_subplot(columns[0, 1])
     return figure, [upper, figure.add_subplot(columns[1, 1], sharex=upper)]
-
-
-def executed_configurations(problem: Problem, runs: Recording) -> list[Floats]:
-    """(T, n) configurations [rad or m] of every run: the true ones if the recording has them, else the measured."""
-    names = [_TRUE_COLUMN.format(coordinate.name) for coordinate in problem.automaton.coordinates]
-    if any(name not in runs.extra for name in names):
-        return [track.x.copy() for track in tracks(problem.automaton, runs)]
-    found = []
-    for run in dict.fromkeys(runs.run.tolist()):
-        rows = runs.select(run=run)
-        rows = rows.select(part=rows.parts[0])
-        columns = [[float(text) if text else np.nan for text in rows.extra[name]] for name in names]
-        found.append(np.array(columns).T)
-    return found
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:

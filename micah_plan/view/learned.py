@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.certainty import ActionChannel, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import Joint, radius
+from micah_plan.automaton.joint import UNITS, Joint, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.recording.value import Recording
 from micah_plan.view.palette import MISFIT, category
@@ -28,7 +28,6 @@ _REPLACED = 2.0
 _NEARLY_A_TURN = 0.9 * np.pi
 
 
-UNITS = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad"}
 NO_JOINT = "no single joint"
 
 _SAME_DIRECTION = np.cos(np.radians(20.0))
@@ -112,6 +111,8 @@ def _same_joint(a: Joint, b: Joint, span: float) -> bool:
     if a.kind == "rigid":
         by_pose = float(np.linalg.norm(apart)) <= _SAME_PLACE_M
         return abs(a.fixed_at - b.fixed_at) <= _SAME_SHARE * span if span > 0 else by_pose
+    if a.kind == "path":
+        return a.knots == b.knots
     if abs(float(np.dot(a.axis, b.axis))) < _SAME_DIRECTION:
         return False
     between = np.subtract(b.center, a.center)
@@ -264,7 +265,7 @@ def _gap(a: Segment, b: Segment) -> int:
 def _configuration(segment: Segment, position: Floats, rotation: Rotation | None) -> Floats:
     """(k,) configurations by a segment's joint; turns are counted where it turns nearly all the way round."""
     low, high = segment.configuration_range
-    if high - low < _NEARLY_A_TURN or segment.joint.kind == "prismatic":
+    if high - low < _NEARLY_A_TURN or UNITS[segment.joint.kind] == "m":
         return inverse(segment.joint, position, rotation, near=(low + high) / 2)
     c = np.unwrap(inverse(segment.joint, position, rotation))
     turns = np.round((segment.configuration_start - c[:1]) / (2 * np.pi))

@@ -69,7 +69,7 @@ def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
         space.quiver(*curve[0], *(1.12 * (curve[1] - curve[0])), color=INK, lw=1.6, arrow_length_ratio=0.08)
         return [curve]
     center = np.array(joint.center)
-    if float(np.linalg.norm(center - curve.mean(axis=0))) > _FAR * size:
+    if joint.kind == "path" or float(np.linalg.norm(center - curve.mean(axis=0))) > _FAR * size:
         return [curve]
     axis = joint_axis(joint, 0.55 * size)
     if axis is None:

@@ -80,6 +80,8 @@ def joint_words(segment: Segment) -> str:
     if joint.kind == "rigid":
         return "at rest"
     travel = segment.configuration_range[1] - segment.configuration_range[0]
+    if joint.kind == "path":
+        return f"travels {quantity(travel, 'm')} along a curve"
     words = [f"travels {quantity(travel, 'm')}" if joint.kind == "prismatic" else f"turns {in_degrees(travel)}"]
     words += [] if joint.kind == "prismatic" else [f"radius {quantity(radius(joint), 'm')}"]
     words += [f"pitch {quantity(joint.pitch, 'm/rad')}"] if joint.kind == "screw" else []
@@ -110,8 +112,15 @@ def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
     if not recorded:
         return "actions: none recorded"
     channel = learned.channel
+    if any(stretch.colored.segment.joint.kind == "path" for stretch in learned.stretches):
+        return "actions: their channel is not estimated along a path"
     if channel is None:
         return "actions: they do not explain the motion"
+    return f"actions: {action_words(channel)}"
+
+
+def action_words(channel: ActionChannel) -> str:
+    """What actions make of the part's steps, with one standard deviation each."""
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
     delay = f"{with_spread(abs(channel.delay), std['delay'], 's')} {'after' if channel.delay >= 0 else 'before'} it"
     if abs(channel.delay) < std["delay"]:
@@ -120,7 +129,7 @@ def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
     turned = f"turned by {in_degrees(angle, spread)}"
     frame = f"in a frame {turned}" if angle > 2 * spread else f"in the base frame ({turned})"
     return (
-        f"actions: they explain {percent(channel.explained, 0)} of the steps; the part makes "
+        f"they explain {percent(channel.explained, 0)} of the steps; the part makes "
         f"{with_spread(channel.gain, std['gain'], '')} of a recorded action, {delay}; it is given {frame}"
     )
 

@@ -21,6 +21,8 @@ Moved = Mapping[str, RigidTransform]
 _DURATION_S = 10.0
 _FRAMES_PER_STEP = 3
 _TRANSITION_S = 0.02
+# A mode that is left in the instant in which it is entered is shown so long.
+_PASSING_S = 0.4
 _REST_S = 0.8
 
 
@@ -53,13 +55,29 @@ def step_times(trajectory: Trajectory) -> NDArray[np.int64]:
 def knot_times(trajectory: Trajectory) -> Floats:
     """(K,) [s] on the page's clock, strictly increasing."""
     steps = step_times(trajectory)
-    passed = np.concatenate([[0], np.cumsum(trajectory.is_transition)])
-    return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed * _TRANSITION_S)
+    takes = np.where(trajectory.is_transition, _TRANSITION_S, 0.0)
+    for first, until in stretches(trajectory.modes)[:-1]:
+        if steps[first] == steps[until]:
+            takes[until - 1] = _PASSING_S
+    passed = np.concatenate([[0.0], np.cumsum(takes)])
+    return np.asarray(steps * (_DURATION_S / max(int(steps[-1]), 1)) + passed)
 
 
-def duration(trajectory: Trajectory) -> float:
-    """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen."""
-    return float(knot_times(trajectory)[-1]) + _REST_S
+def times_of_steps(trajectory: Trajectory, steps: Floats) -> Floats:
+    """(k,) [s] on the page's clock of steps (k,), also of those that come after the plan's last."""
+    known, times = step_times(trajectory), knot_times(trajectory)
+    beyond = np.maximum(steps - known[-1], 0.0) * (_DURATION_S / max(int(known[-1]), 1))
+    return np.asarray(np.interp(steps, known, times) + beyond)
+
+
+def duration(trajectory: Trajectory, steps: float = 0.0) -> float:
+    """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen.
+
+    Args:
+        steps: that are shown at least, where runs took more than the plan.
+    """
+    last = max(float(step_times(trajectory)[-1]), steps)
+    return float(times_of_steps(trajectory, np.array([last]))[0]) + _REST_S
 
 
 def keyframes(trajectory: Trajectory) -> Keyframes:

@@ -6,6 +6,7 @@ the assets. The same value gives the same bytes.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from micah_plan.errors import InputError
 from micah_plan.view.svg import Svg
 
 if TYPE_CHECKING:
@@ -23,9 +25,10 @@ if TYPE_CHECKING:
 Status = Literal["good", "fair", "bad"]
 
 _ASSETS = Path(__file__).parent / "assets"
+_PAGE_DATA = re.compile(r'<script type="application/json" id="page-data">(.*?)</script>', re.DOTALL)
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|(?:m|mm|rad|s|min|h|N|nats|σ)\b))")
-_PLAYER_KEYS = (("space", "play, pause"), ("← →", "step"), ("Home End", "first, last"))
+_PLAYER_KEYS = (("space", "play, pause"), ("← →", "step"), ("p", "panels"), ("w m o", "views"))
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,25 @@ class Table:
 
 
 @dataclass(frozen=True)
+class RunEntry:
+    """One of the runs that a page can show, alone or with the others.
+
+    Attributes:
+        label: in the list to choose from.
+        words: sentences about it, shown while it is chosen.
+        layer: of the scene with what belongs to it alone; empty: nothing does.
+        readouts: as of `Timeline`, shown below these while it is chosen.
+        drawn_as: number by which elements of the charts (``data-run``) belong to it.
+    """
+
+    label: str
+    words: tuple[str, ...]
+    layer: str
+    drawn_as: int
+    readouts: tuple[tuple[float, tuple[str, ...]], ...] = ()
+
+
+@dataclass(frozen=True)
 class ScenePage:
     """Everything on a page with a 3-D scene, except the scene.
 
@@ -144,6 +166,7 @@ class ScenePage:
         legend, timeline: see their types.
         hidden: layers that are switched off at first.
         charts: shown in a column of their own, below the panel where the window is narrow.
+        runs: to choose from; the first is shown at first.
     """
 
     title: str
@@ -158,6 +181,7 @@ class ScenePage:
     timeline: Timeline = field(default_factory=Timeline)
     hidden: Sequence[str] = ()
     charts: Sequence[Chart] = ()
+    runs: Sequence[RunEntry] = ()
 
 
 def render_scene(page: ScenePage, scene: Scene) -> str:
@@ -165,16 +189,42 @@ def render_scene(page: ScenePage, scene: Scene) -> str:
     from micah_plan.view.scene import layer_path, viewer_javascript
 
     data = {
+        "title": page.title,
         "commands": scene.encoded(),
         "camera": page.camera,
         "duration": page.timeline.duration,
         "readouts": [[time, list(lines)] for time, lines in page.timeline.readouts],
         "layers": {entry.layer: layer_path(entry.layer) for entry in page.legend if entry.layer},
         "hidden": list(page.hidden),
+        "runs": [
+            {
+                "words": list(run.words),
+                "path": layer_path(run.layer) if run.layer else [],
+                "drawn": run.drawn_as,
+                "readouts": [[round(time, 4), list(lines)] for time, lines in run.readouts],
+            }
+            for run in page.runs
+        ],
         "charts": [[[round(time, 4), round(x, 1)] for time, x in chart.keyframes] for chart in page.charts],
     }
-    keys = [*_PLAYER_KEYS, *((entry.key, entry.key_label) for entry in page.legend if entry.key)]
+    keys = [
+        *_PLAYER_KEYS,
+        *([("r", "next run")] if page.runs else []),
+        *((entry.key, entry.key_label) for entry in page.legend if entry.key),
+    ]
     return render("scene.html.j2", page=page, data=data, keys=keys, viewer=Markup(viewer_javascript()))  # noqa: S704
+
+
+def bare_scene(page: str) -> str:
+    """The scene of a page of `render_scene` alone: MeshCat's viewer with its own controls, and no panels."""
+    from micah_plan.view.scene import viewer_javascript
+
+    found = _PAGE_DATA.search(page)
+    if found is None:
+        raise InputError("the page has no scene", remedy="take the page of a recording, a model or a plan")
+    data = json.loads(found[1])
+    named = {"title": data["title"], "kind": "scene"}
+    return render("bare.html.j2", page=named, data=data, viewer=Markup(viewer_javascript()))  # noqa: S704
 
 
 def render(template: str, **values: object) -> str:

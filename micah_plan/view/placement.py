@@ -63,8 +63,8 @@ def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None =
 
 
 def joint_axis(joint: Joint, length: float) -> Floats | None:
-    """(2, 3) ends of the axis to draw, centred beside the part's origin; None for rigid."""
-    if joint.kind == "rigid":
+    """(2, 3) ends of the axis to draw, centred beside the part's origin; None for rigid and path."""
+    if joint.kind in ("rigid", "path"):
         return None
     axis = np.array(joint.axis)
     middle = np.array(joint.position if joint.kind == "prismatic" else joint.center)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +10,20 @@ from scipy.stats import chi2
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
+from micah_plan.recording.value import Recording
 from micah_plan.scene.body import corners
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 from micah_plan.task.start import start_mode
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import draw_copy, draw_shapes, link_shapes, object_size, shown_links
+from micah_plan.view.executed import ExecutedRun, executed_runs
+from micah_plan.view.letting_go import LettingGo, goal_poses, joined, letting_go, release_facts
 from micah_plan.view.model_page import draw_ground_and_frame, draw_mode_joints, draw_object, ground_legend
 from micah_plan.view.motion import (
     Keyframes,
@@ -35,6 +41,7 @@ from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline,
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
+from micah_plan.view.run_layers import draw_runs, first_runs, runs_badge, runs_details, runs_legend
 from micah_plan.view.scene import Scene, slug, transforms
 from micah_plan.view.solids import straightened, tube
 from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
@@ -48,46 +55,85 @@ _BADGES: dict[str, tuple[str, Status]] = {
 }
 
 
-def plan_page(plan: Plan, problem: Problem, *, title: str = "Plan") -> str:
-    """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal."""
+def plan_page(
+    plan: Plan,
+    problem: Problem,
+    *,
+    title: str = "Plan",
+    executed: Recording | None = None,
+    failures: Mapping[int, str] | None = None,
+) -> str:
+    """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal.
+
+    Args:
+        plan, problem: what is planned.
+        title: of the page.
+        executed: runs of the plan, which are shown beside it.
+        failures: why runs failed, by run, as execution said it; None: success is judged by their last rows.
+
+    Raises:
+        InputError: if the runs have other parts than the model, or there is no trajectory that they could follow.
+    """
     problem = with_shown_points(problem)
     automaton = problem.automaton
     if plan.trajectory:
         plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
-    scene = Scene()
-    size = object_size(automaton)
+    runs = _executed(plan, problem, executed, failures)
+    scene, size = Scene(), object_size(automaton)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
     goal = _goal(problem, keys)
-    moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
+    after = letting_go(plan, problem, keys, _end(plan.trajectory, runs)) if plan.trajectory else None
+    keys, moved = _whole(problem, keys, after)
     draw_object(scene, automaton, keys, moved)
     draw_mode_joints(scene, automaton, keys, moved, size)
     _draw_state(scene, "start", problem, _start_mode(problem), np.array(problem.start.mean), START)
-    _draw_state(scene, "goal", problem, goal.modes[0], goal.states[0], GOAL)
+    _draw_state(scene, "goal", problem, goal.modes[0], goal.states[0], GOAL, goal_poses(problem, goal.states[0]))
     if plan.trajectory:
         _draw_belief(scene, problem, keys, size)
     if problem.hold is not None:
         _draw_changes(scene, problem, keys)
     if plan.trajectory and plan.arm:
-        draw_arm(scene, problem, plan.arm, knot_times(plan.trajectory), keys.times)
+        draw_arm(scene, problem, plan.arm, knot_times(plan.trajectory), keys.times, after)
     draw_bodies(scene, problem.scene)
+    listed = draw_runs(scene, automaton, plan.trajectory, first_runs(runs), size) if plan.trajectory else []
     spacing = draw_ground_and_frame(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
     points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
     page = ScenePage(
         title=title,
-        kind="plan",
+        kind="plan and its execution" if runs else "plan",
         camera=camera(scene, points, body_boxes(problem.scene)),
-        badge=_BADGES[plan.outcome],
-        message=plan.reason,
+        badge=runs_badge(runs) if runs else _BADGES[plan.outcome],
+        message=f"{_BADGES[plan.outcome][0].lower()}: {plan.reason}" if runs else plan.reason,
         chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
         facts=_facts(plan, problem),
-        legend=_legend(plan, problem, size, spacing),
-        details=_details(plan, problem),
-        timeline=_timeline(plan.trajectory, automaton) if plan.trajectory else Timeline(),
+        legend=[*(runs_legend() if runs else []), *_legend(plan, problem, size, spacing)],
+        details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
+        timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
-        charts=plan_charts(plan, problem),
+        charts=plan_charts(plan, carrying(problem), runs),
+        runs=listed,
     )
     return render_scene(page, scene)
+
+
+def _whole(problem: Problem, keys: Keyframes, after: LettingGo | None) -> tuple[Keyframes, Moved]:
+    """Frames of a plan and of what follows it, and the poses of the parts in them."""
+    automaton = problem.automaton
+    moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
+    if after is None:
+        return keys, moved
+    return joined(keys, after), {name: transforms([*poses, *after.moved[name]]) for name, poses in moved.items()}
+
+
+def _executed(
+    plan: Plan, problem: Problem, executed: Recording | None, failures: Mapping[int, str] | None
+) -> tuple[ExecutedRun, ...]:
+    if executed is None:
+        return ()
+    if plan.trajectory is None:
+        raise InputError("the plan has no trajectory that runs could follow", remedy="show it without runs")
+    return executed_runs(carrying(problem), plan.trajectory, executed, failures)
 
 
 def _start_mode(problem: Problem) -> str:
@@ -108,9 +154,11 @@ def _goal(problem: Problem, keys: Keyframes) -> Keyframes:
     return _still((*inside, *problem.goal.modes, keys.modes[-1])[0], x)
 
 
-def _draw_state(scene: Scene, layer: str, problem: Problem, mode: str, x: Floats, color: str) -> None:
-    """A pale copy of the moving parts at one state."""
-    poses = settled_poses(problem, mode, x)
+def _draw_state(
+    scene: Scene, layer: str, problem: Problem, mode: str, x: Floats, color: str, poses: Moved | None = None
+) -> None:
+    """A pale copy of the moving parts at one state, or at poses (single)."""
+    poses = settled_poses(problem, mode, x) if poses is None else poses
     for number, link in shown_links(problem.automaton):
         shapes = link_shapes(problem.automaton, number)
         draw_copy(scene, f"{layer}/{slug(link.child, number)}", shapes, poses[link.child], color, 0.28)
@@ -179,8 +227,8 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     for index, value, tolerance in problem.goal.target:
         goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)
         facts.append((f"Goal for {coordinates[index].name}", goal))
-    if problem.goal.modes:
-        facts.append(("Goal modes", ", ".join(problem.goal.modes)))
+    if modes := carrying(problem).goal.modes:
+        facts.append(("Goal modes", ", ".join(modes)))
     if plan.goal_error is not None:
         facts.append(("Distance to target", quantity(plan.goal_error, problem.goal_unit)))
     if plan.goal_std is not None:
@@ -194,7 +242,7 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
         facts.append(("Cost", plain(plan.cost)))
     if plan.trajectory is not None:
         facts.append(("Steps", f"{step_times(plan.trajectory)[-1]}"))
-    return [*facts, *arm_facts(plan), ("Seed", str(plan.seed))]
+    return [*facts, *release_facts(plan, problem), *arm_facts(plan), ("Seed", str(plan.seed))]
 
 
 def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
@@ -214,12 +262,22 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
     return [*details, ("Start belief", [*start, f"mode {_start_mode(problem)}"])]
 
 
-def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
-    steps, times, end = step_times(trajectory), knot_times(trajectory), duration(trajectory)
+def _end(trajectory: Trajectory, runs: Sequence[ExecutedRun]) -> float:
+    """Duration of a plan and of runs that may take longer [s]."""
+    return duration(trajectory, max((len(run.x) - 1.0 for run in runs), default=0.0))
+
+
+def _timeline(
+    trajectory: Trajectory, problem: Problem, runs: Sequence[ExecutedRun], after: LettingGo | None
+) -> Timeline:
+    automaton, period = problem.automaton, parameters_of(problem).control_period
+    steps, times = step_times(trajectory), knot_times(trajectory)
+    end = _end(trajectory, runs)
     stds = np.sqrt((trajectory.factors**2).sum(axis=2))
     readouts = []
     for k, time in enumerate(times):
-        lines = [f"step {steps[k]} of {steps[-1]}, mode {trajectory.modes[k]}"]
+        passed = quantity(float(steps[k] * period), "s")
+        lines = [f"step {steps[k]} of {steps[-1]} ({passed}), mode {trajectory.modes[k]}"]
         for i, c in enumerate(automaton.coordinates):
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
             lines.append(f"{c.name} = {with_spread(mean, std, c.unit, degrees=False)} (1 σ)")
@@ -229,6 +287,11 @@ def _timeline(trajectory: Trajectory, automaton: HybridAutomaton) -> Timeline:
         Band(float(times[first]), float(until), colors[trajectory.modes[first]], trajectory.modes[first])
         for first, until in zip(entered, [*times[entered[1:]], end], strict=True)
     ]
+    if after is not None:
+        bands += after.bands
+        said = ("lowered until contact is felt", "gripper opened, the object turns until it lies", "hand withdraws")
+        readouts += [(band.start, (words,)) for band, words in zip(after.bands, said, strict=True)]
+        end = bands[-1].end
     return Timeline(end, tuple(bands), tuple(readouts))
 
 

@@ -6,13 +6,12 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
-from micah_plan.automaton.joint import radius
+from micah_plan.automaton.joint import UNITS, radius
 from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import (
-    UNITS,
     ColoredSegment,
     colored_segments,
     is_misfit,
@@ -181,8 +180,9 @@ def _described(colored: ColoredSegment) -> str:
         words.append(f"radius {quantity(radius(joint), 'm')}")
     if joint.kind == "screw":
         words.append(f"pitch {quantity(joint.pitch, 'm/rad')}")
-    if joint.kind != "rigid":
+    if joint.kind not in ("rigid", "path"):
         words.append(f"axis ({', '.join(plain(a) for a in joint.axis)})")
+    if joint.kind != "rigid":
         words.append(f"from {interval(*segment.configuration_range, UNITS[joint.kind])}")
     joined = f"{colored.label}: {', '.join(words)}" if words else colored.label
     return f"{joined}; probability {percent(segment.probability)}"

@@ -149,8 +149,8 @@ def slug(name: str, index: int) -> str:
 
 
 def layer_path(layer: str) -> list[str]:
-    """Path of a layer in the viewer's scene tree."""
-    return [_ROOT, layer]
+    """Path of a layer in the viewer's scene tree; ``runs/3`` is a layer within another."""
+    return [_ROOT, *layer.split("/")]
 
 
 def transforms(poses: Sequence[RigidTransform]) -> RigidTransform:

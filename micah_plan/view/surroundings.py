@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import plain, quantity
 from micah_plan.scene.body import Body, Hull, Shape, corners, transform
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
+from micah_plan.view.letting_go import LettingGo
 from micah_plan.view.page import LegendEntry
 from micah_plan.view.palette import MUTED
 from micah_plan.view.scene import Scene, slug
@@ -41,12 +42,20 @@ def body_boxes(bodies: Sequence[Body]) -> Floats:
     return np.array([[p.min(axis=0), p.max(axis=0)] for p in points]).reshape(-1, 2, 3)
 
 
-def draw_arm(scene: Scene, problem: Problem, arm: ArmTrajectory, knot_times: Floats, times: Floats) -> None:
+def draw_arm(
+    scene: Scene,
+    problem: Problem,
+    arm: ArmTrajectory,
+    knot_times: Floats,
+    times: Floats,
+    after: LettingGo | None = None,
+) -> None:
     """The links of the arm, moving from knot to knot straight in the joints.
 
     Args:
         knot_times: (K,) of the plan's knots [s].
         times: (k,) of the keyframes [s].
+        after: how it lets go of the object after the plan, if it does.
 
     Raises:
         InputError: if the robot's file cannot be used, for instance because its meshes are not where the plan is.
@@ -57,10 +66,23 @@ def draw_arm(scene: Scene, problem: Problem, arm: ArmTrajectory, knot_times: Flo
     from micah_plan.robot.solids import link_shapes
 
     model = load_arm(problem.robot)
-    q = np.stack([np.interp(times, knot_times, column) for column in arm.positions.T], axis=1)
+    positions = arm.positions
+    if after is not None and len(after.arm):
+        knot_times, positions = np.concatenate([knot_times, after.arm_times]), np.vstack([positions, after.arm])
+    q = np.stack([np.interp(times, knot_times, column) for column in positions.T], axis=1)
     poses = np.stack([model.joint_matrices(row) for row in q])
-    for number, (joint, shape) in enumerate(link_shapes(model)):
-        _draw(scene, f"{ROBOT_LAYER}/{joint}/{number}", shape)
+    shapes = link_shapes(model)
+    robot = None if after is None else after.open_robot
+    opened = shapes if robot is None else link_shapes(load_arm(robot))
+    for number, ((joint, shape), (_, away)) in enumerate(zip(shapes, opened, strict=True)):
+        path = f"{ROBOT_LAYER}/{joint}/{number}"
+        if after is not None and away != shape:  # a finger, which slides as the gripper opens
+            moves = np.interp(times, after.opened, [0.0, 1.0])[:, None] * np.subtract(away.position, shape.position)
+            still = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+            path = f"{ROBOT_LAYER}/{joint}/finger {number}"
+            scene.animate(path, times, RigidTransform.from_components(moves, Rotation.from_quat(still)))
+            path += "/0"
+        _draw(scene, path, shape)
         for i in range(0, len(q), max(1, len(q) // _RESERVED_POSES)):
             scene.reserve(RigidTransform.from_matrix(poses[i, joint]).apply(corners(shape)))
     for joint in range(1, poses.shape[1]):
@@ -73,6 +95,8 @@ def arm_facts(plan: Plan) -> list[tuple[str, str]]:
     if arm is None:
         return []
     facts = [("Least manipulability", plain(float(arm.manipulability.min())))]
+    if arm.limit_margin is not None:
+        facts.insert(0, ("Nearest to its limit", f"{arm.limit_joint}, {plain(arm.limit_margin)} away"))
     if arm.least_clearance is not None:
         least = f"{quantity(arm.least_clearance, 'm')}, between {' and '.join(arm.closest_pair)}"
         facts.insert(0, ("Least clearance", least))

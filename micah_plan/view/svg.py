@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,12 +110,12 @@ class Panel:
         return element("path", kind=kind, color=color, d=f"M{path}Z")
 
     def curve(
-        self, x: NDArray[np.float64 | np.int64], y: Floats, kind: str, color: str = "", *, dots: bool = False
+        self, x: NDArray[Any], y: Floats, kind: str, color: str = "", *, dots: bool = False, data_run: str = ""
     ) -> Svg:
-        """A line through points (k,), (k,); or a dot at each."""
+        """A line through points (k,), (k,); or a dot at each. `data_run`: the run that it belongs to."""
         points = [f"{self.x(float(x[i])):.1f} {self.y(float(y[i])):.1f}" for i in evenly(len(x), _MOST_POINTS)]
         path = "".join(f"M{point}h0" for point in points) if dots else "M" + "L".join(points)
-        return element("path", kind=kind, color=color, d=path) if points else Svg()
+        return element("path", kind=kind, color=color, d=path, data_run=data_run) if points else Svg()
 
     def y_axis(self, label: str, most: int = 4) -> Svg:
         """Ticks with numbers, and the label up the side."""

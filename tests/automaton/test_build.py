@@ -248,7 +248,7 @@ class TestArguments:
             ({"release": float("nan")}, "release must be >= 0"),
             ({"input_limits": [0.1, 0.1]}, "input_limits must be 1 positive numbers"),
             ({"input_limits": [0.0]}, "input_limits must be 1 positive numbers"),
-            ({"noise": Noise((0.1, 0.1), (0.1,))}, "process_std must be 1 finite"),
+            ({"noise": Noise((0.1, 0.1), (0.1,))}, "process_std: must be 1 numbers, one for each coordinate"),
         ],
     )
     def test_bad_arguments(self, arguments: dict[str, object], message: str) -> None:

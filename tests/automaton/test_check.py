@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -41,16 +43,14 @@ MISTAKES = {
     "coordinate names must be unique": replace(cabinet(), coordinates=(Coordinate("x", "m"),) * 2),
     "part names must be unique": replace(door(), parts=(Part("door"), Part("door"))),
     "at least one coordinate and one mode": replace(door(), modes=(), edges=()),
-    "unit of door must be one of rad, m. Got 'deg'": replace(door(), coordinates=(Coordinate("door", "deg"),)),
     "link to door: coordinate must be 0 to 0. Got -1": replace(door(), links=(Link("base", "door", -1),)),
     "link to door: parent must be base": replace(door(), links=(Link("bsae", "door", 0),)),
-    "part door must be the child of one link": replace(door(), links=(Link("base", "door", 0),) * 2),
-    "mode revolute: must have one joint per link, 1. Got 0": with_mode(joints=()),
-    "mode revolute: input matrix B must have shape (1, 1). Got 1 rows of [2]": with_mode(input_matrix=((1.0, 0.0),)),
-    "mode revolute: input matrix B must be finite": with_mode(input_matrix=((np.nan,),)),
-    "mode revolute: invariant: half-space 'h' must have 1 state and 1 input weights. Got 2 and 1": with_mode(
-        invariant=Region((HalfSpace((1.0, 0.0), (0.0,), 0.0, name="h"),))
+    "part door must be the child of one link": replace(
+        door(),
+        links=(Link("base", "door", 0),) * 2,
+        modes=tuple(replace(mode, joints=mode.joints * 2) for mode in door().modes),
     ),
+    "mode revolute: input matrix B must be finite": with_mode(input_matrix=((np.nan,),)),
     "mode revolute: invariant must not be empty": with_mode(invariant=guard(([1], [0], 1.0), ([-1], [0], 0.0))),
     "mode revolute: admissible inputs must not be empty": with_mode(inputs=guard(([0], [1], 1.0), ([0], [-2], 0.0))),
     "mode rigid: pinned coordinate must be 0 to 0. Got 1": shut(pins=(Pin(1, 0.0, 0.1),)),
@@ -82,22 +82,11 @@ MISTAKES = {
     "edge rigid -> revolute: guard must not be empty": with_edge(
         Edge("rigid", "revolute", guard(([1], [0], 0.0, True), ([-1], [0], 0.0)))
     ),
-    "edge rigid -> revolute: guard: half-space '' must have 1 state and 1 input weights. Got 1 and 2": with_edge(
-        Edge("rigid", "revolute", guard(([1], [0, 0], 0.0)))
-    ),
     "edge rigid -> rigid: a self transition must have a reset": with_edge(Edge("rigid", "rigid", IN)),
-    "edge rigid -> rigid: reset matrix A must have shape (1, 1)": with_edge(
-        Edge("rigid", "rigid", IN, Reset(A=((1.0,), (1.0,))))
-    ),
-    "edge rigid -> rigid: reset matrix B must have shape (1, 1)": with_edge(Edge("rigid", "rigid", IN, Reset(B=((),)))),
-    "edge rigid -> rigid: reset offset c must have shape (1, 1)": with_edge(
-        Edge("rigid", "rigid", IN, Reset(c=(0.0, 0.0)))
-    ),
     "unknown mode 'ajar'": replace(door(), init=(("ajar", Region()),)),
     "init of mode rigid must not be empty": replace(door(), init=(("rigid", guard(([0], [0], 1.0))),)),
     "noise: process_std must be 1 finite numbers >= 0. Got [-0.1]": replace(door(), noise=Noise((-0.1,), (0.1,))),
     "noise: observation_std must be 1 numbers > 0. Got [0.0]": replace(door(), noise=Noise((0.1,), (0.0,))),
-    "noise: observation_std must be 1 numbers > 0. Got [0.1, 0.1]": replace(door(), noise=Noise((0.1,), (0.1, 0.1))),
     "mode rigid: measured coordinate must be 0 to 0. Got 1": shut(observation_std=((1, 0.1),)),
     "mode rigid: observation_std of door must be a finite number > 0, here and in the model's noise. Got 0.0 and": shut(
         observation_std=((0, 0.0),)
@@ -112,6 +101,37 @@ MISTAKES = {
         door(), noise=Noise((0.1,), (0.1,), Light(((0, 0.0),), (-1.0,)))
     ),
 }
+
+
+WRONG_SIZES: dict[str, Callable[[], object]] = {
+    "unit of door must be one of rad, m. Got 'deg'": lambda: Coordinate("door", "deg"),
+    "mode revolute: must have 1 joints, one for each link (door). Got 0": lambda: with_mode(joints=()),
+    "mode revolute: input_matrix: must be 1 x 1: one for each coordinate (door), one column for each input (door). Got "
+    "1 x 2": lambda: with_mode(input_matrix=((1.0, 0.0),)),
+    "mode revolute: input_matrix: must be rows of numbers": lambda: with_mode(input_matrix=(1.0,)),
+    "mode revolute: invariant, half-space 1 'h': must have 1 weights of coordinates and 1 of inputs. Got 2 and 1": (
+        lambda: with_mode(invariant=Region((HalfSpace((1.0, 0.0), (0.0,), 0.0, name="h"),)))
+    ),
+    "edge rigid -> revolute: guard, half-space 1: must have 1 weights of coordinates and 1 of inputs. Got 1 and 2": (
+        lambda: with_edge(Edge("rigid", "revolute", guard(([1], [0, 0], 0.0))))
+    ),
+    "edge rigid -> rigid: reset matrix A: must be 1 x 1": lambda: with_edge(
+        Edge("rigid", "rigid", IN, Reset(A=((1.0,), (1.0,))))
+    ),
+    "edge rigid -> rigid: reset matrix B: must be 1 x 1": lambda: with_edge(Edge("rigid", "rigid", IN, Reset(B=((),)))),
+    "edge rigid -> rigid: reset offset c: must be 1 numbers, one for each coordinate (door). Got 2": lambda: with_edge(
+        Edge("rigid", "rigid", IN, Reset(c=(0.0, 0.0)))
+    ),
+    "noise: observation_std: must be 1 numbers, one for each coordinate (door). Got 2": lambda: replace(
+        door(), noise=Noise((0.1,), (0.1, 0.1))
+    ),
+}
+
+
+@pytest.mark.parametrize("message", WRONG_SIZES)
+def test_a_wrong_size_is_told_when_the_automaton_is_made(message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        WRONG_SIZES[message]()
 
 
 @pytest.mark.parametrize("message", MISTAKES)

@@ -13,6 +13,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.suspicion import suspicions
+from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 
 GAIN = Effect("gain", "door", (("gain", 0.9),))
@@ -135,3 +136,14 @@ def test_a_part_that_jumps_from_mode_to_mode_is_suspected() -> None:
 @pytest.mark.parametrize("automaton", [two_rails(), detent(), plain({"a": ONE}, [])])
 def test_parts_that_stay_where_they_are_are_not_suspected(automaton: HybridAutomaton) -> None:
     assert suspicions(automaton) == ()
+
+
+def test_a_transition_behind_a_more_general_one_is_never_taken(repository):
+    """A hand lets go: anywhere the thing falls, only on the shelf it stays. The more general one comes last."""
+    picking = load_model(repository / "models" / "picking.yaml")
+    assert suspicions(picking) == ()
+    falls = next(edge for edge in picking.edges if edge.target == "dropped")
+    wrong = replace(picking, edges=(falls, *(edge for edge in picking.edges if edge is not falls)))
+    lines = suspicions(wrong)
+    assert len(lines) == 2
+    assert all("holds -> free" in line and "never taken" in line for line in lines)

@@ -14,11 +14,13 @@ from micah_plan.automaton.step_noise import drawn_gains, uncertain_gains, with_g
 from micah_plan.automaton.thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.transition import step
 from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.task.problem import Problem
 
-PROBLEMS = sorted(path.name for path in (Path(__file__).parents[2] / "problems").glob("*.yaml"))
+FOLDER = Path(__file__).parents[2] / "problems"
+PROBLEMS = sorted(path.name for path in FOLDER.glob("*.yaml") if kind_of(path) == "problem")
 COUNT = 150
 
 
@@ -44,17 +46,23 @@ def same_as_one_by_one(
 def around_guards(problem: Problem, automaton: HybridAutomaton, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Modes, states within reach of a guard of theirs, inputs and disturbances, (COUNT, ...) each."""
     limits = limits_of(problem)
-    modes = rng.integers(0, len(automaton.modes), COUNT)
+    left = [i for i, mode in enumerate(automaton.modes) if automaton.edges_from(mode.name)]
+    modes = rng.choice(left or range(len(automaton.modes)), COUNT)
     x = rng.uniform(limits.lower, limits.upper, (COUNT, automaton.n))
     u = rng.uniform(-2.0, 2.0, (COUNT, automaton.m)) * limits.max_step
     u[: COUNT // 5] = 0.0
     for i, mode in enumerate(modes):
-        rows = [h for e in automaton.edges_from(automaton.modes[mode].name) for h in e.guard.half_spaces if any(h.a)]
-        if rows:
-            h = rows[rng.integers(0, len(rows))]
-            a = np.array(h.a)
-            margin = rng.choice([0.0, 0.3, -0.3, -0.9]) * float(np.abs(a) @ limits.speed)
-            x[i] += a * (h.c + margin - a @ x[i] - np.array(h.b) @ u[i]) / (a @ a)
+        guards = [e.guard.half_spaces for e in automaton.edges_from(automaton.modes[mode].name)]
+        guards = [rows for guard in guards if (rows := [h for h in guard if any(h.a)])]
+        if guards:
+            rows = guards[rng.integers(0, len(guards))]
+            rng.shuffle(rows)
+            for h in rows:  # inside of all but the last
+                a = np.array(h.a)
+                margin = rng.choice([0.0, 0.3, -0.3, -0.9]) * float(np.abs(a) @ limits.speed)
+                missing = h.c + margin - a @ x[i] - np.array(h.b) @ u[i]
+                if h is rows[-1] or missing > 0.0:
+                    x[i] += a * (missing if h is rows[-1] else missing + abs(margin)) / (a @ a)
     pushed = 0.1 * limits.speed * rng.standard_normal((COUNT, automaton.n))
     return modes, x, u, pushed
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
-from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.region import Region, above, below, input_below
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
@@ -24,8 +23,8 @@ PARTICLES = 100_000
 def door(process: float = 0.005, observation: float = 0.02, pin: float = 0.004, clamp: bool = False) -> HybridAutomaton:
     """A revolute door, held shut at 0.6 rad; leaves the latch when pulled. Optionally clamped at 0."""
     name = (Coordinate("door", "rad"),)
-    swing = Mode("swing", (revolute((0, 0, 1), (0, 0, 0), (0.3, 0, 0)),), ((1.0,),), Region((above(0, 0.0, 1, 1),)))
-    shut = Mode("shut", (rigid((0.3, 0, 0)),), ((0.0,),), Region((above(0, SHUT, 1, 1),)), pins=(Pin(0, SHUT, pin),))
+    swing = Mode("swing", (), ((1.0,),), Region((above(0, 0.0, 1, 1),)))
+    shut = Mode("shut", (), ((0.0,),), Region((above(0, SHUT, 1, 1),)), pins=(Pin(0, SHUT, pin),))
     clamps = (Edge("swing", "swing", Region((below(0, 0.0, 1, 1),)), Reset(A=((0.0,),))),) if clamp else ()
     edges = (
         Edge("swing", "shut", Region((above(0, SHUT, 1, 1),))),
@@ -38,13 +37,12 @@ def door(process: float = 0.005, observation: float = 0.02, pin: float = 0.004, 
 def slider() -> HybridAutomaton:
     """A slider whose second segment moves half as far, ending at a clamp."""
     name = (Coordinate("slider", "m"),)
-    joint = prismatic((1, 0, 0), (0, 0, 0))
     edges = (
         Edge("first", "second", Region((above(0, MIDDLE, 1, 1),))),
         Edge("second", "first", Region((below(0, MIDDLE, 1, 1, strict=True),))),
         Edge("second", "second", Region((above(0, END, 1, 1),)), Reset(((0.0,),), None, (END,))),
     )
-    modes = (Mode("first", (joint,), ((1.0,),)), Mode("second", (joint,), ((0.5,),)))
+    modes = (Mode("first", (), ((1.0,),)), Mode("second", (), ((0.5,),)))
     return HybridAutomaton(name, name, (), (), modes, edges, Noise((0.004,), (0.01,)))
 
 
@@ -218,11 +216,10 @@ def test_errors_match_the_predicted_spread(
 def cabinet() -> HybridAutomaton:
     """A door, then a drawer behind it: three modes in a chain, a stop at the end and resets that move x."""
     names = (Coordinate("door", "rad"), Coordinate("drawer", "m"))
-    joints = (revolute((0, 0, 1), (0, 0, 0), (0.3, 0, 0)), prismatic((1, 0, 0), (0, 0, 0)))
     modes = (
-        Mode("door", joints, ((1.0, 0.0), (0.0, 0.0))),
-        Mode("drawer", joints, ((0.0, 0.0), (0.0, 1.0)), pins=(Pin(0, 1.0, 1e-7),)),
-        Mode("far", joints, ((0.0, 0.0), (0.0, 0.4)), pins=(Pin(0, 1.0, 1e-7),)),
+        Mode("door", (), ((1.0, 0.0), (0.0, 0.0))),
+        Mode("drawer", (), ((0.0, 0.0), (0.0, 1.0)), pins=(Pin(0, 1.0, 1e-7),)),
+        Mode("far", (), ((0.0, 0.0), (0.0, 0.4)), pins=(Pin(0, 1.0, 1e-7),)),
     )
     edges = (
         Edge("door", "drawer", Region((above(0, 1.0, 2, 2),))),

@@ -26,6 +26,7 @@ from micah_plan.automaton.hybrid import (
     Reset,
 )
 from micah_plan.automaton.joint import JOINT_KINDS, Joint, ParameterCovariance, prismatic, revolute, rigid, screw
+from micah_plan.automaton.path import path
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.sensing import Light
 
@@ -62,8 +63,16 @@ def joints(draw: st.DrawFn) -> Joint:
         "prismatic": lambda: prismatic(axis, position, quaternion),
         "revolute": lambda: revolute(axis, draw(VECTORS), position, quaternion),
         "screw": lambda: screw(axis, draw(VECTORS), draw(MODERATE), position, quaternion),
-    }[draw(st.sampled_from(["rigid", "prismatic", "revolute", "screw"]))]()
+        "path": lambda: path(draw(knots())),
+    }[draw(st.sampled_from(JOINT_KINDS))]()
     return Joint(**{**vars(made), "covariance": draw(st.none() | covariances())})
+
+
+@st.composite
+def knots(draw: st.DrawFn) -> np.ndarray:
+    c = np.cumsum(draw(st.lists(st.floats(0.01, 1.0), min_size=4, max_size=6)))
+    poses = [(*draw(VECTORS), *draw(QUATERNIONS)) for _ in c]
+    return np.column_stack([c, poses])
 
 
 @st.composite

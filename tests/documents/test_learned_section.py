@@ -78,7 +78,11 @@ def test_without_certainty_nothing_is_written(door: HybridAutomaton) -> None:
         ("rows: [20, 39]", "rows: [20.5, 39]", "segments.1.rows.0': expected an integer, found 20.5"),
         ("rows: [20, 39]", "rows: [20]", "too few entries"),
         ("revolute: 0.98", "revolute: 0.999", "expected probabilities that sum to at most 1, found 1.014"),
-        ("revolute: 0.98", "hinge: 0.98", "expected 'rigid', 'prismatic', 'revolute' or 'screw', found 'hinge'"),
+        (
+            "revolute: 0.98",
+            "hinge: 0.98",
+            "expected 'rigid', 'prismatic', 'revolute', 'screw' or 'path', found 'hinge'",
+        ),
         ("[0.01, 0.0, 0.0, 0.0, 0.0]", "[0.01, 0.0, 0.0]", "expected 5 rows of 5, found 5 rows of 3, 5"),
         (
             "[0.01, 0.0, 0.0, 0.0, 0.0]",

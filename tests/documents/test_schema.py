@@ -12,13 +12,13 @@ from typing import Any
 import jsonschema
 import pytest
 
-from micah_plan.documents.kind import schema
+from micah_plan.documents.kind import kind_of, schema
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = {"models": "model", "models/parts": "parts", "problems": "problem", "problems/sweeps": "sweep"}
-SHIPPED = [(kind, file) for place, kind in FOLDERS.items() for file in sorted((ROOT / place).glob("*.yaml"))]
+FOLDERS = ("models", "models/parts", "problems", "problems/sweeps")
+SHIPPED = [(kind_of(file), file) for place in FOLDERS for file in sorted((ROOT / place).glob("*.yaml"))]
 
 
 def objects(node: Any) -> Iterator[dict[str, Any]]:
@@ -32,7 +32,7 @@ def objects(node: Any) -> Iterator[dict[str, Any]]:
             yield from objects(child)
 
 
-@pytest.mark.parametrize("kind", ["model", "parts", "problem", "sweep", "plan"])
+@pytest.mark.parametrize("kind", ["model", "parts", "problem", "scene", "sweep", "plan"])
 def test_every_field_is_described_and_no_other_allowed(kind: str) -> None:
     described = schema(kind)
     assert described["properties"]["format"]["const"] == f"micah-plan/{kind}/1"
@@ -51,7 +51,7 @@ def test_a_half_space_is_text_or_named_text() -> None:
 
 
 def test_another_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="choose one of model, parts, problem, sweep, plan"):
+    with pytest.raises(InputError, match="choose one of model, parts, problem, scene, sweep, plan"):
         schema("robot")
 
 
@@ -85,4 +85,4 @@ def test_the_command_writes_the_schema(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "model.json").read_text()) == schema("model")
     refused = run("robot")
     assert refused.returncode == 2
-    assert "'robot' is not one of 'problem', 'model', 'parts', 'sweep', 'plan'" in refused.stderr
+    assert "'robot' is not one of 'problem', 'model', 'parts', 'scene', 'sweep', 'plan'" in refused.stderr

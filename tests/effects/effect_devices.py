@@ -53,6 +53,19 @@ class Play:
         return self._part - before
 
 
+class Grip:
+    """A spring between drive and part, which lets go all at once when it is wound as far as it holds."""
+
+    def __init__(self, grip: float) -> None:
+        self._grip, self._drive, self._part = grip, 0.0, 0.0
+
+    def send(self, v: Any) -> Any:
+        self._drive = self._drive + v
+        before = self._part
+        self._part = np.where(np.abs(self._drive - before) < self._grip, before, self._drive)
+        return self._part - before
+
+
 class ByForm:
     """An effect that is not of the library, by its formula."""
 
@@ -64,7 +77,7 @@ class ByForm:
         return out
 
 
-DEVICES = {"delay": Line, "lag": FirstOrder, "backlash": Play}
+DEVICES = {"delay": Line, "lag": FirstOrder, "backlash": Play, "stick_slip": Grip}
 
 
 def device(effect: Effect) -> Any:

@@ -38,6 +38,7 @@ SAMPLES = {
     "delay": (1.5,),
     "lag": (2.0,),
     "backlash": (0.03, 1.0),
+    "stick_slip": (0.05,),
 }
 
 
@@ -195,3 +196,40 @@ def test_conformance_refuses_a_form_that_acts_when_neutral() -> None:
 
     with pytest.raises(InputError, match="must change nothing at the neutral parameters"):
         check_form(Wrong())
+
+
+class Stretching(EffectForm):
+    """Has the hooks of two layers."""
+
+    name, sentence, source = "stretching", "It does something.", "a test"
+    parameters = (Parameter("share", "1", 0.0),)
+
+    def command(self, ops, v, p):
+        return (1.0 + p[0]) * v
+
+
+class Bent(EffectForm):
+    name, layer, sentence, source = "bent", "sensor", "It reads a curve.", "a test"
+    parameters = (Parameter("share", "1", 0.0),)
+
+    def measured(self, ops, c, time, p):
+        return c + p[0] * c * c
+
+
+class Idle(EffectForm):
+    name, layer, sentence, source = "idle", "force", "It does nothing.", "a test"
+    parameters = (Parameter("share", "1", 0.0),)
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        (type("Sensing", (Stretching,), {"layer": "sensor"}), "its layer sensor never calls"),
+        (type("Pushing", (Stretching,), {"layer": "force"}), "its layer force never calls"),
+        (Bent, "this one is curved"),
+        (Idle, "overrides no hook"),
+    ],
+)
+def test_conformance_refuses_a_form_that_would_do_nothing_or_something_else(own, words) -> None:
+    with pytest.raises(InputError, match=words):
+        check_form(own())

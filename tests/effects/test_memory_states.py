@@ -40,6 +40,7 @@ EFFECTS = {
     "short delay": ("delay", (0.4,)),
     "lag": ("lag", (1.7,)),
     "backlash": ("backlash", (0.06, 1.0)),
+    "stick-slip": ("stick_slip", (0.0735,)),
     "open backlash": ("backlash", (0.06, -0.5)),
 }
 

@@ -42,13 +42,15 @@ def test_pinocchio_finds_the_parts_where_the_model_does(name: str) -> None:
     automaton = load_model(ROOT / "models" / f"{name}.yaml")
     robot = pin.buildModelFromXML(urdf_text(automaton, name))
     data = robot.createData()
-    order = [robot.joints[robot.getJointId(c.name)].idx_q for c in automaton.coordinates]
+    parts = {link.child for link in automaton.links}
+    joints = [f"{c.name}_joint" if c.name in parts else c.name for c in automaton.coordinates]
+    order = [robot.joints[robot.getJointId(name)].idx_q for name in joints]
     for state in np.random.default_rng(0).uniform(0.0, 1.0, (5, automaton.n)):
         q = np.zeros(robot.nq)
         q[order] = state
         pin.framesForwardKinematics(robot, data, q)
         for part, pose in part_poses(automaton, state).items():
-            found = data.oMf[robot.getFrameId(part, pin.FrameType.BODY)]
+            found = data.oMf[robot.getFrameId(part)]  # one frame of that name, whatever its kind
             np.testing.assert_allclose(found.homogeneous, pose.as_matrix(), atol=1e-9)
     for index, at in enumerate(order):
         ranges = np.clip(automaton.ranges(index), -1e9, 1e9)
@@ -86,6 +88,18 @@ def test_what_comes_back_moves_alike_and_has_its_shapes(tmp_path: Path, name: st
             np.testing.assert_allclose(getattr(last, key), getattr(first, key), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_parts_have_the_mass_of_their_shapes(name: str) -> None:
+    automaton = load_model(ROOT / "models" / f"{name}.yaml")
+    light, heavy = (pin.buildModelFromXML(urdf_text(automaton, name, density)) for density in (100.0, 700.0))
+    assert len({frame.name for frame in heavy.frames}) == len(heavy.frames), "every frame has a name of its own"
+    data = heavy.createData()
+    assert np.linalg.eigvalsh(pin.crba(heavy, data, pin.neutral(heavy))).min() > 0
+    shaped = [k for k, link in enumerate(automaton.links) if automaton.part(link.child).shapes]
+    if len(shaped) == len(automaton.links):
+        assert pin.computeTotalMass(heavy) == pytest.approx(7.0 * pin.computeTotalMass(light))
+
+
 def test_limits_stop_the_motion(tmp_path: Path) -> None:
     from micah_plan.automaton.transition import simulate
 
@@ -99,12 +113,12 @@ def test_limits_stop_the_motion(tmp_path: Path) -> None:
 
 def test_an_arm_is_a_model_too() -> None:
     automaton, notes = load_urdf(ROOT / "models" / "robots" / "arm7.urdf")
-    assert automaton.n == 7
+    assert automaton.n == 9  # seven of the arm, and two fingers
     assert notes == ()
     hand = next(part for part in automaton.parts if part.name == "flange")
-    assert len(hand.shapes) == 4  # the flange itself, the palm and two fingers are fixed to one another
+    assert len(hand.shapes) == 2  # the flange itself and the palm are fixed to one another
     robot = pin.buildModelFromUrdf(str(ROOT / "models" / "robots" / "arm7.urdf"))
-    q = np.linspace(-0.5, 0.7, 7)
+    q = np.append(np.linspace(-0.5, 0.7, 7), [0.01, 0.01])
     pin.framesForwardKinematics(robot, data := robot.createData(), q)
     pose = part_poses(automaton, q)["flange"].as_matrix()
     np.testing.assert_allclose(data.oMf[robot.getFrameId("flange")].homogeneous, pose, atol=1e-9)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
 from held_examples import stamp, tool
+from test_mujoco_path import on_a_path
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
@@ -71,8 +72,9 @@ def assert_same(leaping, careful):
         (drawer(), Start((0.05,), (0.0,)), [0.05] * 6, {"max_force": 12.0}),
         (worm(), Start((0.1,), (0.0,)), [0.3] * 3, {"max_force": 30.0}),
         (arm(), Start((0.1, 0.0), (0.0, 0.0)), [[0.1, -0.04], [0.1, 0.2]], {"gravity": 9.81}),
+        (on_a_path(door()), Start((1.0,), (0.0,), "swinging"), [0.07] * 4 + [-0.05] * 3 + [0.06] * 3, {}),
     ],
-    ids=["latch", "released", "weak hand", "screw", "chain"],
+    ids=["latch", "released", "weak hand", "screw", "chain", "path"],
 )
 def test_standing_objects(automaton, start, inputs, change, monkeypatch):
     def run():

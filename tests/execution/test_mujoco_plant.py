@@ -173,7 +173,7 @@ def test_a_reset_leaves_nothing_of_the_last_trial():
 def test_the_mass_is_shared_among_the_shapes_by_volume():
     shapes = (Primitive("box", (0.2, 0.1, 0.1)), Primitive("cylinder", (0.05, 0.2)), Primitive("sphere", (0.03,)))
     automaton = replace(drawer(), parts=(Part("drawer", shapes), Part("base", shapes[:1])))
-    world, _ = standing_world(automaton, PhysicalParameters(mass=3.0))
+    world = standing_world(automaton, PhysicalParameters(mass=3.0))[0]
     masses = [geom.mass for geom in world.spec.body("drawer").geoms]
     assert sum(masses) == pytest.approx(3.0)
     assert masses[1] / masses[0] == pytest.approx(np.pi * 0.05**2 * 0.2 / 0.002)
@@ -199,7 +199,9 @@ def test_what_cannot_be_built_is_refused_with_a_reason():
     with pytest.raises(InputError, match="lies on its axis"):
         standing_world(on_axis, IDEAL)
     with pytest.raises(InputError, match="one link per coordinate"):
-        standing_world(replace(automaton, links=()), IDEAL)
+        standing_world(
+            replace(automaton, links=(), modes=tuple(replace(mode, joints=()) for mode in automaton.modes)), IDEAL
+        )
     cone = replace(automaton, parts=(Part("door", (Primitive("cone", (1.0,)),)),))
     with pytest.raises(InputError, match="unknown shape"):
         standing_world(cone, IDEAL)

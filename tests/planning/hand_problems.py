@@ -218,3 +218,23 @@ def turning_a_cap(target: float = 2.3, revisits: int = 2) -> Problem:
         tolerance=0.05,
         planner={"revisits": revisits, "max_step": {"hand": 0.1, "grip": 1.0}, "max_knots": 100},
     )
+
+
+def swinging_back(target: float = 0.4) -> Problem:
+    """A thing is drawn out by its own input while a door is open (0.5 or more), and the door is to be back at 0."""
+    ranges = ["door >= -0.1", "door <= 1.0", "thing >= -0.1", "thing <= 1.0"]
+    modes = {
+        "shut": ({"door": "input door"}, ranges),
+        "open": ({"door": "input door", "thing": "input thing"}, ranges),
+    }
+    transitions = [("shut", "open", ["door >= 0.5"]), ("open", "shut", ["door < 0.5"])]
+    return hand_problem(
+        ["door", "thing"],
+        ["door", "thing"],
+        modes,
+        transitions,
+        {"door": 0.0, "thing": 0.0},
+        {"door": 0.0, "thing": target},
+        mode="shut",
+        planner={"revisits": 1},
+    )

@@ -15,6 +15,7 @@ from hand_problems import (
     handing_over,
     pusher,
     regrasping,
+    swinging_back,
     turning_a_cap,
     two_holds,
 )
@@ -56,6 +57,17 @@ def test_hands_carry_let_go_and_take_hold_elsewhere(name: str, seed: int) -> Non
     assert len(taken) >= least
 
 
+def test_nothing_is_moved_where_the_next_mode_may_have_begun() -> None:
+    """The thing is moved while the door is open for certain, not while it swings back."""
+    problem = swinging_back()
+    found = solve(problem)
+    assert found.outcome == "solved", found.reason
+    assert found.trajectory is not None
+    door, moved = found.trajectory.means[:, 0], np.abs(found.trajectory.inputs[:, 1])
+    passes = np.minimum(door[:-1], door[1:]) < 0.5
+    assert moved[passes].max() < 0.005 < 0.02 < moved.max()
+
+
 def test_a_target_out_of_reach_stays_unsolved() -> None:
     """With one more hold the cap could be turned by 2.3; two holds turn it by 1.8 at most."""
     refused = solve(turning_a_cap(revisits=1))
@@ -71,6 +83,18 @@ def test_what_cannot_move_alone_is_said() -> None:
     refused = solve(replace(problem, goal=goal))
     assert refused.outcome == "no_plan"
     assert "'carries' keeps hand - rod" in refused.reason
+
+
+def test_what_never_happens_is_not_planned() -> None:
+    """Where letting go first of all drops the rod, nobody can take hold of it again."""
+    problem = regrasping()
+    opens = problem.automaton.edges[1]
+    dropped = replace(problem.automaton.modes[0], name="dropped", input_matrix=((0.0, 0.0), (0.0, 0.0)))
+    falls = replace(opens, target="dropped")
+    automaton = replace(
+        problem.automaton, modes=(*problem.automaton.modes, dropped), edges=(falls, *problem.automaton.edges)
+    )
+    assert solve(replace(problem, automaton=automaton), advise=False).outcome == "no_plan"
 
 
 def leaf_mode(matrix: list[list[float]], pins: tuple[Pin, ...] = (), ties: tuple[Tie, ...] = ()) -> Mode:

@@ -18,11 +18,14 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
 
 ROOT = Path(__file__).resolve().parents[2]
 PROBLEM = ROOT / "problems" / "stapler_on_books.yaml"
 CONTACTS = ("free", "line", "surface", "rigid")
+IN_HAND = {"release": None, "goal.target.z.value": 0.288}
 LOWER_BOOKS = {
+    **IN_HAND,
     **{f"scene.book_{k + 1}.shapes": [{"kind": "box", "size": [0.35, 0.3, 0.02]}] for k in range(4)},
     **{f"scene.book_{k + 1}.position": [0.475, 0.0, 0.01 + 0.02 * k] for k in range(4)},
 }
@@ -53,6 +56,7 @@ def test_the_goal_is_a_place_alone() -> None:
     problem, _ = solved("")
     assert [problem.automaton.coordinates[i].name for i, _, _ in problem.goal.target] == ["x", "y", "z"]
     assert problem.goal.modes == CONTACTS
+    assert carrying(problem).goal.modes == ("rigid",)  # what is to stand must be shut
     assert problem.start.std == (0.01, 0.01, 0.01, 0.1)
 
 
@@ -82,7 +86,7 @@ def test_without_a_latch_there_is_no_plan_and_the_reason_names_what_is_in_the_wa
     stops = tuple(edge for edge in model.edges if edge.is_self_transition)
     dump_model(replace(model, modes=model.modes[:1], edges=stops, learned=()), tmp_path / "stapler.yaml")
     latch = model.modes[1].pins[0].value
-    problem = load_problem(PROBLEM, {"model": str(tmp_path / "stapler.yaml"), "hold.datum": latch})
+    problem = load_problem(PROBLEM, {"model": str(tmp_path / "stapler.yaml"), "hold.datum": latch, **IN_HAND})
     found = plan(problem, 0)
     assert found.outcome == "no_plan"
     assert "lower_arm at" in found.reason
@@ -92,6 +96,15 @@ def test_without_a_latch_there_is_no_plan_and_the_reason_names_what_is_in_the_wa
 def test_the_surer_the_start_the_shorter_it_drags() -> None:
     distances = [dragged(*solved(name)) for name in ("sure", "", "unsure")]
     assert distances[0] < 0.97 * distances[1] < 0.94 * distances[2]
+
+
+def test_the_plan_ends_above_the_books_from_where_it_is_put_down() -> None:
+    problem, found = solved("")
+    trajectory = found.trajectory
+    assert trajectory is not None
+    bottom = 0.0721  # of the pitched stapler, below the hand
+    assert 0.2 + bottom < trajectory.means[-1][2] < 0.2 + bottom + 0.02
+    assert problem.goal.target[2][1] == 0.26  # at rest it lies flat
 
 
 def test_the_plan_file_holds_the_task(tmp_path: Path) -> None:

@@ -117,6 +117,13 @@ def loose(c, u, k, memory):
     return c + gap - memory["gap"]
 
 
+def sticking(c, u, k, memory):
+    """Lets go of all that was commanded when that adds up to 70 mrad."""
+    wound = memory.get("wound", 0.0) + u
+    memory["wound"] = wound if abs(wound) < 0.07 else 0.0
+    return c + wound - memory["wound"]
+
+
 def slow(c, u, k, memory):
     memory["v"] = memory.get("v", 0.0) + 0.5 * (u - memory.get("v", 0.0))
     return c + memory["v"]

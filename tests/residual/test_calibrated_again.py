@@ -8,8 +8,10 @@ from test_meaning import servo_run
 
 from micah_plan.residual.calibrate import calibrate
 
-QUICK = [plants.short_steps, plants.late, plants.blocked]
+QUICK = [plants.short_steps]
 SLOW = [
+    plants.late,
+    plants.blocked,
     plants.sticky,
     plants.sprung,
     plants.loose,
@@ -42,6 +44,7 @@ def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     assert again.before.one_step < 1.3 * once.after.one_step
 
 
+@pytest.mark.slow
 def test_a_servo_that_the_model_knows_is_not_put_behind_another(door) -> None:
     once, again = (plants.door_recording([servo_run(300, seed, share=0.3)]) for seed in (1, 2))
     known = calibrate(door, once).automaton
@@ -57,3 +60,13 @@ def test_what_came_later_is_found_beside_it(door) -> None:
     assert [one.effect.name for one in found.effects] == ["backlash"]
     assert [effect.name for effect in found.automaton.effects] == ["gain", "backlash"]
     assert found.effects[0].effect.values[0] == pytest.approx(0.06, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_correction_without_a_name_stays_without_one(door) -> None:
+    once = calibrate(door, run_of(plants.rippled, 3))
+    assert once.verdict == "unexplained"
+    again = calibrate(once.automaton, run_of(plants.rippled, 4))
+    assert again.verdict == "unexplained"
+    assert again.effects == ()
+    assert any("without a name already" in note for note in again.notes)

@@ -12,8 +12,8 @@ from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.candidates import candidates, indistinguishable
+from micah_plan.residual.examined import examined
 from micah_plan.residual.lane import lanes
-from micah_plan.residual.pure_error import correctable_share
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 TURN = np.array([[np.cos(0.6), np.sin(0.6), 0.0], [-np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
@@ -54,18 +54,6 @@ def test_a_curve_that_no_effect_has_gets_no_name(door) -> None:
     assert found.after.one_step < 1.15 * found.noise_floor < 0.8 * found.before.one_step
 
 
-@pytest.mark.parametrize(
-    ("plant", "low", "high"), [("swaying", 0.0, 0.2), ("rippled", 0.55, 0.8), ("honest", 0.0, 0.1)]
-)
-def test_what_a_correction_could_take_out_is_told_from_alike_steps(door, plant, low, high) -> None:
-    """Of squared errors of which noise makes a fourth where the plant is not honest."""
-    moved = plants.runs_of(getattr(plants, plant), 10, 50, 2, noise=0.0024, disturbance=0.0008)
-    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
-    errors = np.zeros_like(lane.z)
-    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, plants.LENGTH)[:, :-1]
-    assert low <= correctable_share(lane, errors * lane.counted) <= high
-
-
 def alike(count, rows, seed):
     """Runs of a sagging hinge that all make the same motion."""
     rng, found = np.random.default_rng(seed), []
@@ -87,3 +75,32 @@ def test_runs_that_are_all_alike_do_not_tell_place_from_time(door) -> None:
     assert any("may as well come from earlier commands" in note for note in found.notes)
     lane, _ = lane_of(door)
     assert not lane.repeats_one_motion
+
+
+def test_the_search_for_a_grip_starts_where_the_part_lets_go(door) -> None:
+    moved = plants.runs_of(plants.sticking, 6, 50, 3, noise=0.002)
+    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
+    (part,) = (one for one in candidates(lane) if one.name == "stick_slip")
+    assert np.abs(part.starts[:, 0] - 0.07).min() < 0.003
+
+
+@pytest.mark.slow
+def test_sticking_is_no_play(door) -> None:
+    found = calibrate(door, plants.door_recording(plants.runs_of(plants.sticking, 6, 50, 3, noise=0.002)))
+    assert [one.effect.name for one in found.effects] == ["stick_slip"]
+    assert found.effects[0].effect.values[0] == pytest.approx(0.07, rel=0.05)
+    assert found.verdict == "explained"
+
+
+def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
+    """Few rows of many: no smooth function of the configuration is as sharp."""
+
+    def clinging(c, u, _, memory):
+        memory["held"] = (memory.get("held", False) or c <= 0.0) and u <= 0.03
+        return 0.0 if memory["held"] else c + u
+
+    for plant, is_noise in ((clinging, False), (plants.honest, True)):
+        moved = plants.runs_of(plant, 6, 60, 2, noise=0.004, goals=(-0.1, 0.7))
+        (one,) = examined(door, plants.door_recording(moved)).left
+        assert one[1].is_noise is is_noise
+        assert ("the ends" in str(one[1])) is not is_noise

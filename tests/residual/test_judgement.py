@@ -6,6 +6,7 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
+from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.prediction import predict_recording, rmse
@@ -17,7 +18,7 @@ def judged(door, plant, *, runs=10, rows=50, seed=0, goals=None):
     moved = plants.runs_of(plant, runs, rows, seed, noise=NOISE, disturbance=MOVED, goals=goals)
     recording = plants.door_recording(moved, across=plants.RADIUS * NOISE, seed=seed)
     predicted = predict_recording(door, recording)
-    return judge(door, predicted), predicted
+    return judge(door, recording, predicted), predicted
 
 
 @pytest.mark.parametrize("plant", ["honest", "short_steps", "creeping", "sprung", "late", "rippled"])
@@ -46,6 +47,25 @@ def test_words_say_what_errors_follow(door, plant, what) -> None:
 
 def test_honest_motion_is_rarely_called_more_than_noise(door) -> None:
     assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in range(6))
+
+
+def led_by_readings(rng, rows=18):
+    """A controller that goes to where it reads the end: its commands follow the noise of what it read."""
+    c, z, u = 0.3, [], []
+    for _ in range(rows):
+        z.append(c + 0.01 * rng.standard_normal())
+        u.append(float(np.clip(plants.LENGTH - z[-1], -0.08, 0.08)))
+        c = float(np.clip(c + u[-1] + 0.002 * rng.standard_normal(), 0.0, plants.LENGTH))
+    return np.array(z), np.array(u)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_prediction_and_calibration_agree_on_what_is_noise_in_a_closed_loop(door, seed) -> None:
+    rng = np.random.default_rng(seed)
+    recording = plants.door_recording([led_by_readings(rng) for _ in range(20)])
+    found = judge(door, recording, predict_recording(door, recording))
+    assert found.is_noise, found.sentence
+    assert calibrate(door, recording).verdict == "none"
 
 
 def test_few_rows_give_no_floor(door) -> None:

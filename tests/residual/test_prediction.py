@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import planted_effects as plants
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
@@ -18,6 +21,7 @@ from micah_plan.residual.prediction import predict_recording, rmse
 
 SHUT = 1.0
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
+SWING_LONG = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 SLIDE = prismatic((0.0, 1.0, 0.0), (0.1, 0.0, 0.0))
 
 
@@ -158,7 +162,7 @@ def test_without_actions_nothing_can_be_predicted(door):
 
 
 def test_a_start_that_no_mode_allows_says_what_was_measured_and_what_is_allowed(door):
-    turned = Rotation.from_euler("z", -0.5)
+    turned = Rotation.from_euler("z", 1.5)  # beyond the end at which the door is rigid
     full = executed(door, [0.1] * 4)
     elsewhere = Recording(
         time=full.time,
@@ -167,7 +171,7 @@ def test_a_start_that_no_mode_allows_says_what_was_measured_and_what_is_allowed(
         action=full.action,
     )
     with pytest.raises(
-        InputError, match=r"does not fit .* door = -0\.5 rad .*, .* door 0 to 1 rad .*; take the model"
+        InputError, match=r"does not fit .* door = 1\.5 rad .*, .* door 0 to 1 rad .*; take the model"
     ) as caught:
         predict_recording(door, elsewhere)
     assert "name a mode" not in str(caught.value)
@@ -199,3 +203,24 @@ def test_noise_beyond_an_end_does_not_cost_the_command():
     (run,) = predict_recording(drawer, recording)
     assert rmse([run.one_step.configuration]) < 0.0015  # two rows' noise is 0.0014
     assert rmse([run.rollout.configuration]) < 0.0012
+
+
+@pytest.mark.parametrize(
+    ("plant", "effect"),
+    [
+        (plants.stretched, Effect("sensor_scale", "door", (("scale", 1.1),))),
+        (plants.drifting, Effect("drift", "door", (("rate", 0.01),))),
+    ],
+    ids=["scale", "drift"],
+)
+def test_poses_are_predicted_as_the_sensor_reads_them(plant, effect):
+    segments = (_segment(SWING_LONG, 0.0, plants.LENGTH, (0, 9)),)
+    door = build_automaton(KinematicGraph((KinematicEdge(BASE, "door", segments),)))
+    log = plants.door_recording(plants.runs_of(plant, 4, 40, 3, goals=(0.4, 1.6)))
+    before, after = (predict_recording(model, log) for model in (door, with_effect(door, effect)))
+    rolled = [rmse([run.rollout.position for run in runs]) for runs in (before, after)]
+    assert rolled[1] < 0.3 * rolled[0]
+    # A position is as far off as the configuration says, on its arc.
+    assert rolled[1] == pytest.approx(
+        plants.RADIUS * rmse([run.rollout.configuration for run in after]), rel=0.15, abs=1e-4
+    )

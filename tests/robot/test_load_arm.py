@@ -49,11 +49,12 @@ def test_the_shipped_arm_stands_alike_in_mujoco() -> None:
     twin = mujoco.MjModel.from_xml_path(str(ARM7))
     data = mujoco.MjData(twin)
     arm = arm7()
-    assert (twin.nq, twin.nv) == (7, 7)
-    np.testing.assert_allclose(twin.jnt_range, np.stack([arm.lower, arm.upper], axis=1), atol=1e-12)
+    assert (twin.nq, twin.nv) == (9, 9)  # two are the fingers
+    chain = [twin.joint(name).id for name in arm.joints]
+    np.testing.assert_allclose(twin.jnt_range[chain], np.stack([arm.lower, arm.upper], axis=1), atol=1e-12)
     assert twin.body_mass.sum() == pytest.approx(19.0)
     for q in arm.sample(np.random.default_rng(0), 20):
-        data.qpos[:] = q
+        data.qpos[chain] = q
         mujoco.mj_kinematics(twin, data)
         body = data.body("tool")
         np.testing.assert_allclose(arm.matrix(q)[:3, 3], body.xpos, atol=1e-12)

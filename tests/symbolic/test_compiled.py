@@ -48,9 +48,9 @@ def example(seed: int = 0) -> HybridAutomaton:
     inputs = tuple(Coordinate(f"u{i}", "m") for i in range(M))
     held = rng.normal(size=(N, M))
     held[[0, 2]] = 0.0
-    free = Mode("free", (JOINT,), tuples(rng.normal(size=(N, M))), region(rng, 3, "inside"), region(rng, 2, "input"))
+    free = Mode("free", (), tuples(rng.normal(size=(N, M))), region(rng, 3, "inside"), region(rng, 2, "input"))
     pins, own = (Pin(0, 0.4, 0.05), Pin(2, -0.2, 0.2)), ((0, 0.01),) if seed % 2 else ()
-    pinned = Mode("pinned", (JOINT,), tuples(held), pins=pins, observation_std=own)
+    pinned = Mode("pinned", (), tuples(held), pins=pins, observation_std=own)
     light = Light(((0, -0.1), (2, 0.3)), (0.5, 0.2, 0.3)) if seed % 2 else None
     general = Reset(tuples(rng.normal(size=(N, N))), tuples(rng.normal(size=(N, M))), tuple(rng.normal(size=N)))
     clamp = Reset(A=((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), c=(0.0, 0.7, 0.0))

@@ -16,7 +16,7 @@ from learned_objects import assessed_door
 from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
-from micah_plan import workflow
+from micah_plan import execute, solve, workflow
 from micah_plan.documents.problem import load_problem
 from micah_plan.task.plan import Plan
 from micah_plan.view.calibration_page import calibration_page
@@ -163,6 +163,61 @@ def test_slider_and_charts_follow_each_other(show: Any) -> None:
     assert shown.time() == pytest.approx(0.75 * 10.02 / 10.82, abs=0.01)
     shown.page.mouse.click(left - 20, box["y"] + 40)
     assert shown.time() == 0.0
+
+
+@pytest.mark.slow
+def test_views_follow_the_object_and_panels_fold(show: Any) -> None:
+    shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850})
+    page = shown.page
+    target = "() => viewer.controls.target.toArray()"
+    whole, width = page.evaluate(target), page.locator("#view").bounding_box()["width"]
+    page.keyboard.press("o")
+    close = page.evaluate(target)
+    shown.drag_to(0.9)
+    assert np.linalg.norm(np.subtract(page.evaluate(target), close)) > 0.1, "the camera goes along"
+    for name in ("front", "side", "top", "motion"):
+        page.click(f"#tools [data-view={name}]")
+        assert page.get_attribute(f"#tools [data-view={name}]", "aria-pressed") == "true"
+        assert 0.005 < share_of_object(shown.pixels()) < 0.9, name
+    page.keyboard.press("w")
+    assert page.evaluate(target) == pytest.approx(whole)
+    page.keyboard.press("p")
+    assert not page.locator("#panel").is_visible()
+    assert page.locator("#view").bounding_box()["width"] > 1.5 * width
+    page.keyboard.press("p")
+    assert page.locator("#panel").is_visible()
+
+
+@pytest.mark.slow
+def test_the_player_can_be_slow(show: Any) -> None:
+    shown = show(plan_page(solved(), problem()))
+    shown.page.select_option("#speed", "0.25")
+    shown.page.click("#play")
+    shown.page.wait_for_timeout(1200)
+    shown.page.click("#play")
+    assert 0.0 < shown.time() < 0.6 * 1.2 / 10.8 + 0.02
+    assert shown.page.inner_text("#clock").endswith("of 10.8 s")
+
+
+@pytest.mark.slow
+def test_runs_are_chosen_one_by_one_or_together(show: Any, repository: Path) -> None:
+    planned = solve(repository / "problems" / "microwave_close.yaml")
+    shown = show(execute(planned, trials=3).page(), "#t=0.5", size={"width": 1400, "height": 850})
+    page = shown.page
+
+    def visible() -> list[bool]:
+        return [shown.node("runs", f"{order}_run")["visible"] for order in range(3)]
+
+    assert visible() == [True, False, False]
+    assert page.inner_text("#run-words").strip()
+    assert "run 0 after" in page.inner_text("#readout") or "run" in page.inner_text("#readout")
+    page.keyboard.press("r")
+    assert visible() == [False, True, False]
+    assert page.locator("#charts .run.chosen").count() == 1
+    assert page.locator("#charts .run.faded").count() == 2
+    page.select_option("#run", "all")
+    assert visible() == [True, True, True]
+    assert page.locator("#charts .run.faded").count() == 0
 
 
 @pytest.mark.slow

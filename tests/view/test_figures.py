@@ -17,7 +17,8 @@ from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan
-from micah_plan.view.figures import belief_figure, executed_configurations, save_figure
+from micah_plan.view.executed import configurations
+from micah_plan.view.figures import belief_figure, save_figure
 from micah_plan.view.learning_figure import learning_figure
 from micah_plan.view.palette import EXECUTED
 
@@ -59,7 +60,7 @@ def test_each_run_is_one_line_of_measured_configurations() -> None:
 
 
 def test_true_columns_are_preferred_to_measurements() -> None:
-    x = executed_configurations(problem(), executed(2, true_column=True))
+    x = configurations(problem(), executed(2, true_column=True))
     np.testing.assert_allclose(x[1][:, 0], 0.01 * np.arange(22, 44))
 
 

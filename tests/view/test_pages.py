@@ -161,8 +161,8 @@ def test_the_timeline_follows_the_modes(all_pages: dict[str, str]) -> None:
     times = [time for time, _ in data["readouts"]]
     assert times == sorted(times)
     assert times[-1] < data["duration"], "the end rests a moment"
-    assert data["readouts"][0][1] == ["step 0 of 20, mode swinging", "door = 0.10 ± 0.08 rad (1 σ)"]
-    assert data["readouts"][-1][1][0] == "step 20 of 20, mode stopped"
+    assert data["readouts"][0][1] == ["step 0 of 20 (0 s), mode swinging", "door = 0.10 ± 0.08 rad (1 σ)"]
+    assert data["readouts"][-1][1][0] == "step 20 of 20 (10 s), mode stopped"
     widths = [float(width) for width in re.findall(r"%;width:([0-9.]+)%", all_pages["plan"])]
     assert sum(widths) == pytest.approx(100.0, abs=0.01)
     assert min(widths) > 5.0, "the mode that is entered last is seen too"

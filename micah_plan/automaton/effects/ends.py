@@ -9,12 +9,14 @@ from typing import final
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.geometry import rigid_at
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.lifted import mapped
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
 
 _SAME = 1e-6
+# Standard deviations of a measurement within which a part may be where it is held.
+_NEAR = 3.0
 
 
 @final
@@ -35,7 +37,7 @@ class Limit(EffectForm):
         """Its own end moved there, or new clamps where it has none."""
         end = range_of(automaton, coordinate)[p[1] > 0]
         if math.isfinite(end):
-            return _with_end_moved(automaton, coordinate, end, p[0])
+            return with_end_moved(automaton, coordinate, end, p[0])
         return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
 
@@ -56,12 +58,16 @@ class GuardShift(EffectForm):
         if not math.isfinite(end):
             name, side = automaton.coordinates[coordinate].name, "upper" if p[1] > 0 else "lower"
             raise InputError(f"the range of {name} has no {side} end to shift")
-        return _with_end_moved(automaton, coordinate, end, end + p[0])
+        return with_end_moved(automaton, coordinate, end, end + p[0])
 
 
 @final
 class GuardHysteresis(EffectForm):
-    """An end that was reached is left only by a command larger than `width`."""
+    """An end that was reached is left only by a command larger than `width`.
+
+    Of a coordinate that modes hold at ends of its range, those ends; of one that none holds, every end, which then has
+    a mode that holds it there.
+    """
 
     name, layer = "guard_hysteresis", "guard"
     sentence = "A threshold that was crossed in one direction takes more to be crossed in the other."
@@ -72,6 +78,9 @@ class GuardHysteresis(EffectForm):
         return p[0]
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
+        if not any(is_held(automaton, coordinate, end) for end in range_of(automaton, coordinate)):
+            return _with_holds(automaton, coordinate, p[0])
+
         def half_space(h: HalfSpace) -> HalfSpace:
             return h if h.on_state or not h.b[coordinate] else h.moved(p[0] * abs(h.b[coordinate]))
 
@@ -88,7 +97,13 @@ def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]
     return (min(low for low, _ in moving), max(high for _, high in moving)) if moving else (0.0, 0.0)
 
 
-def _with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -> HybridAutomaton:
+def is_held(automaton: HybridAutomaton, coordinate: int, end: float) -> bool:
+    """Whether a mode holds a coordinate at an end of its range; else that is only how far it was seen to go."""
+    pins = (pin for mode in automaton.modes for pin in mode.pins)
+    return any(pin.coordinate == coordinate and abs(pin.value - end) <= _SAME for pin in pins)
+
+
+def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -> HybridAutomaton:
     """The automaton with one end of a coordinate's range elsewhere, and what is pinned there with it."""
 
     def moved(region: Region, *, all_of_it: bool = False) -> Region:
@@ -142,3 +157,58 @@ def _with_clamps(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) 
     moving = (mode.name for mode in automaton.modes if mode.driven[i])
     clamps = tuple(Edge(name, name, Region((guard,)), Reset.to({i: at}, n)) for name in moving)
     return replace(mapped(automaton, ended), edges=(*automaton.edges, *clamps))
+
+
+def _with_holds(automaton: HybridAutomaton, i: int, width: float) -> HybridAutomaton:
+    """The automaton with a mode in place of each clamp of a coordinate: it holds the part until a command releases it.
+
+    Each takes over what its mode does to the other coordinates.
+    """
+    for side, end in enumerate(range_of(automaton, i)):
+        for mode in automaton.modes:
+            if any(_clamps(edge, mode, i, end) for edge in automaton.edges):
+                automaton = _with_hold(automaton, mode, i, end, side, width)
+    return automaton
+
+
+def _with_hold(automaton: HybridAutomaton, mode: Mode, i: int, end: float, side: int, width: float) -> HybridAutomaton:
+    n, m, label, std = automaton.n, automaton.m, automaton.coordinates[i].name, automaton.noise.observation_std[i]
+    flow = tuple(tuple(0.0 for _ in row) if k == i else row for k, row in enumerate(mode.input_matrix))
+    joints = (
+        rigid_at(joint, end, joint) if link.coordinate == i and joint.kind != "rigid" else joint
+        for link, joint in zip(automaton.links, mode.joints, strict=True)
+    )
+    others = tuple(h for h in mode.invariant.half_spaces if h.bound is None or h.bound.coordinate != i)
+    near = (above(i, end - _NEAR * std, n, m, name=label), below(i, end + _NEAR * std, n, m, name=label))
+    held = replace(
+        mode,
+        name=f"{mode.name} held at {end:.3g}",
+        joints=tuple(joints),
+        input_matrix=flow,
+        invariant=Region((*others, *near)),
+        pins=(*mode.pins, Pin(i, end, std)),
+    )
+    sign = -1.0 if side else 1.0
+    away = HalfSpace((0.0,) * n, tuple(sign * b for b in mode.input_matrix[i]), width, True, f"{label} pulled off")
+    reached = (above if side else below)(i, end, n, m, strict=not side, name=label)
+    edges = [
+        Edge(mode.name, held.name, Region((reached,))) if _clamps(edge, mode, i, end) else edge
+        for edge in automaton.edges
+    ]
+    kept = [
+        replace(edge, source=held.name, target=held.name if edge.is_self_transition else edge.target)
+        for edge in automaton.edges
+        if edge.source == mode.name and not _is_of(edge, i)
+    ]
+    edges = sorted([*edges, Edge(held.name, mode.name, Region((away,))), *kept], key=lambda own: own.is_self_transition)
+    return replace(automaton, modes=(*automaton.modes, held), edges=tuple(edges))
+
+
+def _clamps(edge: Edge, mode: Mode, i: int, end: float) -> bool:
+    c = edge.reset.c
+    is_own = edge.source == mode.name and edge.is_self_transition and c is not None and _is_of(edge, i)
+    return is_own and c is not None and abs(c[i] - end) <= _SAME
+
+
+def _is_of(edge: Edge, i: int) -> bool:
+    return any(h.a[i] != 0.0 for h in edge.guard.half_spaces)

@@ -29,6 +29,18 @@ Value = Any
 Values = Sequence[Value]
 Memory = tuple[Value, ...]
 
+# Layers by the hook that they use; what changes the automaton itself is of ends or joints.
+_HOOKS: dict[str, tuple[Layer, ...]] = {
+    "frame_command": ("frame",),
+    "respond": ("place",),
+    "remember": ("memory",),
+    "command": ("command",),
+    "force": ("force",),
+    "stops": ("guard",),
+    "release": ("guard",),
+    "measured": ("sensor",),
+    "rebuilt": ("guard", "geometry"),
+}
 # What `check_form` tries a form at: commands, and places of the coordinate.
 _COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
 _PLACES = np.array([-0.7, 0.0, 0.1, 0.4, 1.1, 2.0])
@@ -134,14 +146,16 @@ class EffectForm:
 def check_form(form: EffectForm) -> None:
     """Refuse a form whose description is incomplete or whose formulas do not behave.
 
-    Checked: layer, sentence and source; that the formulas give one finite value per state and command, for arrays as
-    for numbers; that a memory keeps its shape; that with all neutral values nothing changes.
+    Checked: layer, sentence and source; that the hooks which it overrides are those of its layer; that the formulas
+    give one finite value per state and command, for arrays as for numbers; that a memory keeps its shape; that with all
+    neutral values nothing changes; that a reading is a straight line in the configuration, as it is taken out of logs.
 
     Raises:
         InputError: says what is wrong with the form.
     """
     if form.layer not in LAYERS or not form.parameters or not form.sentence.endswith(".") or not form.source:
         raise InputError(f"effect {form.name}: must have a known layer, parameters, a sentence and a source")
+    _check_hooks(form)
     p = [_sensible(q.lower, q.upper) if q.neutral is None else q.neutral for q in form.parameters]
     outputs = _outputs(form, p, _PLACES, _COMMANDS)
     for name, (values, unchanged) in outputs.items():
@@ -155,6 +169,27 @@ def check_form(form: EffectForm) -> None:
         alone = np.array([np.ravel(one[name][0])[0] for one in single])
         if not np.allclose(alone, values, atol=1e-12):
             raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
+
+
+def _check_hooks(form: EffectForm) -> None:
+    own = [hook for hook in _HOOKS if getattr(type(form), hook) is not getattr(EffectForm, hook)]
+    for hook in own:
+        if form.layer not in _HOOKS[hook]:
+            wanted = " or ".join(_HOOKS[hook])
+            raise InputError(
+                f"effect {form.name}: it overrides {hook}, which its layer {form.layer} never calls",
+                remedy=f"make its layer {wanted}, or use the hook of {form.layer}",
+            )
+    if not own:
+        raise InputError(f"effect {form.name}: it overrides no hook, so it does nothing")
+    if form.layer == "sensor":
+        p = [_sensible(q.lower, q.upper) for q in form.parameters]
+        at = [form.measured(np, c, 1.0, p) for c in (0.0, 1.0, 3.0)]
+        if abs((at[2] - at[0]) - 3.0 * (at[1] - at[0])) > 1e-9 * max(map(abs, at)):
+            raise InputError(
+                f"effect {form.name}: a reading must be a straight line in the configuration, and this one is curved",
+                remedy="a sensor's curve is taken out of the recording before, not by an effect",
+            )
 
 
 def _sensible(lower: float, upper: float) -> float:

@@ -133,6 +133,26 @@ class Backlash(EffectForm):
 
 
 @final
+class StickSlip(EffectForm):
+    """What is commanded adds up while the part sticks, and arrives at once when it is more than a grip."""
+
+    name, layer = "stick_slip", "memory"
+    sentence = "The part sticks until what was commanded has added up, and then makes up for it at once."
+    source = (
+        "Karnopp, Computer simulation of stick-slip friction, ASME J. Dynamic Systems 1985 (without the slip's time)"
+    )
+    parameters = (Parameter("grip", "coordinate", 0.0, 0.0),)
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.0 * p[0],)
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        wound = memory[0] + v
+        gone = ops.where(ops.abs(wound) < p[0], 0.0 * wound, wound)
+        return gone, (wound - gone,)
+
+
+@final
 class Follow(EffectForm):
     """Commands are places r_t = c_t + v_t, and the part goes after them, wherever it is:
 

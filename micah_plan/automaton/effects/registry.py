@@ -9,7 +9,7 @@ from micah_plan.errors import InputError, shown
 # In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
     *(formulas.Gain(), formulas.Bias(), formulas.Follow(), geometry.FrameRotation(), formulas.Delay(), formulas.Lag()),
-    *(formulas.Saturation(), formulas.DeadZone(), formulas.Backlash()),
+    *(formulas.Saturation(), formulas.DeadZone(), formulas.Backlash(), formulas.StickSlip()),
     *(formulas.Spring(), formulas.Gravity(), formulas.Latch(), ends.Limit()),
     *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
     *(formulas.SensorScale(), formulas.SensorOffset(), formulas.Drift(), formulas.Unexplained()),

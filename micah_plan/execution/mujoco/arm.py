@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE, OBJECT, World
+from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE, OBJECT, World, add_finger_motor
 from micah_plan.quantities import quantity
 from micah_plan.robot.along_plan import start_posture
 from micah_plan.robot.arm import Arm
@@ -33,7 +33,12 @@ _NOT_REACHED = 0.002
 
 
 def attach_arm(
-    scene: World, hand: Any, problem: Problem, parameters: PhysicalParameters, posture: Floats | None
+    scene: World,
+    hand: Any,
+    problem: Problem,
+    parameters: PhysicalParameters,
+    posture: Floats | None,
+    fingers: Collection[str] = (),
 ) -> Callable[[PhysicalPlant], Carrier]:
     """Put a problem's robot into a world, with a position-controlled motor at each joint of its arm.
 
@@ -42,6 +47,7 @@ def attach_arm(
     Args:
         hand: body of another world that the robot's tool grasps.
         posture: (J,) joints of the arm near which it starts; None: one is sought.
+        fingers: joints beside the arm's that get motors, of the force of a grip, instead of being locked.
 
     Returns:
         What makes the carrier of a plant in this world.
@@ -66,7 +72,11 @@ def attach_arm(
             joint.actfrcrange = [-parameters.joint_effort, parameters.joint_effort]
         motor = robot.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_position(kp=float(joint.actfrcrange[1]) / parameters.joint_deflection)
+    for name in fingers:
+        add_finger_motor(robot, name, parameters)
     for name, value in arm.locked:
+        if name in fingers:
+            continue
         locked = robot.add_equality(name1=name, type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT)
         locked.data = [value, *[0.0] * (len(locked.data) - 1)]
     stands = world.worldbody.add_frame(pos=description.position, quat=np.roll(description.quaternion, 1))
@@ -93,10 +103,18 @@ class ArmCarrier(Carrier):
         return np.array(self._plant.data.qpos[self._address])
 
     def put(self, place: Floats) -> None:
-        for address, value in self._locked.items():
-            self._plant.data.qpos[address] = value
+        self._lock()
         super().put(place)
         self._damp()
+
+    def put_like(self, other: Carrier) -> None:
+        self._lock()
+        super().put_like(other)
+        self._damp()
+
+    def _lock(self) -> None:
+        for address, value in self._locked.items():
+            self._plant.data.qpos[address] = value
 
     def _place(self, joints: Floats) -> Floats:
         return np.asarray((self._arm.matrix(joints) @ self._from_tool)[:3, 3])

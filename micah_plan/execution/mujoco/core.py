@@ -201,8 +201,9 @@ class PhysicalPlant:
 
     def _careful_step(self, number: int) -> bool:
         """Take step `number` of this control step whatever happens in it; whether anything did."""
+        happened = self._follow()
         self.mujoco.mj_step1(self.model, self.data)
-        happened = self._limit_hands()
+        happened |= self._limit_hands()
         for latch in self.latches:
             if self._active.item(latch.equality):
                 if latch.release < math.inf and latch.opens(self._pull(latch, number, self.data.sensordata[None])[0]):
@@ -225,6 +226,10 @@ class PhysicalPlant:
     def _pull(self, _latch: Latch, _begin: int, seen: Floats) -> Floats:
         """(k,) static pull of the hand on a latch's joint in the steps from `begin` on [N m or N]."""
         return np.zeros(len(seen))
+
+    def _follow(self) -> bool:
+        """Change the world before a careful step; whether that was necessary."""
+        return False
 
     def _limit_hands(self) -> bool:
         """Change the controls in the middle of a careful step; whether that was necessary."""
@@ -260,6 +265,12 @@ class Carrier:
         data.qpos[self._address] = joints
         data.ctrl[self._motors] = joints
 
+    def put_like(self, other: Carrier) -> None:
+        """Stand as the same carrier of another world does, pressing as hard."""
+        self.complaint = other.complaint
+        self._plant.data.qpos[self._address] = other._plant.data.qpos[other._address]
+        self._plant.data.ctrl[self._motors] = other._plant.data.ctrl[other._motors]
+
     def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
         """(steps, nu) controls that move the hand by a displacement (3,) [m] from where it is; an arm near a posture
         (J,) [rad or m]."""
@@ -268,6 +279,12 @@ class Carrier:
         orders = np.tile(plant.data.ctrl, (len(plant.shares), 1))
         orders[:, self._motors] = begin + plant.shares[:, None] * (end - begin)
         return orders
+
+    def resting(self, order: Floats) -> Floats:
+        """(nu,) controls that keep the hand where it is now, in place of others (nu,)."""
+        kept = order.copy()
+        kept[self._motors] = self._plant.data.qpos[self._address]
+        return kept
 
     def _place(self, joints: Floats) -> Floats:
         """(3,) where the hand is at some joints (J,)."""

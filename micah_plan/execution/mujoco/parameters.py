@@ -49,6 +49,10 @@ class PhysicalParameters:
         pivot_stiffness, pivot_damping: of the part in the hand where it turns there, [N m/rad] and [N m s/rad].
         joint_deflection: error at which a joint of an arm pushes with all its effort [rad or m].
         joint_effort: of joints of an arm whose file states none [N m or N].
+        grip_force: with which fingers hold an object, each [N].
+        grip_deflection: error at which a finger pushes with all its force [m].
+        grip_unevenness: a finger opens later than the other by up to this [s].
+        force_noise: of the force that a hand feels (std) [N].
         rotor_inertia: of an arm's motors as the joints feel them through the gears [kg m^2 or kg].
     """
 
@@ -76,6 +80,10 @@ class PhysicalParameters:
     joint_deflection: float = _key(None, 0.02, least=_ABOVE_0)
     joint_effort: float = _key(None, 100.0, least=_ABOVE_0)
     rotor_inertia: float = _key(None, 0.1)
+    grip_force: float = _key(None, 20.0, least=_ABOVE_0)
+    grip_deflection: float = _key(None, 0.001, least=_ABOVE_0)
+    grip_unevenness: float = _key(None, 0.03)
+    force_noise: float = _key(None, 0.1)
 
     def __post_init__(self) -> None:
         for item in fields(self):

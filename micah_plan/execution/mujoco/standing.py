@@ -15,9 +15,10 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
 from micah_plan.automaton.joint import Joint, Vector3
-from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import LONGEST_STEP, PhysicalPlant
+from micah_plan.execution.mujoco.guide import RUNS_ALONG, Guide, handle_velocity
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import NOTHING, STOPS, Flags, Latch, World, WorldJoint, pose
 from micah_plan.execution.plant import Command, Measurement, Truth
@@ -54,8 +55,10 @@ class StandingPlant(PhysicalPlant):
             InputError: if the automaton cannot be built as a mechanism.
         """
         parameters = parameters or PhysicalParameters()
-        world, arms = standing_world(automaton, parameters)
+        world, arms, self._guides = standing_world(automaton, parameters)
         model = world.spec.compile()
+        for guide in self._guides:
+            guide.find(world.mujoco, model)
         super().__init__(automaton, parameters, model, world.joints)
         self.start = start
         self._bodies = [model.body(link.child).id for link in automaton.links]
@@ -65,14 +68,16 @@ class StandingPlant(PhysicalPlant):
         self._damping = self._tuned(arms)
         # By a latching joint's address: its first sensor's column, whether it is a hinge, and which hands pull at it.
         latching = [(model.joint(joint.name), joint.name) for joint, _ in self._shown if joint.latches]
+        guided = {guide.address: guide for guide in self._guides}
         self._levers = {
             int(joint.qposadr[0]): (
-                int(model.sensor(_lever(name)).adr[0]),
+                -1 if joint.qposadr[0] in guided else int(model.sensor(_lever(name)).adr[0]),
                 joint.type[0] == self.mujoco.mjtJoint.mjJNT_HINGE,
-                self._moved_with(joint.bodyid[0]),
+                self._moved_with(model.body(name).id),
             )
             for joint, name in latching
         }
+        self._guided = guided
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """A new trial: a start drawn from the belief, everything at rest, latched if the start mode pins it."""
@@ -82,6 +87,8 @@ class StandingPlant(PhysicalPlant):
             if joint.is_shown:
                 x[joint.coordinate] = np.clip(x[joint.coordinate], *self.model.joint(joint.name).range)
         self._place(x)
+        for guide in self._guides:
+            guide.put(self.model, self.data.qpos)
         free = self.automaton.mode(mode).free
         for latch in self.latches:
             position = x[latch.coordinate]
@@ -116,9 +123,16 @@ class StandingPlant(PhysicalPlant):
         return Measurement(float(self.data.time), *self._seen(*self._poses(self._bodies), elapsed), force)
 
     def _suspects(self, seen: Floats) -> Flags:
-        """Where a hand was too strong."""
+        """Where a hand was too strong, or a part on a path came to its next stretch."""
         forces = seen[:, self._motors : 2 * self._motors].reshape(len(seen), -1, 3)
-        return np.asarray((self._limited(forces) != forces).any(axis=(1, 2)))
+        suspects = np.asarray((self._limited(forces) != forces).any(axis=(1, 2)))
+        for guide in self._guides:
+            suspects |= guide.leaves(seen[:, guide.sensor])
+        return suspects
+
+    def _follow(self) -> bool:
+        came = [guide.follow(self.model, self._positions.item(guide.address)) for guide in self._guides]
+        return any(came)
 
     def _limit_hands(self) -> bool:
         data, limit, stiffness = self.data, self.parameters.max_force, self.parameters.stiffness
@@ -143,6 +157,10 @@ class StandingPlant(PhysicalPlant):
         places = seen[:, : self._motors].reshape(len(seen), -1, 3)[:, hands]
         targets = self._targets[begin : begin + len(seen)].reshape(len(seen), -1, 3)[:, hands]
         pulls = self._limited(self.parameters.stiffness * (targets - places))
+        if latch.joint in self._guided:
+            guide = self._guided[latch.joint]
+            above = self.data.xmat[self.model.body(guide.part).parentid[0]].reshape(3, 3)
+            return np.asarray(pulls.sum(axis=1) @ above @ guide.lever(latch.position))
         if turns:
             pulls = np.cross(places - seen[:, None, column : column + 3], pulls)
         return np.asarray((seen[:, None, column + 3 : column + 6] * pulls).sum(axis=(1, 2)))
@@ -151,7 +169,10 @@ class StandingPlant(PhysicalPlant):
         """(3 l,) the motors' critical damping [N s/m]; sets them and a pace that resolves their springs."""
         model, stiffness = self.model, self.parameters.stiffness
         dofs = model.body_dofadr[self._bodies]
-        masses = np.where(dofs < 0, 0.0, model.dof_M0[dofs]) / np.square(arms)
+        carried = np.where(dofs < 0, 0.0, model.dof_M0[dofs])
+        for guide in self._guides:
+            carried[self._bodies.index(model.body(guide.part).id)] = guide.inertia
+        masses = carried / np.square(arms)
         if masses.any():
             fastest = float(np.sqrt(stiffness / masses[masses > 0].min()))
             self._set_pace(min(LONGEST_STEP, 1 / (_STEPS_PER_RADIAN * fastest)))
@@ -166,7 +187,7 @@ class StandingPlant(PhysicalPlant):
         return [number for number, other in enumerate(self._bodies) if other in moved]
 
 
-def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[World, Floats]:
+def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[World, Floats, list[Guide]]:
     """A standing object, whose joints' positions are the configurations. Nothing collides.
 
     Each part has a hand: three motors along the axes of the base frame, whose lengths are the place of its handle [m].
@@ -174,7 +195,8 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
     and axis.
 
     Returns:
-        the world, and how far each part's handle moves per unit of its joint (l,) [m/rad], or 1 for a slide.
+        the world, how far each part's handle moves per unit of its joint (l,) [m/rad], or 1 for a slide, and the guides
+        of the parts that move along paths.
 
     Raises:
         InputError: if the automaton cannot be a mechanism of one joint per part, a hand could not turn a part, or a
@@ -198,7 +220,7 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
     for kind in (kinds.mjtSensor.mjSENS_ACTUATORPOS, kinds.mjtSensor.mjSENS_ACTUATORFRC):
         for _, name, _ in motors:
             spec.add_sensor(type=kind, objtype=kinds.mjtObj.mjOBJ_ACTUATOR, objname=name)
-    bodies, arms = {BASE: spec.worldbody}, []
+    bodies, arms, guides = {BASE: spec.worldbody}, list[float](), list[Guide]()
     for number, link in enumerate(automaton.links):
         joint, part = _only_moving_joint(automaton, number), automaton.part(link.child)
         handle = part.handle or (0.0, 0.0, 0.0)
@@ -207,9 +229,14 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
         body = bodies[link.child] = above.add_body(name=link.child, **pose(joint.position, joint.quaternion))
         world.solids(body, part.shapes or (_default_box(joint),), parameters.mass, NOTHING)
         body.add_site(name=link.child, pos=handle)
-        if joint.kind != "rigid":
+        if joint.kind == "path":
+            guides.append(Guide(link.child, joint, handle))
+            runner = guides[-1].build(world, above, body, parameters.mass)
+            _add_joint(world, runner, automaton, number, arms[-1], parameters)
+            guides[-1].tie(world)
+        elif joint.kind != "rigid":
             _add_joint(world, body, automaton, number, arms[-1], parameters)
-    return world, np.array(arms)
+    return world, np.array(arms), guides
 
 
 def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
@@ -231,10 +258,14 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
 def _add_joint(
     world: World, body: Any, automaton: HybridAutomaton, number: int, arm: float, parameters: PhysicalParameters
 ) -> None:
-    """A slide, a hinge, or for a screw a hinge with a slide that follows it; latched where a mode pins it."""
+    """A slide (of a path's runner, too), a hinge, or for a screw a hinge with a slide that follows it; latched where a
+    mode pins it.
+    """
     joint, link = automaton.moving_joint(number), automaton.links[number]
-    to_part = Rotation.from_quat(joint.quaternion).inv()
-    axis, position = to_part.apply(joint.axis), to_part.apply(np.subtract(joint.center, joint.position))
+    axis, position = RUNS_ALONG, np.zeros(3)
+    if joint.kind != "path":
+        to_part = Rotation.from_quat(joint.quaternion).inv()
+        axis, position = to_part.apply(joint.axis), to_part.apply(np.subtract(joint.center, joint.position))
     intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
     lower, upper = min(low for low, _ in intervals), max(high for _, high in intervals)
     pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
@@ -252,14 +283,14 @@ def _add_joint(
         "range": np.clip([lower, upper], -_UNLIMITED, _UNLIMITED),
         **STOPS,
     }
-    world.joint(body, "slide" if joint.kind == "prismatic" else "hinge", link.child, **attributes)
+    world.joint(body, "slide" if joint.kind in ("prismatic", "path") else "hinge", link.child, **attributes)
     world.show(WorldJoint(link.child, link.coordinate, latches=latches))
     if joint.kind == "screw":
         slide = WorldJoint(f"{link.child}/slide", link.coordinate, joint.pitch, is_shown=False)
         world.joint(body, "slide", slide.name, axis=axis)
         world.show(slide)
         world.tie(slide.name, (0.0, joint.pitch), link.child)
-    if latches:
+    if latches and joint.kind != "path":
         name, kinds = _lever(link.child), world.mujoco.mjtSensor
         at = {"objtype": world.mujoco.mjtObj.mjOBJ_SITE, "objname": name}
         along = body.add_site(name=name, pos=position).alt
@@ -276,9 +307,7 @@ def _lever(joint: str) -> str:
 def _arm(name: str, joint: Joint, handle: Vector3) -> float:
     if joint.kind == "rigid":
         return 1.0
-    rotation, translation = np.split(jacobian(joint, 0.0)[0], 2)
-    offset = forward(joint, 0.0)[0].rotation.apply(handle)
-    arm = float(np.linalg.norm(translation + np.cross(rotation, offset)))
+    arm = float(np.linalg.norm(handle_velocity(joint, handle, 0.0)))
     if arm < _SHORTEST_ARM:
         raise InputError(
             f"the handle of part '{name}' lies on its axis (distance {quantity(arm, 'm')}), so no hand can turn it",
@@ -289,7 +318,7 @@ def _arm(name: str, joint: Joint, handle: Vector3) -> float:
 
 def _default_box(joint: Joint) -> Primitive:
     """A default shape: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
-    if joint.kind in ("prismatic", "rigid"):
+    if joint.kind in ("prismatic", "rigid", "path"):
         return Primitive("box", (0.3, 0.3, 0.15))
     reach = np.array(joint.position) - np.array(joint.center)
     length = float(np.linalg.norm(reach))

@@ -41,6 +41,8 @@ _FIXED, _LOOSE = {"contype": 1, "conaffinity": 2}, {"contype": 3, "conaffinity":
 IN_HAND, MOVING = {"contype": 2, "conaffinity": 1}, {"contype": 6, "conaffinity": 1}
 ARM_TYPE, ARM_MEETS = 2, 5
 _HAND_MASS, _GRAVITY = 1.0, 9.81
+# A finger with its drive [kg].
+_FINGER_INERTIA = 0.1
 
 
 def import_mujoco() -> ModuleType | Any:
@@ -163,11 +165,11 @@ class World:
             seen = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": joint.name}
             self.spec.add_sensor(name=sensor_name(joint.name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **seen)
 
-    def tie(self, joint: str, coefficients: Sequence[float], other: str = "", **attributes: Any) -> None:
-        """Hold a joint at a + b q, where q is the position of another joint (without one: 0)."""
+    def tie(self, joint: str, coefficients: Sequence[float] | Floats, other: str = "", **attributes: Any) -> None:
+        """Hold a joint at a + b q + ... + e q^4, where q is the position of another joint (without one: 0)."""
         kind = self.mujoco.mjtEq.mjEQ_JOINT
         constraint = self.spec.add_equality(type=kind, name1=joint, name2=other, **_STIFF, **attributes)
-        constraint.data[:5] = (*coefficients, 0.0, 0.0, 0.0)
+        constraint.data[:5] = [*coefficients, *(5 - len(coefficients)) * [0.0]]
 
 
 def scene_world(scene: Iterable[Body], parameters: PhysicalParameters) -> World:
@@ -211,6 +213,16 @@ def add_hand(world: World, parameters: PhysicalParameters, *, slides: bool) -> A
         motor = world.spec.add_actuator(name=name, forcelimited=True, forcerange=(-limit, limit), **on_joint)
         motor.set_to_position(kp=parameters.stiffness, kv=damping)
     return hand
+
+
+def add_finger_motor(spec: Any, name: str, parameters: PhysicalParameters) -> None:
+    """A motor that brings a finger's joint to a place with the force of the grip at most."""
+    joint, force = spec.joint(name), parameters.grip_force
+    joint.armature, joint.actfrclimited = max(joint.armature, _FINGER_INERTIA), False
+    stiffness = force / parameters.grip_deflection
+    motor = spec.add_actuator(name=name, target=name, trntype=import_mujoco().mjtTrn.mjTRN_JOINT, forcelimited=True)
+    motor.forcerange = (-force, force)
+    motor.set_to_position(kp=stiffness, kv=2 * np.sqrt(stiffness * 2 * _FINGER_INERTIA))
 
 
 def latch_name(joint: str, number: int) -> str:

@@ -1,14 +1,14 @@
 """Free motion: what explains rows that no single joint does (two degrees of freedom, a path that deforms).
 
-Every channel goes on as it went on average over the last steps; rotations may also stay where they were on average (a
-part may slide freely without turning; one that does not slide either is at rest, which is no free motion). Errors have
-one scale for positions and one for rotations. A joint foretells all but one of six channels to within noise, so it wins
-wherever there is one.
+Every channel goes on at a nearly constant velocity: a local linear trend under white noise, filtered row by row, with
+one scale of noise and one of acceleration for positions, and one each for rotations. A joint foretells all but one of
+six channels to within noise, so it wins wherever there is one. Source: Harvey, "Forecasting, structural time series
+models and the Kalman filter", Cambridge 1989, section 2.3.
 """
 
 from __future__ import annotations
 
-from itertools import product
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,41 +18,55 @@ from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
 from micah_plan.learn.spread import extent
 from micah_plan.learn.track import PartTrack
 
-_LOOKING_BACK = (1, 2, 3, 5)  # steps over which the velocity is averaged
-_STAYING = (3, 8)  # steps over which what stays is averaged
+_WHITE = np.array([0.3, 0.6, 1.0, 1.5])  # stds of white noise that are tried, in the roughness of the rows
+_ACCELERATION = np.geomspace(0.003, 10.0, 12)  # stds of a change of velocity from row to row, in the same unit
+_WHITES, _ACCELERATIONS = (one.ravel() for one in np.meshgrid(_WHITE, _ACCELERATION, indexing="ij"))
 _DOF = 8.0
-_FINEST_EXTENT = 1e-3
+_ITERATIONS = 4
+FINEST_EXTENT = 1e-3  # m or rad
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """Rows told from those before them, under the likeliest scales of noise and of acceleration.
+
+    Attributes:
+        squares: (n - 2,) squared innovations of the third row on, in their variance.
+        sizes: (n - 2,) ln of the volume of an innovation's standard deviations.
+        begun: ln density of the first two rows.
+    """
+
+    squares: Floats
+    sizes: Floats
+    begun: float
 
 
 def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> float:
     """ln probability of a track of free motion, to compare with that of its segments.
 
     Args:
-        noise: as the roughness of the rows tells it; free motion is not told more exactly than that.
+        noise: as the roughness of the rows tells it.
         trust: power of the likelihood.
     """
     path = _path(track)
-    n, d = path.shape
-    finest = np.sqrt(noise.left[0, -1])
-    ways = [_expected(path, back) for back in _LOOKING_BACK] + [_average(path, back) for back in _STAYING]
-    missed = path[1:] - np.array(ways)
-    scale = np.sqrt((missed.reshape(len(ways), n - 1, d // 3, 3) ** 2).mean(axis=(1, 3)))
-    scales = np.maximum(np.repeat(scale, 3, axis=1), finest)
-    squares = ((missed / scales[:, None]) ** 2).reshape(len(ways), n - 1, d // 3, 3).sum(axis=3)
-    sizes = np.log(scales).reshape(len(ways), d // 3, 3).sum(axis=2)
-    best = -np.inf
-    moving, turning = range(len(_LOOKING_BACK)), range(len(ways))
-    for way in product(*[turning] * (d // 3 - 1), moving):
-        chosen = sum(squares[one, :, group] for group, one in enumerate(way))
-        size = sum(sizes[one, group] for group, one in enumerate(way))
-        density = log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(chosen / (_DOF + d)) - size
-        best = max(best, float(density.sum()))
-    # Where the first row is, is uniform over a cube as large as the path.
-    reached = [max(extent(path[:, group : group + 3]), _FINEST_EXTENT) for group in range(0, d, 3)]
-    first = 3 * float(np.log(reached).sum())
-    # One scale per group is fitted, and its way of going on is chosen.
-    fitted = 0.5 * (d // 3) * np.log(3.0 * n) + (d // 3) * np.log(len(ways))
-    return trust * (best - first) - float(fitted)
+    trends = [
+        trend_of(path[:, i : i + 3], std) for i, std in zip(range(0, path.shape[1], 3), rough(noise), strict=True)
+    ]
+    squares = np.sum([one.squares for one in trends], axis=0)
+    sizes = np.sum([one.sizes for one in trends], axis=0)
+    told = float(density(squares, sizes, path.shape[1]).sum()) + sum(one.begun for one in trends)
+    return float(trust * told - len(trends) * price(len(track)))
+
+
+def rough(noise: NoiseModel) -> list[float]:
+    """Stds of white noise per axis: of rotations [rad], if they were measured, and of positions [m]."""
+    stds: list[float] = np.sqrt(noise.white[0]).reshape(-1, 3).mean(axis=1).tolist()
+    return stds
+
+
+def price(rows: int) -> float:
+    """What the two scales of a trend cost that are fitted [nats]."""
+    return float(np.log(3.0 * rows))
 
 
 def _path(track: PartTrack) -> Floats:
@@ -64,17 +78,59 @@ def _path(track: PartTrack) -> Floats:
     return np.concatenate([turned, track.position], axis=1)
 
 
-def _expected(path: Floats, back: int) -> Floats:
-    """(n - 1, d) where rows after the first are expected, from the mean velocity over up to `back` steps before."""
-    ends = np.arange(len(path) - 1)
-    begins = np.maximum(ends - back, 0)
-    taken = np.maximum(ends - begins, 1)[:, None]
-    return np.asarray(path[ends] + (path[ends] - path[begins]) / taken)
+def trend_of(vector: Floats, std: float, spacing: Floats | None = None) -> Trend:
+    """The likeliest trend of rows (n, k).
+
+    Args:
+        std: roughness of the rows.
+        spacing: (n - 1,) how far apart neighbouring rows are; None: 1.
+    """
+    n, k = vector.shape
+    apart = np.ones(n - 1) if spacing is None else spacing
+    squares, sizes = _innovations(vector, std, apart)
+    best = int(density(squares, sizes, k).sum(axis=0).argmax())
+    return Trend(squares[:, best], sizes[:, best], _begun(vector, std))
 
 
-def _average(path: Floats, back: int) -> Floats:
-    """(n - 1, d) the mean of up to `back` rows before each row after the first."""
-    sums = np.concatenate([np.zeros((1, path.shape[1])), np.cumsum(path, axis=0)])
-    ends = np.arange(1, len(path))
-    begins = np.maximum(ends - back, 0)
-    return np.asarray((sums[ends] - sums[begins]) / (ends - begins)[:, None])
+def density(squares: Floats, sizes: Floats, d: int) -> Floats:
+    """ln densities of innovations in d dimensions: Student's, for some rows are outliers."""
+    return np.asarray(log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(squares / (_DOF + d)) - sizes)
+
+
+def likeliest_scale(squares: Floats, d: int) -> float:
+    """The common factor of variances under which squared innovations in d dimensions are likeliest."""
+    scale = float(squares.mean()) / d
+    for _ in range(_ITERATIONS):
+        scale = float((squares / (1 + squares / (scale * (_DOF + d)))).mean()) / d
+    return scale
+
+
+def _begun(vector: Floats, std: float) -> float:
+    """ln density of the first two rows: uniform over a cube as large as the path, and a step as they are."""
+    k = vector.shape[1]
+    step = max(np.sqrt((np.diff(vector, axis=0) ** 2).sum(axis=1).mean() / k), std)
+    away = (vector[1] - vector[0]) / step
+    reach = max(extent(vector), FINEST_EXTENT)
+    return float(-k * np.log(reach * step * np.sqrt(2 * np.pi)) - 0.5 * away @ away)
+
+
+def _innovations(vector: Floats, std: float, spacing: Floats) -> tuple[Floats, Floats]:
+    """(n - 2, g) squared innovations of rows (n, k) in their variance, and ln of their volume; by pairs of scales."""
+    white, changed = (std * _WHITES) ** 2, (std * _ACCELERATIONS) ** 2
+    (n, k), g = vector.shape, len(white)
+    place, speed = np.tile(vector[1], (g, 1)), np.tile((vector[1] - vector[0]) / spacing[0], (g, 1))
+    of_place, both, of_speed = white, white / spacing[0], 2 * white / spacing[0] ** 2
+    squares, variances = np.empty((n - 2, g)), np.empty((n - 2, g))
+    for row, h, square, variance in zip(vector[2:], spacing[1:].tolist(), squares, variances, strict=True):
+        place = place + h * speed
+        of_place, both, of_speed = (
+            of_place + 2 * h * both + h**2 * of_speed + changed * h**3 / 3,
+            both + h * of_speed + changed * h**2 / 2,
+            of_speed + changed * h,
+        )
+        innovation, variance[:] = row - place, of_place + white
+        square[:] = (innovation**2).sum(axis=1) / variance
+        trusted, turned = of_place / variance, both / variance
+        place, speed = place + trusted[:, None] * innovation, speed + turned[:, None] * innovation
+        of_place, both, of_speed = of_place - trusted * of_place, both - trusted * both, of_speed - turned * both
+    return squares, 0.5 * k * np.log(variances)

@@ -24,7 +24,8 @@ _FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 # Candidate correlation times of the fast wander, in runs; the slow one is next, with more than a run.
 _FAST_DURATIONS = np.array([1 / 100, 1 / 30, 1 / 10])
 _FAST_MOST = 1.75  # stds of the slow wander; more is motion as well
-_CANDIDATES = np.array(list(product(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS))).T
+# The slow wander is as large as is expected; or, where answers are doubted, as small as the rows tell it.
+_ANY_SLOW = np.array([1.0, 0.25, 0.0625])
 _DOFS = (8.0, 30.0)
 _ITERATIONS = 3
 _STILL = 1e-9  # stds of noise per rad or m; where a pose moves by less, it has no direction of motion
@@ -37,32 +38,41 @@ def first_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
         steps = (track.rotation[:-1].inv() * track.rotation[1:]).as_rotvec()
         missed.insert(0, 0.5 * (steps[:-1] - steps[1:]))
     white = _rough(np.stack(missed)[None]) ** 2
-    return _model(white, np.zeros_like(white), np.zeros_like(white), len(track), settings)
+    slow, slow_kept = _slow(len(track), 3 * white.shape[1], settings)
+    none = np.zeros_like(white)
+    return _model(white, none, slow[None], none, slow_kept, len(track), settings)
 
 
-def noises_left(answers: Sequence[tuple[Pool, Ints]], settings: LearnSettings) -> list[NoiseModel]:
+def noises_left(
+    answers: Sequence[tuple[Pool, Ints]], settings: LearnSettings, any_slow: bool = False
+) -> list[NoiseModel]:
     """The noise that each of some answers for a track leaves: white noise, fast wander, correlation and tails.
 
     Args:
         answers: joints as they see the rows, and which of them (n,) explains a row.
+        any_slow: whether the slow wander may be smaller than it is expected to be.
     """
+    shares = _ANY_SLOW if any_slow else _ANY_SLOW[:1]
     errors, free = (np.stack(some) for some in zip(*(misses(pool, which) for pool, which in answers), strict=True))
     m, _, d = errors.shape
     correlation = np.tile(np.eye(d), (m, 1, 1))
     # Scales again in the axes that a tracker turns out to have.
     for _ in range(2):
-        model = _scales(errors, free, correlation, settings)
+        model = _scales(errors, free, correlation, shares, settings)
         correlation, dof = correlated(model.whitened(errors), free / np.sqrt(model.left[:, None, -1]))
     noise = replace(model, correlation=correlation, dof=dof)
     return [noise.take([i]) for i in range(len(noise))]
 
 
-def _scales(errors: Floats, free: Floats, correlation: Floats, settings: LearnSettings) -> NoiseModel:
+def _scales(
+    errors: Floats, free: Floats, correlation: Floats, slow_shares: Floats, settings: LearnSettings
+) -> NoiseModel:
     """The likeliest scales of errors (m, n, d): one of all rotations and one of all positions, in no preferred axes.
 
     Args:
         free: (m, n, d) directions of the motion, in which nothing is known of the errors.
         correlation: (m, d, d) what is known of them so far.
+        slow_shares: stds of the slow wander that are tried, in the expected one.
     """
     m, n, d = errors.shape
     order = min(MEMORY, n - 1)
@@ -74,13 +84,15 @@ def _scales(errors: Floats, free: Floats, correlation: Floats, settings: LearnSe
     share = (along**2).sum(axis=2) / _rough(missed, 3.0)[..., None] ** 2
     size = 3 - share / np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
     rough = _rough(missed, size.mean(axis=2))
-    white_shares, fast_shares, durations = _CANDIDATES
+    tried = product(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS, slow_shares)
+    white_shares, fast_shares, durations, slow_shares = np.array(list(tried)).T
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)
     # Candidates (m, d / 3, c) of all scales at once.
     whites = np.maximum(white_shares * rough[..., None], _finest(d)[:, None]) ** 2
     fasts = np.minimum(fast_shares * rough[..., None], _FAST_MOST * np.sqrt(slow)[:, None]) ** 2
-    kept, slows = np.broadcast_to(fast_kept, whites.shape), np.broadcast_to(slow[:, None], whites.shape)
+    kept = np.broadcast_to(fast_kept, whites.shape)
+    slows = np.broadcast_to(slow[:, None] * slow_shares**2, whites.shape)
     coefficients, left = predictors(whites.ravel(), fasts.ravel(), slows.ravel(), kept.ravel(), slow_kept, order)
     past = np.zeros((*vectors.shape[:3], order, n))
     for lag in range(1, order + 1):
@@ -91,8 +103,8 @@ def _scales(errors: Floats, free: Floats, correlation: Floats, settings: LearnSe
     heavy = _DOFS[0] + size
     density = -0.5 * (size * np.log(variance) + heavy * np.log1p(squares / variance / heavy))
     best = density.sum(axis=3).argmax(axis=2)[..., None]
-    white, fast, likeliest = (np.take_along_axis(one, best, axis=2)[..., 0] for one in (whites, fasts, kept))
-    return _model(white, fast, likeliest, n, settings)
+    white, fast, slow, kept = (np.take_along_axis(one, best, axis=2)[..., 0] for one in (whites, fasts, slows, kept))
+    return _model(white, fast, slow, kept, slow_kept, n, settings)
 
 
 def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats]:
@@ -135,15 +147,16 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
     return matrix[best, np.arange(m)], dof[best, 0]
 
 
-def _model(white: Floats, fast: Floats, fast_kept: Floats, n: int, settings: LearnSettings) -> NoiseModel:
+def _model(
+    white: Floats, fast: Floats, slow: Floats, fast_kept: Floats, slow_kept: float, n: int, settings: LearnSettings
+) -> NoiseModel:
     """The noises of given variances and correlations (m, d / 3), channels independent."""
     m, vectors = white.shape
     d = 3 * vectors
     for value, index in ((settings.position_std, vectors - 1), (settings.rotation_std, slice(0, vectors - 1))):
         if value is not None:
             white[:, index], fast[:, index] = value**2, 0.0
-    slow, slow_kept = _slow(n, d, settings)
-    flat = white.ravel(), fast.ravel(), np.tile(slow, m), fast_kept.ravel()
+    flat = white.ravel(), fast.ravel(), slow.ravel(), fast_kept.ravel()
     coefficients, left = (
         np.moveaxis(one.reshape(*one.shape[:-1], m, vectors).repeat(3, axis=-1), -2, 0)
         for one in predictors(*flat, slow_kept, min(MEMORY, max(n - 1, 0)))
@@ -151,7 +164,7 @@ def _model(white: Floats, fast: Floats, fast_kept: Floats, n: int, settings: Lea
     return NoiseModel(
         white=white.repeat(3, axis=1),
         fast=fast.repeat(3, axis=1),
-        slow=np.tile(slow.repeat(3), (m, 1)),
+        slow=slow.repeat(3, axis=1),
         fast_kept=fast_kept.repeat(3, axis=1),
         slow_kept=np.full((m, d), slow_kept),
         correlation=np.tile(np.eye(d), (m, 1, 1)),

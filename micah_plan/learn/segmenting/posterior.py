@@ -6,7 +6,7 @@ Two neighbouring segments never have the same joint: that is one segment.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,13 @@ class ChangepointPosterior:
     starts: Floats
     changepoint: Floats
     log_evidence: float
+
+
+def without_changepoints(found: ChangepointPosterior, probability: float) -> ChangepointPosterior:
+    """The posterior, where with some probability there is no changepoint at all."""
+    counts = (1 - probability) * found.counts
+    counts[0] += probability
+    return replace(found, counts=counts, changepoint=(1 - probability) * found.changepoint)
 
 
 def changepoint_posterior(

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
+from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
-from micah_plan.learn.segmenting.pool import all_refitted, pool_of, refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths, rows_of_joints
 from micah_plan.learn.segmenting.selection import merged, selections, shared
 from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, WithoutRest, posterior_of
@@ -23,6 +23,7 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 _MOST_ROUNDS = 3
+_TIGHTENED = 2
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
@@ -102,16 +103,39 @@ def without_rests(found: Segmented, settings: LearnSettings, use_actions: bool) 
     return tuple(result)
 
 
+def log_probability_at_most(found: Segmented, settings: LearnSettings, use_actions: bool) -> float:
+    """ln probability of the joints of an answer under the noise that explains them best, however little it wanders.
+
+    That a tracker wanders is expected where segments are told apart, so that no wander becomes a joint. Whether there
+    is any joint is asked with all scales open, as they are for free motion.
+    """
+    prior, best = prior_of_lengths(found.track, settings), found.log_probability
+    for _ in range(_TIGHTENED):
+        noise = noises_left([(found.table.pool, found.segmentation.which)], settings, any_slow=True)
+        (table,) = _tables([found], noise, settings, use_actions)
+        own = list(range(len(rows_of_joints(found)[0])))
+        found = Segmented(found.track, noise[0], shared(table, own, prior, settings), table)
+        best = max(best, found.log_probability)
+    return best
+
+
 def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
-    """The whole track as one segment of the one moving joint (if there is any) that explains it best."""
-    n = len(found.track)
-    pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), found.track, found.noise)
-    table = tabulated(pool, found.track, found.noise, use_actions, settings.rest, found.table.trust)
+    """The whole track as one segment of the one moving joint (if there is any) that explains it best, under any wander.
+
+    Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
+    """
+    track, prior = found.track, prior_of_lengths(found.track, settings)
+    n, trust = len(track), found.table.trust
+    ones, noises = _singles(track, found.noise, settings, any_slow=True)
+    alone = all_tabulated(ones, track, noises, use_actions, settings.rest, trust)
+    noise = noises[_likeliest(alone, prior, settings)]
+    pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
+    table = tabulated(pool, track, noise, use_actions, settings.rest, trust)
     totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
-    whole = Segmentation((Piece(0, n - 1, best, float(totals[best])),), float(totals[best]))
-    return replace(found, table=table, segmentation=whole)
+    segmentation = shared(table, [best], prior, settings)
+    return Segmented(track, noise, segmentation, table)
 
 
 def _from_two_noises(
@@ -124,20 +148,32 @@ def _from_two_noises(
     fine = first_noise(track, settings)
     trust = trust_in(fine, settings)
     pool = window_hypotheses(track, settings.kinds, fine)
-    # Where something moves, what a rigid model leaves is motion, not noise.
-    kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
-    kinds = kinds or list(settings.kinds)
-    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, fine)
-    noises, ones = [], [whole.take([i]) for i in range(len(whole))]
-    if ones:
-        seen, every = pool_of(whole, track, fine), np.zeros(len(track), dtype=np.int64)
-        noises = noises_left([(seen, every + i) for i in range(len(whole))], settings)
+    ones, noises = _singles(track, fine, settings)
     table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], use_actions, settings.rest, trust)
     if not alone:
         return [(fine, table)]
-    totals = [shared(one, [0], prior, settings).log_probability for one in alone]
-    single = noises[int(np.argmax(totals))]
+    single = noises[_likeliest(alone, prior, settings)]
     return [(fine, table), (single, tabulated(pool, track, single, use_actions, settings.rest, trust))]
+
+
+def _singles(
+    track: PartTrack, noise: NoiseModel, settings: LearnSettings, any_slow: bool = False
+) -> tuple[list[Hypotheses], list[NoiseModel]]:
+    """A joint of every kind that all rows determine, fitted to them under a noise, and the noise that each leaves.
+
+    Where something moves, what a rigid model leaves is motion, not noise.
+    """
+    kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
+    kinds = kinds or list(settings.kinds)
+    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
+    seen, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
+    noises = noises_left([(seen, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
+    return [whole.take([i]) for i in range(len(whole))], noises
+
+
+def _likeliest(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: LearnSettings) -> int:
+    """Which of some joints, each alone in its table, explains the whole track best."""
+    return int(np.argmax([shared(one, [0], prior, settings).log_probability for one in alone]))
 
 
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:

@@ -61,7 +61,7 @@ class Leaves:
     def kept_words(self, names: Sequence[str]) -> list[str]:
         """What inputs keep, as sums of coordinates of these names, e.g. ``"hand - rod"``."""
         words = []
-        for row in self.kept / self.speed:
+        for row in _reduced(self.kept / self.speed):
             weights = row / row[np.flatnonzero(np.abs(row) > _RANK * np.abs(row).max())[0]]
             parts = [
                 f"{'-' if w < 0 else '+'} {name if abs(abs(w) - 1.0) < _RANK else f'{abs(w):.3g}*{name}'}"
@@ -119,6 +119,21 @@ class Leaves:
                 A, b = np.vstack([states.A, row, -row]), np.append(states.b, [value, -value])
                 states = replace(states, A=A, b=b)
         return states
+
+
+def _reduced(rows: Floats) -> Floats:
+    """(k, n) rows of full rank as sums of each other in which k columns have a single 1: short words for the same."""
+    rows = rows.copy()
+    done: list[int] = []
+    for column in range(rows.shape[1]):
+        left = [i for i in range(len(rows)) if i not in done]
+        pivot = max(left, key=lambda i: abs(rows[i, column]), default=None)
+        if pivot is not None and abs(rows[pivot, column]) > _RANK * np.abs(rows).max():
+            rows[pivot] /= rows[pivot, column]
+            others = np.arange(len(rows)) != pivot
+            rows[others] -= np.outer(rows[others, column], rows[pivot])
+            done.append(pivot)
+    return rows
 
 
 def leaves_of(mode: Mode, limits: Limits) -> Leaves:

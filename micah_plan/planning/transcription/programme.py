@@ -8,7 +8,8 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 - guards at the end of a phase: always;
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
-  The same holds for constraints that a user puts on the path (`corridor`).
+  The same holds for constraints that a user puts on the path (`corridor`);
+- what is moved while the guard may have been passed already, and is lost then: at a cost (`lost_motion`).
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from micah_plan.planning.nlp import Programme
 from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
+from micah_plan.planning.transcription.lost_motion import lost_motion
 from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
@@ -149,6 +151,8 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> 
         nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess, nlp.pattern))
         nlp.cost += effort_cost(nlp.problem, ca.sumsqr(inputs / ca.DM(largest)))
         _require_inputs(nlp, mode, guess, nlp.phases[-1])
+        if (lost := lost_motion(automaton, nlp.limits, guess, nlp.pattern)) is not None:
+            nlp.cost += _SLACK_WEIGHT * lost(states, inputs)
     if boundaries:
         _require_corridor(nlp, nlp.phases[-1], boundaries)
     if path is not None:

@@ -73,24 +73,108 @@
       viewer.handle_command_bytearray(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
     }
     if (dark) adaptColors();
-    placeCamera();
     for (const event of ["pointerdown", "wheel"]) pane.addEventListener(event, () => { touched = true; }, true);
   }
 
+  // z points up in the data, y in the viewer's own frame.
+  const raised = (p) => new MeshCat.THREE.Vector3(p[0], p[2], -p[1]);
+  const best = raised(data.camera.position).sub(raised(data.camera.target));
+  const ways = { front: raised([0, -1, 0.12]), side: raised([1, 0, 0.12]), top: raised([0, -0.02, 1]) };
+  let view = "whole", followed = null;
+
+  // The box around what moves: the object itself, or what is shown of the chosen run.
+  function movingBox() {
+    const nodes = [];
+    const collect = (node, depth) => {
+      for (const [name, child] of Object.entries(node.children || {})) {
+        if (name === "<object>" || name === "fixed" || name === "track" || !child.object.visible) continue;
+        depth > 0 ? collect(child, depth - 1) : nodes.push(child.object);
+      }
+    };
+    collect(viewer.scene_tree.find(["meshcat", "object"]), 0);
+    if (!nodes.length) collect(viewer.scene_tree.find(["meshcat", "runs"]), 1);
+    const box = new MeshCat.THREE.Box3();
+    for (const node of nodes) { node.updateWorldMatrix(true, true); box.expandByObject(node); }
+    return box;
+  }
+
+  function motionBox() {
+    const box = new MeshCat.THREE.Box3();
+    for (const share of [0, 0.25, 0.5, 0.75, 1]) {
+      if (data.duration > 0) viewer.animator.seek(share * data.duration);
+      box.union(movingBox());
+    }
+    seekAgain();
+    return box;
+  }
+
   function placeCamera() {
-    // z points up in the data, y in the viewer's own frame.
-    const raised = (p) => [p[0], p[2], -p[1]];
-    const camera = viewer.camera;
+    const camera = viewer.camera, target = viewer.controls.target;
     camera.fov = data.camera.angle;
     camera.near = data.camera.near;
     camera.far = data.camera.far;
-    camera.position.set(...raised(data.camera.position));
-    viewer.controls.target.set(...raised(data.camera.target));
     // A tall window needs more distance to see the same width.
-    const narrow = Math.min(1, pane.clientWidth / Math.max(1, pane.clientHeight));
-    camera.position.sub(viewer.controls.target).divideScalar(Math.max(narrow, 0.2)).add(viewer.controls.target);
+    const narrow = Math.max(0.2, Math.min(1, pane.clientWidth / Math.max(1, pane.clientHeight)));
+    const box = view === "motion" ? motionBox() : view === "object" ? movingBox() : null;
+    let way = (ways[view] || best).clone(), distance = best.length();
+    target.copy(raised(data.camera.target));
+    if (box && !box.isEmpty()) {
+      const ball = box.getBoundingSphere(new MeshCat.THREE.Sphere());
+      target.copy(ball.center);
+      const room = view === "object" ? 1.5 : 1.1;
+      distance = (room * Math.max(ball.radius, 1e-3)) / Math.sin((camera.fov * Math.PI) / 360);
+      camera.near = Math.min(camera.near, distance / 200);
+    }
+    followed = view === "object" ? target.clone() : null;
+    camera.position.copy(target).addScaledVector(way.normalize(), distance / narrow);
     viewer.controls.update();
     viewer.set_dirty();
+  }
+
+  // In the view of the object the camera goes along with it.
+  function follow() {
+    if (!followed) return;
+    const center = movingBox().getCenter(new MeshCat.THREE.Vector3());
+    const step = center.clone().sub(followed);
+    viewer.camera.position.add(step);
+    viewer.controls.target.add(step);
+    followed = center;
+    viewer.controls.update();
+  }
+
+  function setUpViews() {
+    const choose = (name) => {
+      view = name;
+      touched = false;
+      for (const button of document.querySelectorAll("#tools [data-view]")) {
+        button.setAttribute("aria-pressed", String(button.dataset.view === name));
+      }
+      placeCamera();
+    };
+    const fold = () => {
+      document.body.classList.toggle("folded");
+      viewer.set_3d_pane_size();
+    };
+    for (const button of document.querySelectorAll("#tools [data-view]")) {
+      button.addEventListener("click", () => choose(button.dataset.view));
+    }
+    document.getElementById("fold").addEventListener("click", fold);
+    const keys = { w: "whole", m: "motion", o: "object" };
+    document.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+      const key = event.key.toLowerCase();
+      if (keys[key]) choose(keys[key]);
+      if (key === "p") fold();
+    });
+    // "#stage" is the page for a video: no panels, no buttons.
+    if (/stage/.test(location.hash)) document.body.classList.add("folded", "stage");
+    viewer.set_3d_pane_size();
+    // Where no body of the object stands, such as one in a hand, the motion fills the picture, not its surroundings.
+    const standing = Object.keys(viewer.scene_tree.find(["meshcat", "object"]).children).includes("fixed");
+    const motion = motionBox().getBoundingSphere(new MeshCat.THREE.Sphere()).radius;
+    const whole = best.length() * Math.sin((data.camera.angle * Math.PI) / 360);
+    const asked = /view=(\w+)/.exec(location.hash);
+    choose(asked ? asked[1] : !standing && motion > 0 && whole > 1.4 * motion ? "motion" : "whole");
   }
 
   function setUpLayers() {
@@ -111,6 +195,50 @@
     });
   }
 
+  // Which run is shown beside the plan or the model; null for all.
+  let chosen = null;
+  let showAgain = () => {}, seekAgain = () => {};
+  function setUpRuns() {
+    const list = document.getElementById("run");
+    if (!list) return;
+    const words = document.getElementById("run-words");
+    const choose = () => {
+      chosen = list.value === "all" ? null : Number(list.value);
+      data.runs.forEach((run, i) => {
+        const shown = chosen === null || chosen === i;
+        if (run.path.length) viewer.scene_tree.find(run.path).set_property("visible", shown);
+        for (const drawn of document.querySelectorAll(`[data-run="${run.drawn}"]`)) {
+          drawn.classList.toggle("faded", !shown);
+          drawn.classList.toggle("chosen", chosen === i);
+          if (chosen === i) drawn.parentNode.insertBefore(drawn, drawn.parentNode.querySelector(".frame"));
+        }
+      });
+      words.replaceChildren(...(chosen === null ? [] : data.runs[chosen].words).map((text) => {
+        const line = document.createElement("p");
+        line.textContent = text;
+        return line;
+      }));
+      viewer.set_dirty();
+      showAgain();
+    };
+    list.addEventListener("change", choose);
+    document.addEventListener("keydown", (event) => {
+      if (event.key.toLowerCase() !== "r" || event.ctrlKey || event.metaKey || event.altKey) return;
+      list.selectedIndex = (list.selectedIndex + 1) % list.options.length;
+      choose();
+    });
+    choose();
+  }
+
+  function linesAt(readouts, time) {
+    let lines = [];
+    for (const [start, text] of readouts) {
+      if (start > time + 1e-9) break;
+      lines = text;
+    }
+    return lines;
+  }
+
   function setUpPlayer() {
     const slider = document.getElementById("time");
     if (!slider) return;
@@ -123,18 +251,22 @@
     viewer.animator.play();
     viewer.animator.pause();
 
+    const clock = document.getElementById("clock");
+    const speed = document.getElementById("speed");
+    seekAgain = () => viewer.animator.seek(time);
+
     function show(seconds) {
       time = Math.max(0, Math.min(data.duration, seconds));
       slider.value = time;
-      viewer.animator.seek(time);
+      seekAgain();
+      follow();
+      clock.textContent = `${time.toFixed(1)} of ${data.duration.toFixed(1)} s`;
       moveCursors(time);
-      let lines = [];
-      for (const [start, text] of data.readouts) {
-        if (start > time + 1e-9) break;
-        lines = text;
-      }
-      readout.textContent = lines.join("\n");
+      const ofRun = chosen === null ? [] : linesAt(data.runs[chosen].readouts, time);
+      readout.textContent = [...linesAt(data.readouts, time), ...ofRun].join("\n");
     }
+    showAgain = () => show(time);
+    window.player = { show, duration: data.duration };  // for recordings
     function setPlaying(on) {
       if (on && time >= data.duration) time = 0;
       playing = on;
@@ -144,7 +276,7 @@
     }
     function tick(now) {
       if (playing) {
-        const step = before === null ? 0 : (now - before) / 1000;
+        const step = before === null ? 0 : (Number(speed.value) * (now - before)) / 1000;
         if (time < data.duration) show(time + step);
         else if ((rested += step) > restAtEnd) { rested = 0; show(0); }
         before = now;
@@ -155,7 +287,7 @@
     slider.addEventListener("input", () => { setPlaying(false); show(Number(slider.value)); });
     setUpCharts((seconds) => { setPlaying(false); show(seconds); });
     document.addEventListener("keydown", (event) => {
-      if (event.target.tagName === "INPUT" && event.target.type !== "range") return;
+      if (event.target.tagName === "SELECT" || (event.target.tagName === "INPUT" && event.target.type !== "range")) return;
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
       if (event.key === " " && event.target !== button) setPlaying(!playing);
@@ -166,7 +298,7 @@
       event.preventDefault();
     });
     // "#t=0.5" opens the page at half time and still.
-    const still = /t=([0-9.]+)/.exec(location.hash);
+    const still = /\bt=([0-9.]+)/.exec(location.hash);
     show(still ? Number(still[1]) * data.duration : 0);
     setPlaying(!still && !window.matchMedia("(prefers-reduced-motion: reduce)").matches);
     requestAnimationFrame(tick);
@@ -174,6 +306,8 @@
 
   setUpScene();
   setUpLayers();
+  setUpRuns();
   setUpPlayer();
+  setUpViews();
   document.body.classList.add("ready");
 })();

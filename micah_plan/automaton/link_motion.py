@@ -1,0 +1,178 @@
+"""How a link moves: along its joints, one after another over one configuration.
+
+A drawer that swings when it is out has a slide up to one configuration and an arc from there on (MICAH, section IV-A:
+the segments of an edge share one coordinate). What a pose or an action says of the configuration is then a question to
+the joint that the part is on. Between two changes it is a single joint, and so are most motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, inverse, inverse_jacobian, jacobian
+from micah_plan.automaton.memo import memoised
+
+# Lever arm about which nothing can turn [m].
+_NO_LEVER = 1e-6
+_SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """Joints one after another.
+
+    Attributes:
+        joints: in order of configuration.
+        ends: (low, high) of each [rad or m]; the first has no lower end and the last no upper end.
+    """
+
+    joints: tuple[Joint, ...]
+    ends: tuple[tuple[float, float], ...]
+
+    def number(self, c: Floats) -> Ints:
+        """(k,) which joint governs the configurations c (k,)."""
+        return np.searchsorted([high for _, high in self.ends[:-1]], c, side="right")
+
+    def poses(self, c: Floats) -> RigidTransform:
+        """(k,) poses at the configurations c (k,)."""
+        if len(self.joints) == 1:
+            return forward(self.joints[0], c)
+        number, translation, turn = self.number(c), np.zeros((len(c), 3)), np.zeros((len(c), 4))
+        for k, joint in enumerate(self.joints):
+            own = number == k
+            if own.any():
+                pose = forward(joint, c[own])
+                translation[own], turn[own] = pose.translation, pose.rotation.as_quat()
+        return RigidTransform.from_components(translation, Rotation.from_quat(turn))
+
+    def tangents(self, c: Floats) -> Floats:
+        """(k, 6) derivatives [rotation, translation of the part's origin] of the pose at c (k,), base frame."""
+        every = np.stack([jacobian(joint, c) for joint in self.joints])
+        return np.asarray(every[self.number(c), np.arange(len(c))])
+
+    def configurations(self, position: Floats, rotation: Rotation | None) -> Floats:
+        """(k,) configurations closest to measured poses: positions (k, 3) [m] and orientations."""
+        if len(self.joints) == 1:
+            return np.asarray(inverse(self.joints[0], position, rotation))
+        tried, misses = [], []
+        for joint, (low, high) in zip(self.joints, self.ends, strict=True):
+            c = np.clip(self._on(joint, low, high, position, rotation), low, high)
+            pose = forward(joint, c)
+            missed = ((pose.translation - position) ** 2).sum(axis=1)
+            if rotation is not None:
+                missed = missed + ROTATION_LENGTH**2 * 2.0 * (
+                    1.0 - np.cos((pose.rotation.inv() * rotation).magnitude())
+                )
+            tried.append(c)
+            misses.append(missed)
+        return np.asarray(np.stack(tried)[np.argmin(misses, axis=0), np.arange(len(position))])
+
+    def commanded(self, c: Floats, action: Floats) -> Floats:
+        """Displacements (k,) from c (k,) that actions (k, 3) [m] of the part's origin stand for.
+
+        Of a turning part an action may be a chord f(c + u) - f(c) as well as a tangent J u: whichever fits each one
+        better. Over a large step the two differ: the tangent of an angle's chord is its sine. Next to where one joint
+        ends and another begins, an action may be of either.
+        """
+        return self._each(c, action, _commanded)
+
+    def aimed(self, c: Floats, action: Floats) -> Floats:
+        """Displacements (k,) from c (k,) to the point of the path next to the places to which actions (k, 3) lead."""
+        return self._each(c, action, _aimed)
+
+    def _each(self, c: Floats, action: Floats, meant: Callable[[Joint, Floats, Floats], Floats]) -> Floats:
+        own = np.zeros(len(c))
+        number = self.number(c)
+        for k, joint in enumerate(self.joints):
+            rows = number == k
+            if rows.any():
+                own[rows] = meant(joint, c[rows], action[rows])
+        return own if len(self.joints) == 1 else self._or_another(c, action, own, number)
+
+    def _or_another(self, c: Floats, action: Floats, own: Floats, number: Ints) -> Floats:
+        """What actions mean as motions to the next joint, where that fits them better than one along its own."""
+        target = self.poses(c).translation + action
+        best, missed = own.copy(), np.full(len(c), np.inf)
+        for k, joint in enumerate(self.joints):
+            rows = number == k
+            if rows.any():
+                ahead = forward(joint, c[rows] + own[rows]).translation
+                missed[rows] = np.linalg.norm(ahead - target[rows], axis=1)
+        for k, (joint, (low, high)) in enumerate(zip(self.joints, self.ends, strict=True)):
+            there = np.clip(self._on(joint, low, high, target, None), low, high)
+            away = np.linalg.norm(forward(joint, there).translation - target, axis=1)
+            # Only a neighbour that the motion gets to: a small action does not leave its joint.
+            better = (number != k) & np.isfinite(there) & (away < missed - _SAME)
+            best, missed = np.where(better, there - c, best), np.where(better, away, missed)
+        return best
+
+    def _on(self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None) -> Floats:
+        """Configurations along one joint, whole turns counted from the middle of its range."""
+        known = [end for end in (low, high) if np.isfinite(end)]
+        return inverse(joint, position, rotation, near=float(np.mean(known)) if joint.kind == "revolute" else None)
+
+
+@memoised
+def link_motions(automaton: HybridAutomaton) -> tuple[LinkMotion, ...]:
+    """How each link moves along its joints."""
+    return tuple(_motion(automaton, number) for number in range(len(automaton.links)))
+
+
+def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
+    coordinate = automaton.links[number].coordinate
+    found: dict[Joint, tuple[float, float]] = {}
+    for mode in automaton.modes:
+        joint = mode.joints[number]
+        if joint.kind != "rigid":
+            low, high = mode.interval(coordinate)
+            before = found.get(joint, (low, high))
+            found[joint] = min(before[0], low), max(before[1], high)
+    order = sorted(found.items(), key=lambda item: item[1])
+    follow = all(a[1][1] <= b[1][0] + _SAME for a, b in pairwise(order))
+    if len(order) < 2 or not follow:
+        # Modes with joints of their own over the same range do not follow each other: the first that moves measures.
+        return LinkMotion((automaton.moving_joint(number),), ((-np.inf, np.inf),))
+    ends = [-np.inf, *(0.5 * (a[1][1] + b[1][0]) for a, b in pairwise(order)), np.inf]
+    return LinkMotion(tuple(joint for joint, _ in order), tuple(pairwise(ends)))
+
+
+def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
+    if joint.kind == "revolute":
+        return _around(jacobian(joint, c)[:, 3:], np.array(joint.axis), action)
+    along = inverse_jacobian(joint, c, action)
+    return _on_arc(joint, c, action, along) if joint.kind == "screw" else along
+
+
+def _aimed(joint: Joint, c: Floats, action: Floats) -> Floats:
+    place = inverse(joint, forward(joint, c).translation + action, near=c)
+    lever = np.linalg.norm(jacobian(joint, c)[:, 3:], axis=1)
+    return np.asarray(np.where(np.isfinite(place) & (lever > _NO_LEVER), place - c, 0.0))
+
+
+def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
+    """Angles (k,) of actions that start where J is `tangent` (k, 3)."""
+    lever = np.linalg.norm(tangent, axis=1)
+    safe = np.maximum(lever, _NO_LEVER)
+    along = (action * tangent).sum(axis=1) / safe
+    outward = (action * np.cross(tangent, axis)).sum(axis=1) / safe
+    is_chord = np.abs(np.hypot(lever + outward, along) - lever) < np.abs(outward)
+    angle = np.where(is_chord, np.arctan2(along, lever + outward), along / safe)
+    return np.asarray(np.where(lever > _NO_LEVER, angle, 0.0))
+
+
+def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:
+    """u (k,) of actions on a screw; `along` is what they are as tangents."""
+    start = forward(joint, c)
+    arc = inverse(joint, start.translation + action, near=c) - c
+    chord = forward(joint, c + arc).translation - start.translation
+    tangent = jacobian(joint, c)[:, 3:] * along[:, None]
+    fits = np.linalg.norm(chord - action, axis=1) < np.linalg.norm(tangent - action, axis=1)
+    return np.asarray(np.where(fits & np.isfinite(arc), arc, along))

@@ -1,0 +1,144 @@
+"""What formats of rigid bodies take of a model: one joint per link, distinct names, masses; and what they leave out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.graph import BASE
+from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.region import Interval
+from micah_plan.errors import InputError
+from micah_plan.quantities import count
+
+DENSITY = 500.0
+"""Of wood, kg/m^3: nobody has weighed the object."""
+JOINT_SUFFIX = "_joint"
+_REMEDY = "that format cannot say it; keep the YAML"
+# A part without shapes must weigh something, or no engine can move it.
+_BARE_MASS, _BARE_RADIUS = 0.1, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPart:
+    """A link of the model with the joint that carries it.
+
+    Attributes:
+        parent, child: names of the parts.
+        name: of the joint, distinct from those of all parts.
+        joint: the one that moves, without covariance; a rigid one if none does.
+        limits: of its configuration [rad or m], infinite where the model has none.
+        part: with its shapes and handle.
+    """
+
+    parent: str
+    child: str
+    name: str
+    joint: Joint
+    limits: Interval
+    part: Part
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Mass [kg], centre (3,) [m] and moments (3, 3) about it [kg m^2], in the part's frame."""
+
+    mass: float
+    center: Floats
+    moments: Floats
+
+
+def moving_parts(automaton: HybridAutomaton, *, screws: bool) -> list[MovingPart]:
+    """The parts in the order of the links, each with its one joint.
+
+    Args:
+        screws: whether the format knows them.
+
+    Raises:
+        InputError: for a part with different moving joints in different modes, or that moves with another one, and for
+            screws that the format does not know.
+    """
+    names = {BASE, *(link.child for link in automaton.links)}
+    moving, found = set[int](), list[MovingPart]()
+    for k, link in enumerate(automaton.links):
+        joint = _moving_joint(automaton, k, screws)
+        if joint.kind != "rigid" and link.coordinate in moving:
+            raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
+        moving |= {link.coordinate} if joint.kind != "rigid" else set()
+        ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
+        name = automaton.coordinates[link.coordinate].name
+        name = f"{name}{JOINT_SUFFIX}" if name in names else name
+        if joint.kind == "rigid":
+            name = f"{link.child}_mount"
+        limits = ranges[0][0], ranges[-1][1]
+        found.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child)))
+    return found
+
+
+def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
+    """The one joint of a link that moves it in any mode; a rigid one if there is none."""
+    part = automaton.links[k].child
+    joints = [replace(mode.joints[k], covariance=None) for mode in automaton.modes]
+    moving = list(dict.fromkeys(joint for joint in joints if joint.kind != "rigid"))
+    if len(moving) > 1:
+        raise InputError(f"part {part} has different joints in different modes", remedy=_REMEDY)
+    if any(joint.kind == "path" for joint in moving):
+        raise InputError(f"part {part} moves along a path", remedy=_REMEDY)
+    if not screws and any(joint.kind == "screw" for joint in moving):
+        raise InputError(f"part {part} moves on a screw", remedy=_REMEDY)
+    return moving[0] if moving else joints[0]
+
+
+def inertia_of(part: Part, density: float) -> Inertia:
+    """Of all shapes of a part, each solid and of that density [kg/m^3]; a small ball where it has none."""
+    shapes = part.shapes or (Primitive("sphere", (_BARE_RADIUS,)),)
+    scale = density if part.shapes else _BARE_MASS / _volume(shapes[0])
+    masses = np.array([scale * _volume(shape) for shape in shapes])
+    centers = np.array([shape.position for shape in shapes], dtype=float)
+    center = masses @ centers / masses.sum()
+    moments = np.zeros((3, 3))
+    for mass, shape, at in zip(masses, shapes, centers - center, strict=True):
+        turn = Rotation.from_quat(shape.quaternion).as_matrix()
+        own = turn @ np.diag(mass * np.array(_squares(shape))) @ turn.T
+        moments += own + mass * (at @ at * np.eye(3) - np.outer(at, at))
+    return Inertia(float(masses.sum()), center, moments)
+
+
+def _volume(shape: Primitive) -> float:
+    if shape.kind == "box":
+        return math.prod(shape.size)
+    radius = shape.size[0]
+    return math.pi * radius**2 * shape.size[1] if shape.kind == "cylinder" else 4.0 / 3.0 * math.pi * radius**3
+
+
+def _squares(shape: Primitive) -> Sequence[float]:
+    """Moments over the mass of a solid about its own axes [m^2]."""
+    if shape.kind == "box":
+        x, y, z = (length**2 / 12.0 for length in shape.size)
+        return y + z, z + x, x + y
+    radius = shape.size[0]
+    if shape.kind == "cylinder":
+        across = radius**2 / 4.0 + shape.size[1] ** 2 / 12.0
+        return across, across, radius**2 / 2.0
+    return (0.4 * radius**2,) * 3
+
+
+def left_out(automaton: HybridAutomaton, density: float, *, handles: bool) -> tuple[str, ...]:
+    """What of a model a file of bodies and joints does not hold, and what it holds that nobody measured."""
+    lost = [f"{count(len(automaton.modes), 'mode')} with guards"] if len(automaton.modes) > 1 else []
+    lost += ["noise"]
+    lost += ["how sure learning was"] if automaton.learned else []
+    lost += [f"effects ({', '.join(effect.name for effect in automaton.effects)})"] if automaton.effects else []
+    lost += ["handles"] if not handles and any(part.handle is not None for part in automaton.parts) else []
+    bare = [link.child for link in automaton.links if not automaton.part(link.child).shapes]
+    notes = [f"left out: {', '.join(lost)}"]
+    notes.append(f"masses are those of shapes with {density:g} kg/m^3; nobody has weighed them")
+    if bare:
+        notes.append(f"without shapes, so a ball of {_BARE_MASS:g} kg: {', '.join(bare)}")
+    return tuple(notes)

@@ -1,0 +1,102 @@
+"""Letting go, carried out: steps down until contact is felt, the gripper opened, steps away from what then stands.
+
+What the hand feels ends the way down: it knows the height of the support by its force, not by its place. A hand that
+feels nothing down to the lowest place where the support may be does not let go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.errors import InputError
+from micah_plan.execution.plant import Command, Measurement
+from micah_plan.execution.pose import command
+from micah_plan.planning.limits import limits_of
+from micah_plan.task.plan import ArmTrajectory, ReleasePlan
+from micah_plan.task.problem import Problem, Release
+
+# The hand stops at so many times the force that counts as contact: the noise of what it feels decides nothing.
+_SURELY = 1.5
+
+Phase = Literal["lowering", "opening", "withdrawing", "done"]
+
+
+class LettingGo:
+    """The commands after the last knot of a plan that lets go.
+
+    Attributes:
+        phase: what it is doing.
+        felt: whether contact was felt.
+    """
+
+    def __init__(self, problem: Problem, release: Release, plan: ReleasePlan) -> None:
+        """Args: problem: with the release; plan: how."""
+        self.phase: Phase = "lowering"
+        self.felt = False
+        self._problem, self._release, self._plan = problem, release, plan
+        grip = problem.hold.grip if problem.hold is not None else None
+        children = [link.child for link in problem.automaton.links]
+        self._row = children.index(grip.held.name) if grip is not None else 0
+        self._largest = limits_of(problem).max_step
+        self._steps = 0
+        self._force: float | None = None
+
+    def command(self, belief: HybridBelief, measurement: Measurement) -> Command | None:
+        """The next command; None if nothing is left to do.
+
+        Args:
+            belief: after the measurement, or for what follows the opening, before it.
+
+        Raises:
+            InputError: if the plant does not measure the force.
+        """
+        if self.phase == "lowering":
+            force = self._pull(measurement)
+            self._force = force if self._force is None else self._force
+            self.felt = force <= self._force - self._release.force
+            if self.felt:
+                self.phase, self._steps = "opening", 0
+            elif self._steps == self._plan.steps:
+                self.phase = "done"
+        if self.phase == "done" or (self.phase == "withdrawing" and self._steps == len(self._plan.withdrawal)):
+            self.phase = "done"
+            return None
+        automaton, number = self._problem.automaton, belief.most_likely
+        name, mean = automaton.modes[number].name, belief.means[number][: automaton.n]
+        order = command(automaton, name, mean, self._input(automaton, mean))
+        if self.phase == "opening":
+            self.phase = "withdrawing"
+            return replace(order, opens=True, posture=self._posture(self._plan.withdrawing, 0))
+        self._steps += 1
+        if self.phase == "withdrawing":
+            return replace(order, posture=self._posture(self._plan.withdrawing, self._steps))
+        limit, posture = _SURELY * self._release.force, self._posture(self._plan.lowering, self._steps)
+        return replace(order, force_limit=limit, posture=posture)
+
+    def _input(self, automaton: HybridAutomaton, mean: Floats) -> Floats:
+        """(m,) displacement of the hand: down, where it strayed back to where it is to be put down; or away."""
+        u = np.zeros(automaton.m)
+        if self.phase == "withdrawing":
+            u[:3] = self._plan.withdrawal[self._steps]
+        elif self.phase == "lowering":
+            away = self._plan.contact[:2] - mean[:2]
+            u[:2] = np.clip(away, -self._largest[:2], self._largest[:2])
+            u[2] = -self._release.step
+        return u
+
+    def _pull(self, measurement: Measurement) -> float:
+        """How hard the hand pulls the object up [N]."""
+        if measurement.force is None:
+            text = "letting go needs a plant that measures the force on the hand: Measurement.force is None"
+            raise InputError(text, remedy="measure it, or leave 'release' out of the problem")
+        return float(measurement.force[self._row, 2])
+
+    @staticmethod
+    def _posture(arm: ArmTrajectory | None, step: int) -> Floats | None:
+        return None if arm is None else np.asarray(arm.positions[min(step, len(arm.positions) - 1)])

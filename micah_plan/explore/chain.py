@@ -1,0 +1,309 @@
+"""How the handle goes: a chain of joints, each a slide or a hinge, fitted to poses and to the odometer of force.
+
+With s the way of the handle [m], a joint turns it by w per metre, from the direction t at its beginning; w = 0 is a
+slide, w normal to t a hinge with its axis along w at the distance 1/|w|. A joint goes on where the one before ends, at
+a way that is fitted as well. Tracker and odometer say where along the chain each row is; what is left of both normal to
+it, and the orientations, are the residuals. Pose and force are one fit so: where the hand's force has a part that no
+friction explains, the handle did not go there.
+
+Chains are compared by their evidence: Laplace's approximation, each under the noise of the tracker that it leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from micah_plan.arrays import Booleans, Floats
+
+# What is known before of the numbers of a chain (std): turning [rad/m], where a joint takes over [m], its direction.
+# The pose at s = 0 is common to all chains that are compared, so that its prior does not matter.
+_RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
+# Noise of a tracker (std) per axis, and of how many numbers that is worth.
+PLACE_STD, TURN_STD, _WORTH = 0.002, 0.02, 4.0
+_HUBER, _SMALL = 2.5, 1e-6
+_SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
+_BACKTRACKING = (1.0, 0.3, 0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What was seen after each step, and before the first: k rows.
+
+    Attributes:
+        place: (k, 3) measured place of the handle [m]; NaN where not seen.
+        turn: (k, 3, 3) its orientation; NaN where not seen.
+        moved: (k - 1, 3) displacement by the odometer [m].
+        moved_std: (k - 1,) its std per axis.
+    """
+
+    place: Floats
+    turn: Floats
+    moved: Floats
+    moved_std: Floats
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    @property
+    def seen(self) -> Booleans:
+        return np.asarray(np.isfinite(self.place).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """n joints that move the handle one after another. Place to rate may have leading axes: many chains of like kinds.
+
+    Attributes:
+        hinges: (n,) whether each joint is a hinge; else it is a slide.
+        place, turn: (3,) and (3, 3), pose of the handle at s = 0.
+        begin: (n,) way at which each joint begins [m]; of the first 0, but that reaches back.
+        direction: (n, 3) unit vectors in which the handle goes there.
+        rate: (n, 3) rotation per metre of way, normal to the direction; 0 for a slide.
+        way: (k,) s of each row [m].
+        place_std, turn_std: of the tracker, as what is left says [m, rad].
+        covariance: of the numbers, in the order of `numbers`.
+        loss: negative log likelihood of the rows [nats].
+        evidence: log evidence against other chains for the same rows [nats].
+    """
+
+    hinges: tuple[bool, ...]
+    place: Floats
+    turn: Floats
+    begin: Floats
+    direction: Floats
+    rate: Floats
+    way: Floats
+    place_std: float = PLACE_STD
+    turn_std: float = TURN_STD
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    loss: float = 0.0
+    evidence: float = 0.0
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return tuple("revolute" if hinge else "prismatic" for hinge in self.hinges)
+
+    def poses(self, way: Floats) -> tuple[Floats, Floats, Floats]:
+        """Places (..., k, 3), orientations (..., k, 3, 3) and directions (..., k, 3) at ways s (k,)."""
+        places, turns = self.place[..., None, :], self.turn[..., None, :, :]
+        ends = np.concatenate([self.begin[..., 1:], np.full((*self.begin.shape[:-1], 1), np.inf)], axis=-1)
+        tangents = np.zeros(3)
+        for i in range(len(self.hinges)):
+            begin, end = self.begin[..., i, None], ends[..., i, None]
+            s = np.minimum(way, end) if i == 0 else np.clip(way, begin, end) - begin
+            moved, turned, along = _carried(self.direction[..., i, :], self.rate[..., i, :], s)
+            places, turns = places + moved, turned @ turns
+            tangents = along if i == 0 else np.where((way >= begin)[..., None], along, tangents)
+        return places, turns, tangents
+
+    def numbers(self) -> tuple[Floats, Floats]:
+        """What can change: (p, q) directions of change for `changed`, and (p,) how far each is free before (std).
+
+        The place along the first direction is none of them: the way of the first row is 0.
+        """
+        n = len(self.hinges)
+        every = np.eye(6 + 7 * n)
+        pose = every[:5].copy()
+        pose[:2, :3] = _normal_to(self.direction[0])
+        pose[2:] = every[3:6]
+        parts, free = [pose, every[7 : 6 + n]], [np.full(5, _POSE), np.full(n - 1, _BEGIN)]
+        for i, hinge in enumerate(self.hinges):
+            both = np.stack(_normal_to(self.direction[i]))
+            parts.append(both @ every[6 + n + 3 * i : 9 + n + 3 * i])
+            free.append(np.full(2, _DIRECTION))
+            if hinge:
+                parts.append(both @ every[6 + 4 * n + 3 * i : 9 + 4 * n + 3 * i])
+                free.append(np.full(2, _RATE))
+        return np.concatenate(parts), np.concatenate(free)
+
+    def changed(self, by: Floats) -> Chain:
+        """The chain with small changes (..., q): place 3, turn 3, begin n, direction 3 n, rate 3 n."""
+        n = len(self.hinges)
+        place, turn, begin, direction, rate = np.split(by, [3, 6, 6 + n, 6 + 4 * n], axis=-1)
+        direction = self.direction + direction.reshape(*by.shape[:-1], n, 3)
+        direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        return replace(
+            self,
+            place=self.place + place,
+            turn=_rotations(turn, np.ones((*by.shape[:-1], 1)))[..., 0, :, :] @ self.turn,
+            begin=self.begin + begin,
+            direction=direction,
+            rate=_across(self.rate + rate.reshape(*by.shape[:-1], n, 3), direction),
+        )
+
+    def ahead(self, way: float) -> tuple[Floats, Floats]:
+        """Its direction (3,) at a way, and how the numbers change it (p, 3)."""
+        here = self.poses(np.array([way]))[2][0]
+        return here, (self.changed(_SMALL * self.numbers()[0]).poses(np.array([way]))[2][:, 0] - here) / _SMALL
+
+
+def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
+    other = np.zeros(3)
+    other[int(np.argmin(np.abs(direction)))] = 1.0
+    first = np.cross(direction, other)
+    first = first / np.linalg.norm(first)
+    return first, np.cross(direction, first)
+
+
+def _series(rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
+    """cos(a), s sin(a) / a and s² (1 - cos a) / a² for angles a = |w| s: smooth where w is 0. (..., k, 1) each."""
+    angle = np.linalg.norm(rate, axis=-1)[..., None] * s / np.pi
+    values = np.cos(np.pi * angle), s * np.sinc(angle), 0.5 * s**2 * np.sinc(0.5 * angle) ** 2
+    return values[0][..., None], values[1][..., None], values[2][..., None]
+
+
+def _rotations(rate: Floats, s: Floats) -> Floats:
+    """(..., k, 3, 3) rotations by w s (Rodrigues), of rates (..., 3) and ways (..., k)."""
+    x, y, z = rate[..., 0], rate[..., 1], rate[..., 2]
+    zero = np.zeros_like(x)
+    hat = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 1, 3, 3)
+    _, first, second = _series(rate, s)
+    return np.asarray(np.eye(3) + first[..., None] * hat + second[..., None] * (hat @ hat))
+
+
+def _carried(direction: Floats, rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Displacements, rotations and directions after ways s (..., k) of a joint."""
+    cosine, first, second = _series(rate, s)
+    side, straight = np.cross(rate, direction)[..., None, :], direction[..., None, :]
+    return first * straight + second * side, _rotations(rate, s), cosine * straight + first * side
+
+
+def _placed(chain: Chain, rows: Rows) -> Chain:
+    """The chain with each row where tracker and odometer together say that it is along it: a tridiagonal system."""
+    places, _, tangents = chain.poses(chain.way)
+    seen = rows.seen
+    off = np.where(seen, np.einsum("ij,ij->i", np.nan_to_num(rows.place) - places, tangents), 0.0)
+    chord = _chords(tangents)
+    step = np.einsum("ij,ij->i", rows.moved, chord) - np.einsum("ij,ij->i", np.diff(places, axis=0), chord)
+    tracker, odometer = seen / chain.place_std**2, 1.0 / rows.moved_std**2
+    diagonal = tracker + 1e-9
+    diagonal[:-1] += odometer
+    diagonal[1:] += odometer
+    right = tracker * off
+    right[:-1] -= odometer * step
+    right[1:] += odometer * step
+    band = np.stack([np.append(0.0, -odometer), diagonal])
+    way = chain.way + np.clip(solveh_banded(band, right), -0.1, 0.1)
+    place, turn, tangent = (values[0] for values in chain.poses(way[:1]))
+    begin = np.append(0.0, chain.begin[1:] - way[0])
+    direction = np.concatenate([tangent[None], chain.direction[1:]])
+    return replace(chain, place=place, turn=turn, begin=begin, direction=direction, way=way - way[0])
+
+
+def _residuals(chain: Chain, rows: Rows) -> tuple[Floats, Floats, Floats]:
+    """What is left: of places (k, 3) and of steps (k - 1, 3), both normal to the way, and of turns (k, 3); in std."""
+    places, turns, tangents = chain.poses(chain.way)
+    seen = rows.seen[:, None]
+    off = np.where(seen, np.nan_to_num(rows.place) - places, 0.0) / chain.place_std
+    turned = np.where(seen, _vectors(np.nan_to_num(rows.turn) @ turns.transpose(0, 2, 1)), 0.0) / chain.turn_std
+    step = (rows.moved - np.diff(places, axis=0)) / rows.moved_std[:, None]
+    return _across(off, tangents), turned, _across(step, _chords(tangents))
+
+
+def _weights(residual: Floats) -> Floats:
+    """(k, 1) roots of Huber's weights of residuals (k, 3): beyond his bound squares grow linearly."""
+    size = np.linalg.norm(residual, axis=1)
+    return np.asarray(np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-12)))[:, None])
+
+
+def _stacked(chain: Chain, rows: Rows) -> Floats:
+    parts = [(_weights(part) * part).ravel() for part in _residuals(chain, rows)]
+    return np.concatenate([*parts, chain.rate.ravel() / _RATE])
+
+
+def fitted(chain: Chain, rows: Rows, rounds: int = 1) -> Chain:
+    """The chain of these kinds that explains the rows best, from a guess whose `way` may be shorter than the rows.
+
+    Args:
+        rounds: of placing the rows along the way and improving the chain; one will do from a good guess.
+    """
+    missing = len(rows) - len(chain.way)
+    if missing > 0:
+        tangent = chain.poses(chain.way[-1:])[2][0]
+        chain = replace(chain, way=np.append(chain.way, chain.way[-1] + np.cumsum(rows.moved[-missing:] @ tangent)))
+    chain = _placed(chain, rows)
+    for _ in range(rounds):
+        chain, change = _improved(chain, rows)
+        chain = _heard(_placed(chain, rows), rows)
+        if change < 1e-4:
+            break
+    return _judged(chain, rows)
+
+
+def _improved(chain: Chain, rows: Rows) -> tuple[Chain, float]:
+    """One damped Gauss-Newton step, and its largest change."""
+    here, (steps, free) = _stacked(chain, rows), chain.numbers()
+    slope = _slope(chain, rows, steps)
+    change = -np.linalg.solve(slope.T @ slope + np.diag(free**-2.0), slope.T @ here)
+    for share in _BACKTRACKING:
+        tried = chain.changed(share * change @ steps)
+        after = _stacked(tried, rows)
+        if after @ after <= here @ here + 1e-9:
+            return tried, share * float(np.abs(change).max())
+    return chain, 0.0
+
+
+def _slope(chain: Chain, rows: Rows, steps: Floats) -> Floats:
+    """(r, p) derivative of the stacked residuals by the numbers, the directions of the way taken as fixed."""
+    places, turns, tangents = chain.poses(chain.way)
+    tried = chain.changed(_SMALL * steps)
+    moved, turned, _ = tried.poses(chain.way)
+    shifts, spins = (moved - places) / _SMALL, _vectors(turned @ turns.transpose(0, 2, 1)) / _SMALL
+    off, turned_off, step_off = _residuals(chain, rows)
+    seen = rows.seen[:, None]
+    place = np.where(seen, _weights(off), 0.0) / chain.place_std * _across(shifts, tangents)
+    turn = np.where(seen, _weights(turned_off), 0.0) / chain.turn_std * spins
+    step = np.diff(shifts, axis=1)
+    way = _weights(step_off) / rows.moved_std[:, None] * _across(step, _chords(tangents))
+    rate = (chain.rate - tried.rate) / (_SMALL * _RATE)
+    return -np.concatenate([part.reshape(len(steps), -1) for part in (place, turn, way, rate)], axis=1).T
+
+
+def _across(vectors: Floats, directions: Floats) -> Floats:
+    return np.asarray(vectors - (vectors * directions).sum(axis=-1, keepdims=True) * directions)
+
+
+def _chords(tangents: Floats) -> Floats:
+    chord = tangents[:-1] + tangents[1:]
+    return np.asarray(chord / np.maximum(np.linalg.norm(chord, axis=1), 1e-9)[:, None])
+
+
+def _vectors(matrices: Floats) -> Floats:
+    """(..., 3) rotation vectors of small rotations (..., 3, 3)."""
+    m = matrices
+    return 0.5 * np.stack(
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1
+    )
+
+
+def _heard(chain: Chain, rows: Rows) -> Chain:
+    """With the noise of the tracker that it leaves, and the likelihood under it."""
+    seen = int(rows.seen.sum())
+    off, turned, step = (np.square(_weights(part) * part).sum() for part in _residuals(chain, rows))
+    count = np.maximum([2.0 * seen - 3.0, 3.0 * seen - 3.0], 0.0)  # the pose at s = 0 takes three of each
+    left = np.array([off * chain.place_std**2, turned * chain.turn_std**2])
+    variance = (_WORTH * np.square([PLACE_STD, TURN_STD]) + left) / (_WORTH + count)
+    loss = 0.5 * float(step) + 0.5 * float((_WORTH + count) @ np.log(variance))
+    return replace(chain, place_std=float(np.sqrt(variance[0])), turn_std=float(np.sqrt(variance[1])), loss=loss)
+
+
+def _judged(chain: Chain, rows: Rows) -> Chain:
+    """With the covariance of its numbers and its evidence; none speaks for what a joint would do within its play."""
+    steps, free = chain.numbers()
+    slope = _slope(chain, rows, steps)  # of the rates' prior too
+    precision = slope.T @ slope + np.diag(np.where(free == _RATE, 0.0, free**-2.0))
+    before = 0.5 * float(np.square(chain.rate).sum()) / _RATE**2
+    evidence = -chain.loss - before - float(np.log(free).sum()) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    if len(chain.hinges) > 1 and np.diff(np.append(chain.begin, chain.way.max())).min() < _SHORTEST:
+        evidence -= _NOWHERE
+    return replace(chain, covariance=np.linalg.inv(precision), evidence=evidence)
+
+
+def opening(chain: Chain) -> Chain:
+    """The chain counted so that its way grows as the handle opens, which is where it has been farthest."""
+    if chain.way.max() >= -chain.way.min() or len(chain.hinges) > 1:
+        return chain
+    return replace(chain, direction=-chain.direction, rate=-chain.rate, way=-chain.way)

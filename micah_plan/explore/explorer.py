@@ -1,0 +1,328 @@
+"""The decisions of one exploration: what is believed after each measurement, and what to command next.
+
+First six small pushes tell the hand's stiffness. Then each push is the one with the best chance of a motion per force;
+what should have moved and did not is ruled out. Once the handle moves it is led along the chain of joints that fits
+all that was seen, two centimetres ahead of what friction takes. If it stops, the same belief says where to push next:
+harder, elsewhere, where another joint may begin, or back, since it may have been ajar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.execution.plant import Measurement
+from micah_plan.explore.chain import Chain, opening
+from micah_plan.explore.choice import SEEN, best_push, largest_lead
+from micah_plan.explore.hand import stiffest
+from micah_plan.explore.kinds import judged, refitted, with_joint
+from micah_plan.explore.moves import Moves, anywhere, compass, onwards
+from micah_plan.explore.record import Record
+from micah_plan.task.exploration import Scene
+
+Outcome = Literal["opened", "held", "gave_up"]
+
+_PUSHES, _FIRST_PUSH, _PUSH_FORCE, _GROWTH = 6, 0.001, 6.0, 4.0
+_AHEAD = 0.02  # m
+_SURE = 0.6  # of a motion: then the handle is led on
+_CHANGE = 0.03  # probability per step that another joint takes over
+_HELD = 0.005  # that anything within the force would move it
+_SURELY = 0.006  # m; play and panels that bend are less
+_MOVED = 0.03  # m of way; less is no opening
+_PROGRESS = 0.004  # m
+_GENTLE = 3.0  # times the friction of the way, and 3 N: what is pushed with before the other end is tried
+_BENT = 0.35  # of the largest force, with which a panel may be bent that has to come back first
+_NO_FORCE = 1.0  # N
+_TANGENTS, _BLIND = 12, 60
+_LEAST_SPREAD, _LARGEST_SPREAD = 0.01, 0.14  # of the direction ahead [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What was done and believed at one step, for the page and the log.
+
+    Attributes:
+        place: (3,) estimated place of the handle after it [m].
+        force: (3,) measured [N].
+        lead: (3,) of the hand's equilibrium before it [m].
+        kinds: probabilities by name: fast, unknown, and the kinds of joint.
+        fan: (k, 3) directions in which it is most believed to move.
+        way: of the handle along its chain of joints [m].
+    """
+
+    place: Floats
+    force: Floats
+    lead: Floats
+    kinds: dict[str, float]
+    fan: Floats
+    way: float
+
+
+class _Rest(NamedTuple):
+    """Where the handle last went along its way: row, chain, place and its variance."""
+
+    row: int
+    chain: Chain
+    place: Floats
+    variance: float
+
+
+class Explorer:
+    """Believes, decides and logs; it calls no plant."""
+
+    def __init__(self, scene: Scene, first: Measurement) -> None:
+        self.scene, self.record = scene, Record(first)
+        self.outcome: Outcome | None = None
+        self.reason = ""
+        self.moments: list[Moment] = []
+        self.moves: Moves | None = None
+        self.chains: tuple[Chain, ...] = ()
+        self.friction, self.tried, self.can = 3.0, 0.0, 1.0
+        self.sense, self.farthest, self.widest, self.travel = 1.0, 0.0, 0.0, 0.0
+        self._frame = self.record.turns[0]
+        self._axes = np.concatenate([np.eye(3), -np.eye(3)]) @ self._frame.T
+        self._compass = compass() @ self._frame.T
+        self._anchor = self.record.place
+        self._rest: _Rest | None = None
+        self._left: dict[float, tuple[float, Moves | None]] = {}
+        self._is_gentle, self._is_returning, self._seen = True, False, 0.0
+
+    @property
+    def steps(self) -> int:
+        return len(self.record.commands)
+
+    @property
+    def chain(self) -> Chain | None:
+        """The most probable chain of joints; None while nothing has moved."""
+        return max(self.chains, key=lambda chain: chain.evidence) if self.chains else None
+
+    def decide(self) -> Floats | None:
+        """(3,) the next command [m]; None if the exploration has ended."""
+        if self.outcome is None and self.steps >= self.scene.steps:
+            self._end("gave_up", f"{self.steps} steps were not enough")
+        if self.outcome is not None:
+            return None
+        lead, led = self._lead()
+        if self._has_ended():
+            return None
+        size = float(np.linalg.norm(lead))
+        return self.record.command(lead * min(1.0, self.scene.largest_step / max(size, 1e-9)), led)
+
+    def _has_ended(self) -> bool:
+        return self.outcome is not None
+
+    def stopped(self, reason: str) -> None:
+        """The machine failed while it carried out the last command."""
+        self.record.withdrawn()
+        self._end("gave_up", reason)
+
+    def _end(self, outcome: Outcome, reason: str) -> None:
+        self.outcome, self.reason = outcome, reason
+
+    def _lead(self) -> tuple[Floats, bool]:
+        """The next lead, and whether it leads on along a known chain."""
+        record, chain, still = self.record, self.chain, (np.zeros(3), False)
+        if record.blind or record.odd:
+            return still
+        if self.moves is None:
+            return self._probe(), False
+        most = self._most()
+        directions = self._compass
+        if chain is not None:
+            ahead = self._ahead(chain)
+            if self._leaves_workspace(ahead):
+                self._end("gave_up", "the workspace ends here")
+                return still
+            far = min(record.hand.compliance * self.friction + _AHEAD, most)
+            needed = self.moves.needed(ahead[None], record.hand.compliance)[0]
+            if float(self.moves.weight[needed + SEEN <= far].sum()) > _SURE:
+                return far * ahead, True
+            directions = np.concatenate([ahead[None], directions[directions @ ahead > -0.3]])
+        else:
+            directions = np.concatenate([directions, self.moves.likely()])
+        push = best_push(self.moves, directions, record.hand, most)
+        self.can = push.can
+        size = float(np.linalg.norm(push.lead))
+        too_strong = self._is_gentle and size > record.hand.compliance * (_GENTLE * self.friction + 3.0)
+        if self.can < _HELD or (chain is not None and too_strong):
+            return self._other_end(chain)
+        bent = float(record.forces[-1] @ push.lead) / size
+        if size > 2.0 * _BENT * most and bent > _BENT * self.scene.largest_force:
+            return still
+        self.tried = max(self.tried, size / record.hand.compliance)
+        return push.lead, False
+
+    def _most(self) -> float:
+        record = self.record
+        doubt = record.place_std if record.hand.from_measured else 0.0
+        return largest_lead(self.scene, record.hand, *record.pushes(), doubt)
+
+    def _leaves_workspace(self, ahead: Floats) -> bool:
+        low, high, there = self.scene.low, self.scene.high, self.record.place + _AHEAD * ahead
+        return bool((low is not None and (there < low).any()) or (high is not None and (there > high).any()))
+
+    def _probe(self) -> Floats:
+        """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
+        size, record = _FIRST_PUSH, self.record
+        if record.forces:
+            last = max(float(np.linalg.norm(command)) for command in record.commands)
+            force = min(_PUSH_FORCE, 0.5 * self.scene.largest_force)
+            size = min(force / stiffest(*record.pushes()), _GROWTH * last)
+        return np.asarray(size * self._axes[self.steps % _PUSHES])
+
+    def _ahead(self, chain: Chain) -> Floats:
+        """(3,) direction to the place a step further along its way."""
+        here = chain.way[-1]
+        places, _, _ = chain.poses(np.array([here, here + self.sense * _AHEAD]))
+        chord = places[1] - places[0]
+        return np.asarray(chord / np.linalg.norm(chord))
+
+    def _other_end(self, chain: Chain | None) -> tuple[Floats, bool]:
+        """Nothing more is to be had at this end of the way, or only with more force than the way needed: at the other
+        end it may be less. It was perhaps ajar, and what was met is where it shuts. Force is spent when both are tried.
+        """
+        other = self._left.get(-self.sense)
+        if chain is None or (self.can < _HELD and other is not None and other[1] is None):
+            self._nothing_moves()
+            return np.zeros(3), False
+        self._is_gentle = self._is_gentle and not self._left
+        self._left[self.sense] = (self.farthest, None if self.can < _HELD else self.moves)
+        self.sense = -self.sense
+        self._is_returning = other is not None
+        self.farthest = self.sense * float(chain.way[-1]) if other is None else other[0]
+        self.moves = self._onwards(chain)
+        return self._lead()
+
+    def _nothing_moves(self) -> None:
+        force = self._most() / self.record.hand.compliance
+        if force < _NO_FORCE:
+            self._end("gave_up", "too little is known of the hand to push safely")
+        elif self.widest < _MOVED:
+            self._end("held", f"nothing moved it within {force:.3g} N; a latch of more than that is not excluded")
+        else:
+            self._end("gave_up", f"after {self.widest:.2g} m nothing within {force:.3g} N moved it on")
+
+    def take(self, seen: Measurement) -> None:
+        """A measurement after the last command: believe, and note the moment."""
+        record = self.record
+        record.take(seen)
+        if record.blind >= _BLIND:
+            self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
+        elif record.lost:
+            self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
+        elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
+            self._learn()
+        fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely(40)
+        way = 0.0 if self.chain is None else self.sense * float(self.chain.way[-1])
+        lead, force = record.leads[-1], record.forces[-1]
+        self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
+
+    def _learn(self) -> None:
+        record = self.record
+        if not self.chains and not record.blind:
+            record.know_hand()
+            self._anchor = record.place - np.sum(record.moved, axis=0)
+            if record.hand.complaint:
+                self._end("gave_up", record.hand.complaint)
+                return
+        if self.moves is None:
+            self.moves = anywhere(self._frame)
+            for k in range(self.steps):
+                self._rule_out(k)
+        elif not (record.blind or record.odd):
+            self._rule_out(self.steps - 1)
+        if not self.chains:
+            net = record.place - self._anchor - record.bending() @ record.forces[-1]
+            if float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
+                pose = (self._anchor, self._frame)
+                self.chains = with_joint(None, pose, net, record.rows(), 0)
+                self._rest = _Rest(self.steps, self.chains[0], record.place, record.variance)
+        elif self._leaves_chain():
+            self._next_joint()
+        else:
+            self.chains = refitted((self.chains[0], self.chains[1]), record.rows())
+        if self.chain is not None:
+            self._follow(self.chain)
+
+    def _rule_out(self, k: int) -> None:
+        """What should have moved in step k and did not, or otherwise."""
+        record, lead = self.record, self.record.leads[k]
+        if self.moves is not None and lead.any():
+            self.moves = self.moves.updated(lead, record.lasting(k), record.step_std(k), record.hand.compliance)
+
+    def _leaves_chain(self) -> bool:
+        """Whether the handle has moved across its way since it went along it last: another joint does that."""
+        if self._rest is None:
+            return False
+        _, chain, place, variance = self._rest
+        along, net = chain.poses(chain.way[-1:])[2][0], self.record.place - place
+        across = float(np.linalg.norm(net - (net @ along) * along))
+        shows = _SURELY + 3.0 * float(np.sqrt(variance + self.record.variance))
+        return across > max(shows, abs(float(net @ along)))
+
+    def _next_joint(self) -> None:
+        if self._rest is None:
+            return
+        row, before, place, _ = self._rest
+        before = opening(before)
+        self.chains = with_joint(before, (place, self._frame), self.record.place - place, self.record.rows(), row)
+        self.sense, self.farthest, self._left = 1.0, float(before.way[-1]), {}
+        self._is_gentle, self._is_returning = True, False
+
+    def _follow(self, chain: Chain) -> None:
+        """Where the handle is on its way, and what is believed there."""
+        record = self.record
+        record.fitted(chain)
+        way = self.sense * float(chain.way[-1])
+        self.widest = float(np.ptp(chain.way))
+        along, gone = chain.poses(chain.way[-1:])[2][0], record.moved[-1]
+        if self._is_returning:
+            known = self._left[self.sense][1]
+            self._is_returning = way <= self.farthest - 0.006
+            if not self._is_returning and known is not None:
+                self.moves = known
+            elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # else something stands in its way
+                self.moves = self._onwards(chain)
+        if abs(gone @ along) > max(_PROGRESS, 0.8 * float(np.linalg.norm(gone))):
+            self._rest = _Rest(self.steps, chain, record.place, record.variance)
+        if way > self.farthest + _PROGRESS:
+            self.farthest = way
+            pull = max(self.sense * float(record.forces[-1] @ along), 0.3)
+            led = float(np.linalg.norm(record.leads[-1])) > record.hand.compliance * self.friction + 0.5 * _AHEAD
+            if not led or pull < 2.0 * self.friction:  # more than that is no friction: something stopped it
+                self.friction = pull
+            self.moves = self._onwards(chain)
+        if record.blind or record.odd or record.doubtful:
+            return  # force alone shows no motion
+        self.travel, self._seen = way, max(self._seen, abs(way))
+        if way >= self.scene.opening:
+            self._end("opened", f"the handle went {way:.3g} m")
+
+    def _onwards(self, chain: Chain) -> Moves:
+        """The belief of a handle that goes its way: on in the directions that it may take, as well as known."""
+        _, slope = chain.ahead(float(chain.way[-1]))
+        values, axes = np.linalg.eigh(slope.T @ chain.covariance @ slope)
+        spread = (axes * np.sqrt(np.clip(values, _LEAST_SPREAD**2, _LARGEST_SPREAD**2))) @ axes.T
+        drawn = np.random.default_rng(0).standard_normal((_TANGENTS, 3)) @ self._frame.T
+        made = self._ahead(chain) + drawn @ spread
+        return onwards(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
+
+    def judged(self) -> tuple[Chain | None, float]:
+        """The most probable chain and the probability of its kinds; where nothing moved, None and the probability that
+        nothing does within the force."""
+        if not self.chains or self.widest < _MOVED or self._seen < _MOVED:
+            return None, (1.0 - self.can if self.outcome == "held" else self.probabilities().get("fast", 0.0))
+        rows = self.record.rows()
+        return judged([opening(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows)
+
+    def probabilities(self) -> dict[str, float]:
+        """Of what is known now, by name: fast, unknown, or the kind of the last joint."""
+        if not self.chains:
+            fast = self.moves.fast if self.moves is not None else 0.1
+            return {"fast": fast, "unknown": 1.0 - fast}
+        logs = np.array([chain.evidence for chain in self.chains])
+        share = np.exp(logs - logs.max())
+        return {chain.kinds[-1]: float(p) for chain, p in zip(self.chains, share / share.sum(), strict=True)}

@@ -1,0 +1,102 @@
+"""The hand: a spring of unknown stiffness, whose force tells how far the handle went.
+
+A command u puts the spring's equilibrium at E = r + u, with r the place of the handle: where it is or, with plants that
+know no better, where it was measured. When all rests again the hand exerts F = K (E - p) at the handle's new place p,
+so p = E - c F with c = 1/K: with c known, force is an odometer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+
+_SOFTEST, _STIFFEST = 100.0, 20000.0
+_LEAST_STD = 0.02  # of the compliance, as a share
+_FEWEST, _SURE = 3, 5.0  # std
+
+
+@dataclass(frozen=True)
+class Hand:
+    """What is known of the hand.
+
+    Attributes:
+        compliance: c [m/N].
+        spread: its std as a share of it.
+        force_std: per axis of a measured force [N].
+        from_measured: whether commands count from the measured place of the handle, noise included.
+        complaint: what contradicts the meaning of forces; empty if nothing does.
+    """
+
+    compliance: float
+    spread: float
+    force_std: float
+    from_measured: bool = False
+    complaint: str = ""
+
+    def std(self, force: Floats) -> float:
+        """Std of a displacement found from a force (3,), per axis [m]."""
+        size = self.compliance * float(np.linalg.norm(force))
+        return float(np.hypot(self.compliance * self.force_std, self.spread * size) + 1e-5)
+
+
+UNKNOWN = Hand(1.0 / _STIFFEST, 1.0, 0.3)
+
+
+def stiffest(commands: Floats, forces: Floats) -> float:
+    """The largest stiffness that pushes (k, 3) and their forces speak for, for the size of the next [N/m]."""
+    sizes = np.linalg.norm(commands, axis=1)
+    pushed = sizes > 0
+    if not pushed.any():
+        return _STIFFEST
+    return float(np.clip((np.linalg.norm(forces[pushed], axis=1) / sizes[pushed]).max(), _SOFTEST, _STIFFEST))
+
+
+def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
+    """The hand from pushes of a handle that stays within some millimetres.
+
+    Force is a linear map of the command, F = K (1 - a t tᵀ) u: a joint yields along one line t at most, so two singular
+    values of three are the stiffness, whatever moves. The middle one is taken, the largest being that with most noise.
+    The same holds of E = measured place + u, if that is from where commands count; what fits better is true.
+
+    Args:
+        commands: (k, 3) [m], k at least 4.
+        places: (k, 3) measured before each of them [m]; NaN where not.
+        forces: (k, 3) after each of them [N].
+    """
+    plain = _fitted(commands, forces)
+    seen = np.isfinite(places).all(axis=1)
+    if seen.sum() < 2 * _FEWEST:
+        return plain[0]
+    absolute = commands[seen] + places[seen]
+    other = _fitted(np.hstack([absolute - absolute.mean(axis=0), np.ones((int(seen.sum()), 1))]), forces[seen])
+    if other[1] < 0.5 * plain[1]:
+        hand = other[0]
+        return Hand(hand.compliance, hand.spread, hand.force_std, True, hand.complaint)
+    return plain[0]
+
+
+def _fitted(given: Floats, forces: Floats) -> tuple[Hand, float]:
+    """The hand for linear inputs (k, 3 or 4), and the mean square that it leaves of the forces across the yield."""
+    slope = np.linalg.lstsq(given, forces, rcond=None)[0]
+    matrix = slope[:3].T
+    left, values, _ = np.linalg.svd(matrix)
+    stiffness = float(np.clip(values[1], _SOFTEST, _STIFFEST))
+    residual = (forces - given @ slope) @ left[:, :2]
+    spare = max(len(given) - given.shape[1], 1)
+    variance = float((residual**2).sum()) / (2 * spare) + 1e-6
+    power = float(np.square(given[:, :3]).sum()) / 3.0 + 1e-12
+    force_std = float(np.sqrt((variance * 2 * spare + 0.15**2 * 4) / (2 * spare + 4)))
+    spread = float(np.hypot(_LEAST_STD, force_std / np.sqrt(power) / stiffness))
+    complaint = ""
+    symmetric, least = np.linalg.eigvalsh(0.5 * (matrix + matrix.T)), np.linalg.svd(given[:, :3])[1][-1]
+    doubt = force_std / max(float(least), 1e-6)  # std of the entry that is known worst
+    if symmetric[1] < -_SURE * doubt:
+        complaint = "the measured forces point against the commands: give the force that the hand exerts at the handle"
+    elif values[1] < _SOFTEST:
+        complaint = "pushes meet hardly any force: the hand does not hold the handle, or nothing holds the object"
+    elif np.linalg.norm(matrix - matrix.T) > 0.8 * np.linalg.norm(matrix) + _SURE * doubt:
+        complaint = "the measured forces are turned against the commands: give both in the base frame"
+    return Hand(1.0 / stiffness, min(spread, 0.5), force_std, False, complaint), variance

@@ -1,0 +1,235 @@
+"""What was done and seen, and where the handle is: force as an odometer, corrected by the tracker, with their faults.
+
+A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
+elsewhere for good: then the grip has slipped on it, or the hand is off it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Floats
+from micah_plan.execution.plant import Measurement
+from micah_plan.explore.chain import PLACE_STD, TURN_STD, Chain, Rows
+from micah_plan.explore.hand import UNKNOWN, Hand, hand_of
+
+_CONTRADICTS = 6.0  # std
+_PERHAPS_OFF, _SURELY_OFF = 1.0, 9.0  # nats
+_NOT_LINEAR = 0.02  # share of a lead by which no hand is a linear spring
+_LEAST_STD = 3e-4  # m
+_SOFT = 4e-4  # m/N, of a panel that bends much
+_LET_GO = 0.25  # of the last lead; places that commands count from are noisy, so that it is not 0
+_FEWEST = 5
+
+
+class Record:
+    """Rows of one exploration.
+
+    Attributes:
+        hand: as well as it is known.
+        places, turns: (3,) and (3, 3) measured, one more than commands; NaN where not seen.
+        commands, leads: (3,) as given, and from the estimated place of the handle to the hand's equilibrium [m].
+        forces: (3,) [N]; 0 where not measured.
+        moved, moved_std: (3,) displacement by the odometer alone, and its std [m].
+        shifted: (3,) displacement by odometer and tracker [m].
+        led: whether a command led on along a known chain; else it was a push to find one.
+        place, variance: (3,) where the handle is, and the variance per axis.
+        place_std, turn_std: of the tracker.
+        blind: steps since the tracker saw the handle.
+        odd: whether what it saw last contradicts the odometer, and has not been seen again.
+        lost, doubtful: whether the hand surely is, or may be, off the handle: no command meets a force, and it does not
+            follow them.
+        notes: what went wrong, one sentence each.
+    """
+
+    def __init__(self, first: Measurement) -> None:
+        self.hand: Hand = UNKNOWN
+        self.places: list[Floats] = [first.position[0].copy()]
+        self.turns: list[Floats] = [Rotation.from_quat(first.quaternion[0]).as_matrix()]
+        self.commands, self.leads, self.forces = list[Floats](), list[Floats](), list[Floats]()
+        self.moved, self.moved_std, self.shifted = list[Floats](), list[float](), list[Floats]()
+        self.led: list[bool] = []
+        self.place, self.variance = self.places[0].copy(), PLACE_STD**2
+        self.place_std, self.turn_std = PLACE_STD, TURN_STD
+        self.blind, self.notes = 0, list[str]()
+        self._reference, self._time, self._off = self.place.copy(), first.time, 0.0
+        self._odd: Floats | None = None
+        self._late: list[bool] = []
+
+    @property
+    def odd(self) -> bool:
+        return self._odd is not None
+
+    @property
+    def lost(self) -> bool:
+        return self._off > _SURELY_OFF
+
+    @property
+    def doubtful(self) -> bool:
+        return self._off > _PERHAPS_OFF
+
+    def command(self, lead: Floats, led: bool) -> Floats:
+        """(3,) the command for a lead, noted."""
+        given = lead
+        if self.hand.from_measured and not self.blind:
+            off = self.place - self._reference
+            given = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
+        self.leads.append(lead)
+        self.commands.append(given)
+        self.led.append(led)
+        return given
+
+    def withdrawn(self) -> None:
+        """The last command was not carried out."""
+        for column in (self.leads, self.commands, self.led):
+            column.pop()
+
+    def take(self, seen: Measurement) -> None:
+        """A measurement after the last command."""
+        force = np.full(3, np.nan) if seen.force is None else seen.force[0]
+        place, turn = seen.position[0], seen.quaternion[0]
+        late = seen.time <= self._time or not bool(np.isfinite(force).all())
+        unseen = late or not (np.isfinite(place).all() and np.isfinite(turn).all()) or self._repeats(place)
+        self._time = max(self._time, seen.time)
+        self.forces.append(np.nan_to_num(force))
+        self._late.append(late)
+        step, std = self._odometer(len(self.forces) - 1)
+        self.moved.append(step)
+        self.moved_std.append(std)
+        before = self.place
+        self.place, self.variance = before + step, std**2 + (0.0 if self._is_absolute(late) else self.variance)
+        if unseen:
+            self.blind += 1
+        elif self.blind:
+            self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
+            self.blind = 0
+        self.places.append(np.full(3, np.nan) if unseen else place.copy())
+        self.turns.append(np.full((3, 3), np.nan) if unseen else Rotation.from_quat(turn).as_matrix())
+        if not unseen:
+            self._reference = place.copy()
+            self._correct(place)
+        self.shifted.append(self.place - before)
+
+    def _is_absolute(self, late: bool) -> bool:
+        return self.hand.from_measured and not late and bool(np.isfinite(self.places[-1]).all())
+
+    def _repeats(self, place: Floats) -> bool:
+        """Whether a noisy tracker says to the last digit what it said before: then it has not measured."""
+        known = [p for p in self.places if np.isfinite(p).all()]
+        if len(known) < 3 or not np.array_equal(place, known[-1]):
+            return False
+        return not any(np.array_equal(a, b) for a, b in pairwise(known))
+
+    def _odometer(self, k: int) -> tuple[Floats, float]:
+        """Displacement in step k by its force, and the std [m]; a late answer's force is an old one too."""
+        unknown = self.hand.from_measured and not np.isfinite(self.places[k]).all()  # what the command counted from
+        if self._late[k] or unknown:
+            return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
+        return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
+
+    def _correct(self, place: Floats) -> None:
+        """Weigh what the tracker sees against the odometer; where both contradict each other, look again first."""
+        self._doubt_hand(place)
+        off = place - self.place
+        if self.hand is not UNKNOWN and off @ off > _CONTRADICTS**2 * (self.variance + self.place_std**2):
+            if self._odd is None:
+                self._odd = place.copy()
+                self.places[-1], self.turns[-1] = np.full(3, np.nan), np.full((3, 3), np.nan)
+                return
+            if np.linalg.norm(place - self._odd) < _CONTRADICTS * self.place_std:
+                self._slipped(off)
+                return
+        self._odd = None
+        self._weigh(off)
+
+    def _weigh(self, off: Floats) -> None:
+        """Correct the place by a share of what the tracker sees beside it."""
+        gain = self.variance / (self.variance + self.place_std**2)
+        self.place = self.place + gain * off
+        self.variance *= 1.0 - gain
+
+    def _doubt_hand(self, place: Floats) -> None:
+        """Log odds that the hand is off: without a force the handle followed the whole command, or it did not move."""
+        before = self.places[-2]
+        if np.linalg.norm(self.forces[-1]) > 5.0 * self.hand.force_std + 0.3:
+            self._off = 0.0
+        elif np.isfinite(before).all():
+            gone, led = place - before, self.leads[-1]
+            self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self.place_std**2), 0.0)
+
+    def _slipped(self, off: Floats) -> None:
+        """The tracker sees another place, and stays with it. Earlier places are those of the point now held."""
+        self._odd = None
+        size = 1000.0 * float(np.linalg.norm(off))
+        self.notes.append(f"step {len(self.forces)}: the handle is seen {size:.0f} mm from where the force says it is")
+        shift = self.turns[-1].T @ off
+        for i, turn in enumerate(self.turns[:-1]):
+            if np.isfinite(turn).all():
+                self.places[i] = self.places[i] + turn @ shift
+        self.place, self.variance = self.place + off, self.place_std**2
+
+    def know_hand(self) -> None:
+        """The hand from all pushes so far, and with it all displacements anew."""
+        usable = ~np.array(self._late)
+        commands, places = np.array(self.commands), np.array(self.places[:-1])
+        self.hand = hand_of(commands[usable], places[usable], np.array(self.forces)[usable])
+        self.place, self.variance = self.places[0].copy(), self.place_std**2
+        if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
+            self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
+        for k, command in enumerate(self.commands):
+            seen = bool(np.isfinite(self.places[k]).all())
+            self.leads[k] = command + self.places[k] - self.place if self.hand.from_measured and seen else command
+            self.moved[k], self.moved_std[k] = self._odometer(k)
+            before = self.place
+            self.place, self.variance = before + self.moved[k], self.variance + self.moved_std[k] ** 2
+            if np.isfinite(self.places[k + 1]).all():
+                self._weigh(self.places[k + 1] - self.place)
+            self.shifted[k] = self.place - before
+
+    def step_std(self, k: int) -> float:
+        """Std per axis of the displacement in step k [m]: the odometer's, and what a hand is not a linear spring."""
+        away = _NOT_LINEAR * float(np.linalg.norm(self.leads[k]))
+        return float(np.sqrt(self.moved_std[k] ** 2 + _LEAST_STD**2 + away**2))
+
+    def lasting(self, k: int) -> Floats:
+        """(3,) displacement in step k without that of what only bends [m]."""
+        before = self.forces[k - 1] if k else np.zeros(3)
+        return np.asarray(self.shifted[k] - self.bending() @ (self.forces[k] - before))
+
+    def bending(self) -> Floats:
+        """(3, 3) compliance of what the handle is fixed to [m/N]: how far it comes back when the hand lets go.
+
+        Bayesian regression; before, it is isotropic, by how much most pushes displace the handle per change of force:
+        what only a few pushes do is a motion.
+        """
+        change = np.diff(np.array([np.zeros(3), *self.forces]), axis=0)
+        size = np.linalg.norm([np.zeros(3), *self.leads], axis=1)
+        moved, strong = np.array(self.shifted), (change**2).sum(axis=1) > (4.0 + 5.0 * self.hand.force_std) ** 2
+        let_go = strong & (size[1:] < _LET_GO * size[:-1])
+        pushed = strong & ~let_go & ~np.array(self.led)
+        alike = 0.0
+        if pushed.sum() >= _FEWEST:
+            along = (moved[pushed] * change[pushed]).sum(axis=1) / (change[pushed] ** 2).sum(axis=1)
+            alike = max(float(np.median(along)), 0.0)
+        force, back = change[let_go], moved[let_go] - alike * change[let_go]
+        doubt = (_LEAST_STD / _SOFT) ** 2 * np.eye(3)
+        return np.asarray(alike * np.eye(3) + np.linalg.solve(force.T @ force + doubt, force.T @ back).T)
+
+    def pushes(self) -> tuple[Floats, Floats]:
+        """(k, 3) leads and (k, 3) forces of all commands that were not to rest, with a force that belongs to them."""
+        told = [k for k in range(len(self.forces)) if self.leads[k].any() and not self._late[k]]
+        leads, forces = ([column[k] for k in told] for column in (self.leads, self.forces))
+        return np.array(leads).reshape(-1, 3), np.array(forces).reshape(-1, 3)
+
+    def rows(self) -> Rows:
+        """All rows, to fit a chain to."""
+        std = np.hypot(np.array(self.moved_std), _LEAST_STD)
+        return Rows(np.array(self.places), np.array(self.turns), np.array(self.moved), std)
+
+    def fitted(self, chain: Chain) -> None:
+        """What a chain leaves tells the noise of the tracker."""
+        self.place_std = float(np.clip(chain.place_std, 2e-4, 0.01))
+        self.turn_std = float(np.clip(chain.turn_std, 1e-3, 0.1))

@@ -1,0 +1,137 @@
+"""An exploration from the first touch to its end, and its result as a value."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
+from micah_plan.execution.handle import HandlePlant
+from micah_plan.execution.plant import Command, PlantError
+from micah_plan.explore.chain import Chain
+from micah_plan.explore.explorer import Explorer, Moment, Outcome
+from micah_plan.explore.hand import Hand
+from micah_plan.explore.model import model_of
+from micah_plan.quantities import quantity
+from micah_plan.task.exploration import Scene
+
+_NEAR = 0.05  # m, of the place where the scene says that the hand holds
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """What was found.
+
+    Attributes:
+        outcome: ``"opened"``: the handle went the way that the scene asks for, and the tracker saw it; ``"held"``:
+            nothing moves it within the force; ``"gave_up"``: neither can be said.
+        reason: one sentence.
+        notes: faults on the way, one sentence each.
+        scene: what was asked.
+        kinds: of the joints, from where it was found on; empty where nothing moved.
+        probability: that these are the joints; of ``held``: that nothing moves it within the force.
+        travel: way of the handle from where it was found, as far as the tracker agreed [m].
+        largest_force: measured [N].
+        tried: the largest force that was pushed with where nothing moved [N].
+        hand: stiffness and meaning of commands, as found.
+        chain: the most probable chain of joints; None where nothing moved.
+        moments: one per step.
+        model: the automaton of it; None where nothing moved, or the hand lost the handle.
+        seconds: wall-clock time of all; thinking: CPU time of the longest step [s].
+    """
+
+    outcome: Outcome
+    reason: str
+    notes: tuple[str, ...]
+    scene: Scene
+    kinds: tuple[str, ...]
+    probability: float
+    travel: float
+    largest_force: float
+    tried: float
+    hand: Hand
+    chain: Chain | None
+    moments: tuple[Moment, ...]
+    model: HybridAutomaton | None
+    seconds: float
+    thinking: float
+
+    @property
+    def steps(self) -> int:
+        return len(self.moments)
+
+
+def explore(
+    scene: Scene,
+    plant: HandlePlant,
+    rng: np.random.Generator,
+    progress: Callable[[str, float], None] | None = None,
+) -> Exploration:
+    """Open what is in the hand, or find that it is held.
+
+    Args:
+        plant: checked; it is reset first, and not closed here.
+        rng: feeds the plant's start and noise. Decisions draw nothing.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        PlantError: if the machine cannot be reset. One that fails later ends the exploration, which gives up.
+        InputError: if the plant's code raised something else, or an answer is no usable measurement.
+    """
+    begin, thinking = time.perf_counter(), 0.0
+    first = plant.reset(rng)
+    if scene.position is not None and np.linalg.norm(first.position[0] - scene.position) > _NEAR:
+        away = quantity(float(np.linalg.norm(first.position[0] - scene.position)), "m")
+        remedy = "correct holds.position of the scene, or leave it out"
+        raise InputError(f"the handle is first measured {away} from where the scene says", remedy=remedy)
+    explorer = Explorer(scene, first)
+    while True:
+        started = time.process_time()
+        given = explorer.decide()
+        if given is None:
+            break
+        thought = time.process_time() - started
+        try:
+            seen = plant.apply(Command(given, given[None].copy(), given[None].copy()))
+        except PlantError as failure:
+            explorer.stopped(str(failure))
+            break
+        started = time.process_time()
+        explorer.take(seen)
+        thinking = max(thinking, thought + time.process_time() - started)
+        if progress is not None:
+            progress(_told(explorer), min(1.0, explorer.steps / scene.steps))
+    return _result(explorer, time.perf_counter() - begin, thinking)
+
+
+def _told(explorer: Explorer) -> str:
+    if explorer.chain is None:
+        return f"step {explorer.steps}: what moves it?"
+    return f"step {explorer.steps}: {explorer.chain.kinds[-1]}, {quantity(explorer.widest, 'm')} so far"
+
+
+def _result(explorer: Explorer, seconds: float, thinking: float) -> Exploration:
+    chain, probability = explorer.judged()
+    outcome: Outcome = explorer.outcome or "gave_up"
+    moments = tuple(explorer.moments)
+    return Exploration(
+        outcome=outcome,
+        reason=explorer.reason,
+        notes=tuple(explorer.record.notes),
+        scene=explorer.scene,
+        kinds=() if chain is None else chain.kinds,
+        probability=probability,
+        travel=0.0 if chain is None else explorer.travel,
+        largest_force=max((float(np.linalg.norm(moment.force)) for moment in moments), default=0.0),
+        tried=explorer.tried,
+        hand=explorer.record.hand,
+        chain=chain,
+        moments=moments,
+        model=None if chain is None or explorer.record.lost else model_of(explorer, chain),
+        seconds=seconds,
+        thinking=thinking,
+    )

@@ -1,0 +1,1 @@
+"""The front door: `from micah_plan import learn, explore, solve, execute, predict, calibrate, load, save, show`."""

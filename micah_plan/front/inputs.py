@@ -1,0 +1,212 @@
+"""What the front door takes: paths, values, or results that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.errors import InputError, shown
+from micah_plan.front.comparisons import CalibrationResult
+from micah_plan.front.results import ExplorationResult, LearningResult, PlanningResult, RunsResult
+from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.recording.checks import checked
+from micah_plan.recording.value import Recording
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.sweep import Sweep
+
+Source = str | Path
+Measured = Source | Recording | RunsResult | LearningResult | Sequence["Measured"]
+"""A recording, or what has one: a path, a value, executed runs, what was learned; or several, whose runs are joined."""
+Learnt = LearningResult | ExplorationResult | CalibrationResult
+Modelled = Source | Mapping[str, Any] | HybridAutomaton | Learnt | PlanningResult | Problem
+"""A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
+
+
+Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | tuple[Part, ...]
+"""What files hold."""
+
+
+def load(source: Source | Mapping[str, Any]) -> Loaded:
+    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep or shapes of parts.
+
+    Args:
+        source: the file; or data with the keys of a model file, which is how a model is made by hand, with names.
+
+    Raises:
+        InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
+    """
+    if isinstance(source, Mapping):
+        return automaton_of(source)
+    from micah_plan.documents.kind import kind_of
+
+    kind = kind_of(source)
+    if kind == "recording":
+        return recording_of(source)
+    if kind == "problem":
+        return problem_of(source)
+    if kind == "plan":
+        return plan_of(source)
+    if kind == "parts":
+        return parts_of(source)
+    if kind == "sweep":
+        from micah_plan.documents.sweep import load_sweep
+
+        return load_sweep(source)
+    return automaton_of(source)
+
+
+def recording_of(given: Measured, *, minimum_rows: int = 1) -> Recording:
+    """A recording, whose rows are what a recording promises.
+
+    Raises:
+        InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
+    """
+    from micah_plan.recording.read import read_recording
+
+    if isinstance(given, Source):
+        return read_recording(given, minimum_rows=minimum_rows)
+    if isinstance(given, RunsResult | LearningResult):
+        return given.recording
+    if isinstance(given, list | tuple) and given:
+        return joined([recording_of(one, minimum_rows=minimum_rows) for one in given])
+    if not isinstance(given, Recording):
+        raise _other("a recording", given, "give the path of one, or a micah_plan.Recording")
+    return checked(given, minimum_rows=minimum_rows)
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """One recording of all runs, numbered anew, with the further columns that all have."""
+    from micah_plan.execution.log import concatenated
+
+    common, numbered, number = set.intersection(*(set(each.extra) for each in recordings)), list[Recording](), 0
+    for each in recordings:
+        runs, run = np.unique(each.run, return_inverse=True)
+        extra = {name: column for name, column in each.extra.items() if name in common}
+        numbered.append(replace(each, run=run + number, extra=extra))
+        number += len(runs)
+    return checked(concatenated(numbered))
+
+
+def demonstration_of(given: Measured) -> Recording:
+    """A recording of as many rows as learning needs."""
+    return recording_of(given, minimum_rows=FEWEST_ROWS)
+
+
+def automaton_of(given: Modelled) -> HybridAutomaton:
+    """A model that the algorithms can use, with that of a problem or plan counted as one.
+
+    Raises:
+        InputError: if there is none in it, or it is none that can be used.
+    """
+    if isinstance(given, Source):
+        return _read_automaton(given)
+    if isinstance(given, Mapping):
+        from micah_plan.documents.model import model_of
+
+        return model_of(given)
+    if isinstance(given, PlanningResult):
+        return given.problem.automaton
+    if isinstance(given, Problem | Learnt):
+        if given.automaton is None:
+            raise InputError(f"nothing was learned: {getattr(given, 'reason', '')}")
+        return given.automaton
+    if not isinstance(given, HybridAutomaton):
+        raise _other("a model", given, "give the path of one, what learn returns, or data with a model file's keys")
+    check_automaton(given)
+    return given
+
+
+def _read_automaton(path: Source) -> HybridAutomaton:
+    from micah_plan.documents.kind import kind_of
+    from micah_plan.documents.model import load_model
+    from micah_plan.documents.plan import load_plan
+    from micah_plan.documents.problem import load_problem
+
+    kind = kind_of(path)
+    if kind == "problem":
+        return load_problem(path).automaton
+    return load_plan(path).automaton if kind == "plan" else load_model(path)
+
+
+def problem_of(given: Source | Problem | PlanningResult, model: Modelled | None = None) -> Problem:
+    """A problem, with another model if one is given.
+
+    Raises:
+        InputError: if it cannot be used, or the model has other coordinates.
+    """
+    from micah_plan.documents.problem import load_problem
+
+    automaton = None if model is None else automaton_of(model)
+    if isinstance(given, Source):
+        return load_problem(given, model=automaton)
+    problem = given.problem if isinstance(given, PlanningResult) else given
+    if not isinstance(problem, Problem):
+        raise _other("a problem", given, "give the path of one, or what load returns for it")
+    if automaton is None:
+        return problem
+    own = problem.automaton
+    if problem.hold is not None or (own.coordinates, own.inputs) != (automaton.coordinates, automaton.inputs):
+        raise InputError(
+            f"the problem is about {', '.join(own.coordinate_names)}, the model has "
+            f"{', '.join(automaton.coordinate_names)}",
+            remedy="give the problem's file together with the model",
+        )
+    return replace(problem, automaton=automaton)
+
+
+def plan_of(given: Source | PlanningResult) -> PlanningResult:
+    """A plan with its problem."""
+    if isinstance(given, Source):
+        from micah_plan.documents.plan import load_plan
+
+        stored = load_plan(given)
+        return PlanningResult(stored.plan, stored.problem)
+    if not isinstance(given, PlanningResult):
+        raise _other("a plan", given, "give the path of one, or what solve returns")
+    return given
+
+
+def parts_of(given: Source | Sequence[Part]) -> tuple[Part, ...]:
+    """Shapes and handles of parts."""
+    if isinstance(given, Source):
+        from micah_plan.documents.parts import load_parts
+
+        return load_parts(given)
+    return tuple(given)
+
+
+def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -> LearnSettings:
+    """Settings of learning with some of them changed, by name.
+
+    Raises:
+        InputError: for a name that is none, and a value that is none of it.
+    """
+    from micah_plan.documents.located import choices
+
+    names = [item.name for item in fields(LearnSettings)]
+    for name in changes:
+        if name not in names:
+            raise InputError(f"learn: unknown setting {shown(name)}", remedy=choices(name, names))
+    return replace(settings or LearnSettings(), **changes)
+
+
+def planner_settings(problem: Problem, changes: Mapping[str, Any]) -> PlannerSettings:
+    """The problem's settings with some of them changed, by the names that a problem file gives them.
+
+    Raises:
+        InputError: for a name that is none, and a value that a problem file could not have.
+    """
+    from micah_plan.documents.planner import settings_with
+
+    return settings_with(problem.settings, changes, problem.automaton.input_names)
+
+
+def _other(expected: str, found: object, remedy: str) -> InputError:
+    return InputError(f"expected {expected}, found {shown(type(found).__name__)}", remedy=remedy)

@@ -1,0 +1,140 @@
+"""Whether any joint holds a part: what else may explain rows that the joints of an answer miss.
+
+Real joints and trackers deviate from what models say of them. Where an answer misses its rows further than that, the
+part may move freely, or along a path that no joint of a constant twist follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats
+from micah_plan.automaton.certainty import Misfit
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.learn.paths import length_std, likeliest_path, principal_path
+from micah_plan.learn.segmenting.free import free_log_probability
+from micah_plan.learn.segmenting.noise import MeasurementNoise
+from micah_plan.learn.segmenting.noise_fit import first_noise, misses
+from micah_plan.learn.segmenting.segmentation import best_single, log_probability_at_most
+from micah_plan.learn.segmenting.segmented import Segmented
+from micah_plan.learn.segments import FittedPiece, left_by
+from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import PartTrack
+
+_RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
+_BEYOND_NOISE = 3.0  # times what rows scatter by
+_FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """What explains the rows better than the joints of an answer.
+
+    Attributes:
+        single: the one joint that explains all of them best.
+        log_odds: of what explains them better than any joint, over these [nats]; -inf if the one joint does.
+        log_evidence: of it.
+        path: along which the part moves; None: it moves freely, if there are odds of that.
+    """
+
+    single: Segmented
+    log_odds: float
+    log_evidence: float
+    path: Joint | None
+
+    @property
+    def moves_freely(self) -> bool:
+        return self.path is None and self.log_odds > 0
+
+
+def doubt_of(
+    segmented: Segmented,
+    fitted: Sequence[FittedPiece],
+    track: PartTrack,
+    inlier: Booleans,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    use_actions: bool,
+) -> Doubt | None:
+    """What explains the rows better than an answer; None if nothing does, or if its joints miss them by little.
+
+    Two joints in turn follow many a curve closely, so what counts is how far the best single one misses the rows: what
+    real joints miss comes back in every pass, and a curve follows it better than they do.
+    """
+    if inlier.sum() < _FEWEST_TO_DOUBT:
+        return None
+    scatter = _scatter(track, inlier, noise, settings)
+    if not (_missed(fitted, track, inlier) > scatter).any():
+        return None
+    single = best_single(segmented, settings, use_actions)
+    if not (_missed_by(single) > _BEYOND_NOISE * scatter).any():
+        return None
+    steps, trust = segmented.track, segmented.table.trust
+    rough = first_noise(steps, settings)
+    free = free_log_probability(steps, rough, trust)
+    found = likeliest_path(steps, rough, trust) if settings.paths else None
+    if found is not None and found.log_probability <= free:
+        found = None
+    told = (free if found is None else found.log_probability) - _RARE
+    if told <= segmented.log_probability:
+        return None
+    joints = log_probability_at_most(segmented, settings, use_actions)
+    if told <= joints:
+        return None
+    log_odds = told - max(single.log_probability, joints)
+    if log_odds <= 0:
+        return Doubt(single, -np.inf, single.log_probability, None)
+    if found is None:
+        return Doubt(single, log_odds, told, None)
+    rows = track.take(np.flatnonzero(inlier))
+    std = max(found.std, length_std(first_noise(rows, settings)))
+    return Doubt(single, log_odds, told, principal_path(rows, std, found.curve) or found.curve)
+
+
+def misfit_of(
+    fitted: Sequence[FittedPiece],
+    track: PartTrack,
+    inlier: Booleans,
+    noise: MeasurementNoise,
+    settings: LearnSettings,
+    log_odds: float,
+) -> Misfit:
+    """How far joints miss rows of free motion."""
+    missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
+    turned = track.quaternion is not None
+    return Misfit(
+        position=float(missed[-1]),
+        rotation=float(missed[0]) if turned else None,
+        position_noise=float(scatter[-1]),
+        rotation_noise=float(scatter[0]) if turned else None,
+        log_odds=log_odds,
+    )
+
+
+def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
+    """(2,) or (1,) how far rows lie off their joints (rms): rotation [rad], if it was measured, and position [m]."""
+    errors = [left_by(one.joint, one.index(inlier), track, ROTATION_LENGTH) for one in fitted]
+    error = np.concatenate(errors)
+    return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
+
+
+def _missed_by(answer: Segmented) -> Floats:
+    """The same of the steps that an answer was found in, under its own joints."""
+    error, _ = misses(answer.table.pool, answer.segmentation.which)
+    return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
+
+
+def _scatter(track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings) -> Floats:
+    """(2,) or (1,) how far rows lie off a joint that holds: rotation [rad], if it was measured, and position [m].
+
+    By their noise, of which a few rows leave open how much it is, and because neither joints nor trackers are ideal. A
+    rotation is forgiven what segments are: small parts of a turn are told as slides there, and that is another mistake.
+    """
+    rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
+    position = np.hypot(max(noise.position_white, rough.position_white), settings.position_misfit)
+    rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), settings.rotation_wander)
+    return np.asarray(np.sqrt(3) * np.array([rotation, position] if track.quaternion is not None else [position]))

@@ -1,0 +1,166 @@
+"""Plans that an arm follows: states that it cannot take the hand to are cut out, and the next plan is sought.
+
+The object is planned for first, then the arm follows the plan. Where it cannot, the states around the knot where it
+fails are a body like any other for the plans after: roll-outs that get there count as collided, so the belief keeps as
+clear of it as of the bodies of the scene. What moves with the tool and meets what stands still does so in every
+posture: cut out are then all places of the hand where no side of the boxes around the two keeps them apart. And if they
+meet at all corners of the goal, they do in all of it, being convex: there is no plan with this grasp.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.contacts.values import COLLIDED
+from micah_plan.automaton.hybrid import Edge, Mode
+from micah_plan.automaton.memo import sharing_motion
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.release import carrying
+from micah_plan.task.start import is_final
+
+if TYPE_CHECKING:
+    from micah_plan.robot.tool_path import ArmFailure
+
+# Half the width of what is cut out around a hand: as the narrow side of what arms carry [m].
+_AROUND = 0.04
+# Cuts after which the first failure is the answer; each costs a plan.
+_MOST_CUTS = 5
+# What is kept beyond the distance that an arm keeps anyway [m].
+_FURTHER = 0.002
+
+
+def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed: int, deadline: Deadline) -> Plan:
+    """A plan with the arm's trajectory; where the arm can follow none that is found, the last with what it fails at.
+
+    Args:
+        problem: with a robot.
+        planned: a verified plan for a problem, or one that says why there is none.
+        seed: of the arm's postures.
+    """
+    cuts = list[Region]()
+    answer, failed = _with_arm(problem, planned(problem), seed, deadline)
+    first = answer.findings[0] if failed is not None else None
+    while failed is not None and answer.trajectory is not None and len(cuts) < _MOST_CUTS and not deadline.is_over():
+        last = answer.trajectory.means[failed.knot]
+        if failed.overlap and _in_all_of_the_goal(problem, last, answer.mode_sequence[-1], failed):
+            return _impossible(answer, failed)
+        if (cut := _cut(problem, last, answer.mode_sequence[-1], failed)) is None:
+            break
+        cuts.append(cut)
+        plan, failed = _with_arm(problem, planned(_without(problem, cuts)), seed, deadline)
+        if plan.trajectory is None:
+            break
+        if plan.arm is not None or failed is not None:
+            timings = {name: plan.timings.get(name, 0.0) + s for name, s in answer.timings.items()}
+            answer = replace(plan, timings=timings)
+    if first is not None and answer.arm is not None and answer.outcome != "solved":
+        reason = f"{answer.reason}; closer by, the arm does not get: {first.sentence}"
+        return replace(answer, reason=reason, findings=(*answer.findings, first))
+    return answer
+
+
+def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tuple[Plan, ArmFailure | None]:
+    """The plan with the arm's trajectory, or refused with where the arm fails."""
+    if (trajectory := plan.trajectory) is None:
+        return plan, None
+    from micah_plan.robot.along_plan import arm_along
+
+    begin, says = time.perf_counter(), "the arm cannot follow the plan: "
+    arm: ArmTrajectory | ArmFailure | None = None
+    try:
+        arm = arm_along(problem, trajectory, seed, deadline=deadline)
+    except TimeLimitError as over:
+        says, (sentence, _, remedy) = "", over.reason.rpartition("; ")
+        finding = Finding("arm", sentence, remedy, plan.mode_sequence)
+    spent = time.perf_counter() - begin
+    plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
+    if isinstance(arm, ArmTrajectory):
+        return replace(plan, arm=arm), None
+    if arm is not None:
+        finding = _finding(plan, arm, trajectory.modes[arm.knot])
+    reason = f"{says}{finding.sentence}; {finding.remedy}"
+    return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings)), arm
+
+
+def _finding(plan: Plan, arm: ArmFailure, mode: str) -> Finding:
+    constraint = f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind
+    return Finding("arm", arm.sentence, arm.remedy, plan.mode_sequence, mode, arm.knot, constraint, amount=arm.amount)
+
+
+def _impossible(plan: Plan, arm: ArmFailure) -> Plan:
+    """No plan: with this grasp what moves with the tool meets something wherever in the goal the hand is."""
+    sentence = f"wherever in the goal the hand is, {arm.names[0]} meets {arm.names[1]}: the grasp does not allow it"
+    finding = Finding("arm", sentence, "choose another grasp, or move the goal or what is there", plan.mode_sequence)
+    return replace(
+        plan,
+        outcome="no_plan",
+        reason=f"{sentence}; {finding.remedy}",
+        trajectory=None,
+        findings=(finding,),
+        success_probability=None,
+        success_interval=None,
+    )
+
+
+def _in_all_of_the_goal(problem: Problem, x: Floats, mode: str, arm: ArmFailure) -> bool:
+    """Whether two solids that meet do so in all of the goal: where convex ones overlap is convex, so corners decide."""
+    from micah_plan.robot.along_plan import problem_clearance, tool_path
+
+    if problem.hold is None:
+        return False
+    target = {index: (value, tolerance) for index, value, tolerance in carrying(problem).goal.target}
+    ends = [(problem.hold.lower[i], problem.hold.upper[i]) for i in range(3)]
+    ends = [(t[0] - t[1], t[0] + t[1]) if (t := target.get(i)) else ends[i] for i in range(3)]
+    corners = np.tile(x, (8, 1))
+    corners[:, :3] = list(product(*ends))
+    tools = tool_path(problem, [mode] * 8, corners).tool
+    distances = problem_clearance(problem).tool_distances((arm.names[0], arm.names[1]), tools)
+    return bool((distances < 0.0).all(axis=0).any())
+
+
+def _cut(problem: Problem, x: Floats, mode: str, arm: ArmFailure) -> Region | None:
+    """States of the hand that the arm cannot take it to, as it cannot at x (n,); None where these are not its place."""
+    if problem.hold is None or problem.grasp is None:
+        return None
+    from micah_plan.robot.along_plan import tool_path
+    from micah_plan.robot.tool_path import PathSettings
+
+    n, m, rows = problem.automaton.n, problem.automaton.m, list[HalfSpace]()
+    name = f"the arm's {' at '.join(arm.names)}" if arm.names else f"the arm: {arm.kind}"
+    if not arm.overlap:  # another posture may do where the hand is elsewhere
+        for axis, sign in product(range(3), (1.0, -1.0)):
+            rows.append(_half_space(n, m, sign * np.eye(3)[axis], sign * x[axis] - _AROUND, name))
+        return Region(tuple(rows))
+    path = tool_path(problem, [mode], x[None])
+    from_hand = (path.tool.translation - path.parts[problem.grasp.part].translation)[0]
+    for side, most in arm.overlap:
+        rows.append(_half_space(n, m, -side, float(side @ from_hand) - most - PathSettings.margin - _FURTHER, name))
+    return Region(tuple(rows))
+
+
+def _half_space(n: int, m: int, direction: Floats, least: float, name: str) -> HalfSpace:
+    a = np.zeros(n)
+    a[:3] = direction
+    return HalfSpace(tuple(a.tolist()), (0.0,) * m, float(least), name=name)
+
+
+def _without(problem: Problem, cuts: list[Region]) -> Problem:
+    """The problem with bodies where the arm cannot take the hand."""
+    automaton = problem.automaton
+    modes = automaton.modes
+    if COLLIDED not in automaton.mode_names:
+        modes = (*modes, Mode(COLLIDED, modes[0].joints, tuple((0.0,) * automaton.m for _ in range(automaton.n))))
+    moving = [mode.name for mode in automaton.modes if not is_final(automaton, mode)]
+    edges = [Edge(name, COLLIDED, cut) for name in moving for cut in cuts]
+    changed = replace(automaton, modes=modes, edges=(*automaton.edges, *edges))
+    return replace(problem, automaton=sharing_motion(changed, automaton))

@@ -1,0 +1,139 @@
+"""How a page shows that a hand lets go: the object is lowered and turns until it lies, then the hand leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.quantities import quantity
+from micah_plan.scene.robot_description import RobotDescription
+from micah_plan.task.contact_poses import settled_poses
+from micah_plan.task.plan import ArmTrajectory, Plan, ReleasePlan
+from micah_plan.task.problem import Problem
+from micah_plan.task.release import Rest, rest_of
+from micah_plan.view.motion import Keyframes, Moved
+from micah_plan.view.page import Band
+from micah_plan.view.palette import GOAL, INK, MUTED
+from micah_plan.view.scene import transforms
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+    Poses = dict[str, RigidTransform]
+
+# Duration of each part on the page's clock [s], and frames in it.
+_LOWERING, _OPENING, _WITHDRAWING, _END = 1.2, 0.6, 1.2, 0.8
+_FRAMES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class LettingGo:
+    """What is shown after a plan.
+
+    Attributes:
+        keys: the states of the hand at the frames that follow; the belief stays what it was.
+        moved: poses of the parts there.
+        bands: on the timeline.
+        arm_times, arm: (K,) [s] and (K, J) joints of the arm at them; empty without one.
+        open_robot: with its gripper open; None without one.
+        opened: (2,) from when until when it opens [s].
+    """
+
+    keys: Keyframes
+    moved: Moved
+    bands: tuple[Band, ...]
+    arm_times: Floats
+    arm: Floats
+    open_robot: RobotDescription | None
+    opened: Floats
+
+
+def letting_go(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> LettingGo | None:
+    """What follows the last frame of a plan from a time on [s]; None where the object stays in the hand."""
+    if plan.release is None or problem.release is None:
+        return None
+    found, rest = plan.release, rest_of(problem)
+    ends = begin + np.cumsum([0.0, _LOWERING, _OPENING, _WITHDRAWING])
+    down, turn, away = (np.linspace(a, b, _FRAMES + 1)[1:] for a, b in pairwise(ends))
+    share = np.concatenate([(down - ends[0]) / _LOWERING, np.ones(len(turn) + len(away))])
+    states = last.states[-1] + share[:, None] * (found.contact - last.states[-1])
+    turned = np.concatenate([np.zeros(len(down)), (turn - ends[1]) / _OPENING, np.ones(len(away))])
+    times = np.concatenate([down, turn, away])
+    single = []
+    for x, part in zip(states, turned, strict=True):
+        held = settled_poses(problem, rest.mode, x)
+        single.append(held if not part else held | _turned(problem, rest, held, x, float(part)))
+    moved = {name: transforms([poses[name] for poses in single]) for name in single[0]}
+    factors = np.repeat(last.factors[-1:], len(times), axis=0)
+    keys = Keyframes(times, (rest.mode,) * len(times), states, factors)
+    names = ("lower", "let go", "withdraw")
+    colors = (MUTED, GOAL, INK)
+    looks = zip(pairwise(ends.tolist()), colors, names, strict=True)
+    bands = [Band(a, b, color, name) for (a, b), color, name in looks]
+    bands[-1] = replace(bands[-1], end=bands[-1].end + _END)
+    arm_times, arm, robot = _arm(found, ends, problem)
+    return LettingGo(keys, moved, tuple(bands), arm_times, arm, robot, ends[1:3])
+
+
+def joined(first: Keyframes, then: LettingGo | None) -> Keyframes:
+    """The frames of a plan and those that follow."""
+    if then is None:
+        return first
+    later = then.keys
+    return Keyframes(
+        np.concatenate([first.times, later.times]),
+        (*first.modes, *later.modes),
+        np.concatenate([first.states, later.states]),
+        np.concatenate([first.factors, later.factors]),
+    )
+
+
+def goal_poses(problem: Problem, x: Floats) -> Moved | None:
+    """Poses of the parts as they stand in a state x (n,) of the goal; None where the object stays in the hand."""
+    if problem.release is None:
+        return None
+    rest, hand = rest_of(problem), np.array(x)
+    hand[:3] -= rest.shift
+    held = settled_poses(problem, rest.mode, hand)
+    return held | _turned(problem, rest, held, hand, 1.0)
+
+
+def release_facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
+    """On what the object is put down, and where contact is expected."""
+    if plan.release is None or problem.release is None:
+        return []
+    height = quantity(float(plan.release.contact[2]), "m")
+    spread = quantity(problem.release.support_std, "m", digits=2)
+    steps = f"at most {plan.release.steps} of {quantity(problem.release.step, 'm')}"
+    return [
+        ("Let go on", problem.release.support),
+        ("Contact expected with the hand at", f"{height} ± {spread} (1 σ)"),
+        ("Steps down until it is felt", steps),
+    ]
+
+
+def _turned(problem: Problem, rest: Rest, held: Poses, hand: Floats, share: float) -> Poses:
+    grip = problem.hold.grip if problem.hold is not None else None
+    own = {} if grip is None else {part.name: held[part.name] for part in (grip.held, grip.moving)}
+    return rest.poses(own, np.array(hand[:3]), share)
+
+
+def _arm(found: ReleasePlan, ends: Floats, problem: Problem) -> tuple[Floats, Floats, RobotDescription | None]:
+    """Times and joints of the arm, and the robot with its gripper open."""
+    if found.lowering is None or found.withdrawing is None:
+        return np.zeros(0), np.zeros((0, 0)), None
+    from micah_plan.robot.along_release import with_open_gripper
+
+    def spread(arm: ArmTrajectory, begin: float, end: float) -> Floats:
+        return np.linspace(begin, end, len(arm.positions))
+
+    away = found.withdrawing
+    # Down to where contact is expected: there the way out begins.
+    count = 1 + int(np.argmin(np.abs(found.lowering.positions - away.positions[0]).max(axis=1)))
+    down = replace(found.lowering, positions=found.lowering.positions[:count])
+    times = [spread(down, ends[0], ends[1]), spread(away, ends[2], ends[3])]
+    return np.concatenate(times), np.vstack([down.positions, away.positions]), with_open_gripper(problem)

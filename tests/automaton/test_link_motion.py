@@ -1,0 +1,67 @@
+"""Links that move along one joint after another: what poses and actions say of one configuration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.joint import prismatic, revolute
+from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.link_motion import link_motions
+
+SLIDE, TURN = 0.3, 0.9
+
+
+def segment(joint, start, end, row):
+    return Segment(joint, 0, row, row + 9, start, end, (start, end), 0.001, 0.003, 0.0, 1.0)
+
+
+def path_of(axis):
+    """A slide along x, then an arc about `axis` through a point beside its end."""
+    slide = prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    center = (SLIDE, -0.5, 0.0) if abs(axis[2]) > 0.5 else (SLIDE, 0.0, -0.5)
+    plain = revolute(axis, center, (SLIDE, 0.0, 0.0))
+    there = forward(plain, -SLIDE)[0]
+    arc = revolute(axis, center, there.translation, there.rotation.as_quat())
+    parts = (segment(slide, 0.0, SLIDE, 0), segment(arc, SLIDE, SLIDE + TURN, 10))
+    (path,) = link_motions(build_automaton(KinematicGraph((KinematicEdge(BASE, "drawer", parts),))))
+    return path
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+@pytest.mark.parametrize("with_rotation", [True, False])
+def test_every_pose_of_the_path_has_its_configuration(axis, with_rotation):
+    path = path_of(axis)
+    c = np.linspace(-0.02, SLIDE + TURN + 0.02, 97)
+    poses = path.poses(c)
+    found = path.configurations(poses.translation, poses.rotation if with_rotation else None)
+    assert found == pytest.approx(c, abs=1e-9)
+
+
+@given(start=st.floats(0.0, SLIDE + TURN), by=st.floats(-0.2, 0.2), across=st.booleans())
+def test_a_displacement_along_the_path_is_read_back_from_its_chord_also_over_the_change(start, by, across):
+    path = path_of((1.0, 0.0, 0.0) if across else (0.0, 0.0, 1.0))
+    c = np.array([start])
+    action = path.poses(c + by).translation - path.poses(c).translation
+    assert path.commanded(c, action) == pytest.approx(by, abs=2e-3 + 0.03 * abs(by))
+    assert path.aimed(c, action) == pytest.approx(by, abs=2e-3 + 0.03 * abs(by))
+
+
+def test_at_the_change_noise_does_not_lose_a_command():
+    path = path_of((1.0, 0.0, 0.0))  # the arc begins across the slide
+    beyond = path.poses(np.array([SLIDE + 0.05])).translation - path.poses(np.array([SLIDE])).translation
+    before = path.commanded(np.array([SLIDE - 1e-3]), beyond)
+    after = path.commanded(np.array([SLIDE + 1e-3]), beyond)
+    assert before == pytest.approx(0.05, abs=4e-3)
+    assert after == pytest.approx(0.05, abs=4e-3)
+
+
+def test_tangents_are_derivatives_of_poses():
+    path = path_of((0.0, 0.0, 1.0))
+    c = np.array([0.1, 0.29, 0.31, 1.0])
+    change = path.poses(c + 1e-6).translation - path.poses(c - 1e-6).translation
+    assert path.tangents(c)[:, 3:] == pytest.approx(change / 2e-6, abs=1e-6)
