@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -129,7 +129,10 @@ def with_joints(
         segmented = doubt.single
         fitted, places = fitted_to(segmented)
         if doubt.log_odds <= 0:
-            posterior = posterior_of(segmented, (), settings, use_actions)
+            # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
+            # anew to the one joint takes what that misses for a tracker's wander, which explains any curve.
+            told = found.posterior.log_evidence
+            posterior = replace(posterior_of(segmented, (), settings, use_actions), log_evidence=told)
         if doubt.moves_freely:
             misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
