@@ -165,8 +165,9 @@ def log_evidence(
     if found is None:
         return 0.0
     columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
-    # The posteriors integrate over orthonormal numbers.
-    volume = 0.5 * float(np.linalg.slogdet(columns.T @ columns)[1])
+    # The posteriors integrate over orthonormal numbers. What rows tell less of than a metre or a radian has no volume.
+    squares = np.linalg.eigvalsh(columns.T @ columns)
+    volume = 0.5 * float(np.log(np.maximum(squares, scales.least[1] ** 2)).sum())
     return float(np.logaddexp.reduce(np.sum([one.log_likelihood for one in found], axis=0))) - volume
 
 
