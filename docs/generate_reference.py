@@ -54,6 +54,12 @@ INTRODUCTIONS = {
         "What `micah-plan sweep` solves: problems, values to try in them, and seeds. See "
         "[many problems at once](../guides/sweep.md).",
     ),
+    "experiment": (
+        "Experiment file",
+        "problems/experiments/drawer.yaml",
+        "Motions in open loop, which `micah-plan calibrate --experiment` writes and `micah-plan execute` makes. See "
+        "[the next experiment](../concepts/calibration.md#the-next-experiment).",
+    ),
     "plan": (
         "Plan file",
         "",

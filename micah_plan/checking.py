@@ -61,6 +61,10 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
         from micah_plan.documents.exploration import load_scene
 
         load_scene(file)
+    elif kind == "experiment":
+        from micah_plan.documents.experiment import load_experiment
+
+        load_experiment(file)
     elif kind == "sweep":
         from micah_plan.documents.sweep import load_sweep
 

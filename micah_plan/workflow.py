@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from micah_plan.explore.run import Exploration
     from micah_plan.recording.value import Recording
     from micah_plan.residual.calibrate import Calibration
+    from micah_plan.residual.next_experiment import Designed
     from micah_plan.residual.prediction import RunPrediction
+    from micah_plan.task.experiment import Experiment
     from micah_plan.task.exploration import Scene
     from micah_plan.task.problem import Problem
     from micah_plan.task.settings import Method as PlanningMethod
@@ -210,6 +212,24 @@ def execute(
     return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
 
 
+def carry_out(
+    experiment: Experiment,
+    *,
+    plant: str | PlantMaker = DEFAULT_PLANT,
+    seed: int = 0,
+    progress: Progress | None = None,
+    keep: Keep | None = None,
+) -> tuple[Recording, tuple[tuple[int, str], ...]]:
+    """The log of an experiment, whose commands are given whatever is measured, and the runs that a machine broke off.
+
+    Raises:
+        As `execute`.
+    """
+    from micah_plan.execution.open_loop import carry_out as carried_out
+
+    return carried_out(experiment, plant=plant, seed=seed, progress=progress, keep=keep)
+
+
 def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
     """The model for a recording whose actions were given like those of the demonstration that it was learned from.
 
@@ -242,6 +262,13 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Pro
     from micah_plan.residual.calibrate import calibrate as calibrated
 
     return calibrated(automaton, recording, progress)
+
+
+def next_experiment(automaton: HybridAutomaton, recording: Recording, found: Calibration) -> Designed | None:
+    """The experiment that tells apart what a calibration could not; None if motion would not show more."""
+    from micah_plan.residual.next_experiment import next_experiment as designed
+
+    return designed(automaton, recording, found)
 
 
 def explore(

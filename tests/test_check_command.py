@@ -19,6 +19,7 @@ FOLDERS = {
     "models/parts": "parts",
     "problems": "problem",
     "problems/sweeps": "sweep",
+    "problems/experiments": "experiment",
     "examples/demonstrations": "recording",
 }
 SCENES = ("explore_handle",)

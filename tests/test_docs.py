@@ -262,7 +262,7 @@ def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) 
             assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors, place
 
 
-@pytest.mark.parametrize("kind", ["model", "parts", "problem", "scene", "sweep", "plan"])
+@pytest.mark.parametrize("kind", ["model", "parts", "problem", "scene", "sweep", "experiment", "plan"])
 def test_the_page_on_a_file_has_every_key(kind: str, generated: dict[str, str]) -> None:
     described = schema(kind)
     page = generated[f"reference/{kind}_file.md"]

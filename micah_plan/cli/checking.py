@@ -64,7 +64,8 @@ def _print_checked(found: Sequence[FileCheck]) -> None:
         for warning in item.warnings:
             out.print(f"warning: {item.file}: {warning}", markup=False, style="yellow")
         if not item.faults:
-            out.print(f"{item.file}: a {item.kind} that can be used", markup=False)
+            article = "an" if item.kind == "experiment" else "a"
+            out.print(f"{item.file}: {article} {item.kind} that can be used", markup=False)
 
 
 def diff(

@@ -57,7 +57,8 @@ def convert(
 
 def schema(
     kind: Annotated[
-        Literal["problem", "model", "parts", "scene", "sweep", "plan"], typer.Argument(help="The kind of file.")
+        Literal["problem", "model", "parts", "scene", "sweep", "experiment", "plan"],
+        typer.Argument(help="The kind of file."),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (.json); default: stdout.")

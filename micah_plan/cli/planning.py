@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
@@ -149,10 +149,12 @@ def explain(
 
 
 def execute(
-    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote.")],
+    plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote, or an experiment (YAML).")],
     output: OutputPath,
     plant: Annotated[str, typer.Option(metavar="NAME|FILE.py:CLASS", help=f"{SENTENCES}; or yours.")] = DEFAULT_PLANT,
-    trials: Annotated[int, typer.Option(min=1, help="Number of seeded trials.")] = 1,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Number of seeded trials, 1 if not given; of experiments: repetitions.")
+    ] = None,
     replan_every: Annotated[
         int | None, typer.Option(min=0, help="Optimise the rest of the plan every so many steps; 0: never.")
     ] = None,
@@ -172,33 +174,62 @@ def execute(
     """
     from micah_plan import workflow
     from micah_plan.cli.own_plant import named_plant
+    from micah_plan.documents.kind import kind_of
     from micah_plan.documents.plan import load_plan, require_executable
     from micah_plan.files import replace_files
     from micah_plan.recording.read import recording_bytes
 
     outputs = Output("-o", output, RUNS), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
     check_outputs((plan,), outputs)
-    stored = load_plan(plan)
+    if kind_of(plan) == "experiment":
+        others = {"--replan-every": replan_every, "--figure": figure, "--html": html, "--start": start}
+        _refuse(others, plan)
+        _carry_out(plan, output, plant, trials, seed, as_json)
+        return
+    stored, trials = load_plan(plan), trials or 1
     require_executable(stored)
     machine, problem = named_plant(plant), starting_at(stored.problem, start or ())
     print_warnings(stored.plan.warnings)
-    logs: list[Recording] = []
     begin = time.perf_counter()
-    try:
-        with _terminated_as_interrupted(), progress_bar(as_json) as progress:
-            run = partial(workflow.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
-            statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
-    except BaseException as error:
-        stopped = _broken_off(error, logs, output)
-        if stopped is error:
-            raise
-        raise stopped from error
+    with _kept_logs(output) as logs, progress_bar(as_json) as progress:
+        run = partial(workflow.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
+        statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
     drawn = _drawn_runs(stored, statistics, title_of(plan), figure, html)
     replace_files({output: recording_bytes(statistics.recording, output), **drawn})
     summary, unit = _executed(statistics, time.perf_counter() - begin), stored.problem.goal_unit
     print_summary(
         as_json, summary, lambda: _print_executed(runs_lines(statistics, unit, trials), (output, figure, html))
     )
+
+
+def _refuse(given: Mapping[str, object], experiment: Path) -> None:
+    """Refuse options that have no meaning for commands in open loop."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{name} is for plans, this is an experiment", source=experiment, remedy=f"omit {name}")
+
+
+def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:
+    """The runs of an experiment as a recording."""
+    from micah_plan import workflow
+    from micah_plan.cli.own_plant import named_plant
+    from micah_plan.documents.experiment import load_experiment
+    from micah_plan.recording.read import write_recording
+
+    asked, machine = load_experiment(file), named_plant(plant)
+    asked = asked if repetitions is None else replace(asked, repetitions=repetitions)
+    begin = time.perf_counter()
+    with _kept_logs(output) as logs, progress_bar(as_json) as progress:
+        log, failed = workflow.carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
+    write_recording(log, output)
+    summary = {
+        "trials": len(log.runs),
+        "rows": len(log.time),
+        "failures": [{"trial": run, "reason": reason} for run, reason in failed],
+        "seconds": time.perf_counter() - begin,
+    }
+    lines = [f"{len(log.runs)} runs carried out, {len(failed)} broken off", *(f"  run {n}: {why}" for n, why in failed)]
+    print_summary(as_json, summary, lambda: _print_executed(lines, (output,)))
 
 
 def _drawn_runs(
@@ -259,11 +290,17 @@ def _print_executed(lines: Sequence[str], files: tuple[Path | None, ...]) -> Non
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """A block that SIGTERM ends as Ctrl-C does: plants are closed and logs are written."""
+def _kept_logs(output: Path) -> Iterator[list[Recording]]:
+    """A block that fills a list with logs. SIGTERM ends it as Ctrl-C does: plants are closed and logs are written."""
+    logs: list[Recording] = []
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        yield
+        yield logs
+    except BaseException as error:
+        stopped = _broken_off(error, logs, output)
+        if stopped is error:
+            raise
+        raise stopped from error
     finally:
         signal.signal(signal.SIGTERM, before)
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from micah_plan.residual.calibrate import Calibration, FoundEffect
     from micah_plan.residual.judgement import Judgement
     from micah_plan.residual.missing_mode import MissingMode
+    from micah_plan.residual.next_experiment import Designed
     from micah_plan.residual.prediction import PredictionError, RunPrediction
     from micah_plan.residual.trace import LaneTrace
 
@@ -175,36 +176,56 @@ def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
 
 def calibrate(
     model: Annotated[Path, typer.Argument(help="Model (YAML).")],
-    recording: Annotated[Path, typer.Argument(help="Recording with actions: executed runs or a demonstration.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recordings with actions: executed runs, experiments or a demonstration.")
+    ],
     output: OutputPath,
     html: Annotated[
         Path | None, typer.Option("--html", "--report", help="Write the comparison and the effects as a page.")
+    ] = None,
+    experiment: Annotated[
+        Path | None, typer.Option(help="Write the experiment that tells apart what stays open, if motion can.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
     from micah_plan import workflow
+    from micah_plan.documents.experiment import experiment_text
     from micah_plan.documents.model import load_model, model_text
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
+    from micah_plan.front.inputs import joined
 
-    check_outputs((model, recording), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
+    outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
+    check_outputs((model, *recordings), outputs)
     automaton = load_model(model)
-    measured = workflow.read(recording, minimum_rows=2)
+    read = [workflow.read(recording, minimum_rows=2) for recording in recordings]
+    measured = read[0] if len(read) == 1 else joined(read)
     begin = time.perf_counter()
-    with progress_bar(as_json) as progress, located_in(recording):
+    with progress_bar(as_json) as progress, located_in(recordings[0]):
         found = workflow.calibrate(automaton, measured, progress=progress)
     contents = {output: model_text(found.automaton).encode()}
+    designed = None if experiment is None else workflow.next_experiment(automaton, measured, found)
+    if experiment is not None and designed is not None:
+        contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     if html is not None:
         from micah_plan.view.calibration_page import calibration_page
 
-        contents[html] = calibration_page(found, title=recording.stem).encode()
+        contents[html] = calibration_page(found, title=recordings[0].stem).encode()
     replace_files(contents)
     changes = differences(automaton, found.automaton)
     summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
-    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, (output, html)))
+    if experiment is not None:
+        summary |= {"experiment": None if designed is None else _designed(designed)}
+    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, tuple(contents)))
     if found.verdict == "unexplained":
         raise typer.Exit(NO_RESULT)
+
+
+def _designed(designed: Designed) -> dict[str, Any]:
+    """Which pairs an experiment tells apart, and the evidence to expect of it [nats]."""
+    pairs = [{"between": [one, other], "expected_nats": nats} for one, other, nats in designed.expected]
+    return {"coordinate": designed.coordinate, "pairs": pairs, "sentence": str(designed)}
 
 
 def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
@@ -274,7 +295,7 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
     }
 
 
-def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], files: tuple[Path | None, ...]) -> None:
+def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], files: tuple[Path, ...]) -> None:
     """Verdict, effects and errors of a calibration."""
     from micah_plan.residual.verdict import SENTENCES
 
@@ -297,6 +318,9 @@ def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], fi
     for note in summary["notes"]:
         out.print(f"  note: {note}", markup=False)
     out.print(f"  next: {summary['next_experiment']}", markup=False)
+    if "experiment" in summary:
+        none = "not written: no commands along a joint would tell more"
+        out.print(f"  experiment {summary['experiment']['sentence'] if summary['experiment'] else none}", markup=False)
     out.print("changes of the model:" if changes else "the model stays as it is", markup=False)
     print_lines(tuple(f"  {change}" for change in changes))
     print_files(files)

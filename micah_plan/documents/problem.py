@@ -193,7 +193,7 @@ class ProblemReader:
     def load(self, overrides: Mapping[str, Any] | None = None) -> Problem:
         """As `load_problem`."""
         problem, located = self._described(overrides or {})
-        _check_start(problem.start, problem.automaton, located)
+        check_start(problem.start, problem.automaton, located)
         if problem.release is None:
             _check_goal(problem.goal, problem.automaton, located)
         else:  # the goal speaks of the object at rest, not of the hand
@@ -296,8 +296,8 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
-    """Apply the planner's rule: a file is refused exactly where the planner would find no mode to start in."""
+def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
+    """Refuse a start where the planner would find no mode to start in; `located`: what has the key `start`."""
     if start_mode(automaton, start)[0] is not None:
         return
     names = automaton.mode_names

@@ -17,6 +17,7 @@ from micah_plan.front.results import ExplorationResult, LearningResult, Planning
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.recording.checks import checked
 from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Experiment
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.sweep import Sweep
@@ -29,12 +30,12 @@ Modelled = Source | Mapping[str, Any] | HybridAutomaton | Learnt | PlanningResul
 """A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
 
 
-Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | tuple[Part, ...]
+Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experiment | tuple[Part, ...]
 """What files hold."""
 
 
 def load(source: Source | Mapping[str, Any]) -> Loaded:
-    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep or shapes of parts.
+    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
 
     Args:
         source: the file; or data with the keys of a model file, which is how a model is made by hand, with names.
@@ -59,6 +60,10 @@ def load(source: Source | Mapping[str, Any]) -> Loaded:
         from micah_plan.documents.sweep import load_sweep
 
         return load_sweep(source)
+    if kind == "experiment":
+        from micah_plan.documents.experiment import load_experiment
+
+        return load_experiment(source)
     return automaton_of(source)
 
 

@@ -56,11 +56,19 @@ def candidates(lane: Lane) -> tuple[Candidate, ...]:
             continue
         made = _STARTS[own.name](lane) if own.name in _STARTS else _plain(own, lane)
         if made is not None:
-            starts, free, scale = made
-            full = np.hstack([np.atleast_2d(starts), np.tile(NEVER_GATED, (len(np.atleast_2d(starts)), 1))])
-            bounds = _bounds(own.name, lane)
-            found.append(Candidate(Term(own), full, free, np.asarray(scale, dtype=float), bounds))
+            found.append(_candidate(own, made, lane))
     return tuple(found)
+
+
+def untried(name: str, lane: Lane) -> Candidate:
+    """A form that was not tried since it would do the same as another (`indistinguishable`)."""
+    return _candidate(form(name), _plain(form(name), lane), lane)
+
+
+def _candidate(own: EffectForm, made: _Starts, lane: Lane) -> Candidate:
+    starts, free, scale = made
+    full = np.hstack([np.atleast_2d(starts), np.tile(NEVER_GATED, (len(np.atleast_2d(starts)), 1))])
+    return Candidate(Term(own), full, free, np.asarray(scale, dtype=float), _bounds(own.name, lane))
 
 
 def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
@@ -102,10 +110,11 @@ def _bounds(name: str, lane: Lane) -> dict[int, tuple[float, float]]:
     return {}
 
 
-_Made = tuple[Floats, tuple[int, ...], list[float]] | None
+_Starts = tuple[Floats, tuple[int, ...], list[float]]
+_Made = _Starts | None
 
 
-def _plain(own: EffectForm, lane: Lane) -> _Made:
+def _plain(own: EffectForm, lane: Lane) -> _Starts:
     """Start of a form that nothing special is known of: neutral, or the middle of its bounds."""
     start, scale = [], []
     for parameter in own.parameters:

@@ -94,7 +94,7 @@ def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats,
     A row may lie anywhere in the range now and then: where a threshold is known but for a hair, a row on its other side
     must not count as hundreds of standard deviations (contaminated normal, Box and Tiao, Biometrika 1968).
     """
-    prediction = simulate(problem.lane, problem.model, fit.parameters, _logistic(fit.share), kind)
+    prediction = simulate(problem.lane, problem.model, fit.parameters, process_share(fit.share), kind)
     density = log_density(prediction, fit.scale, problem.freedom)
     low, high = problem.lane.visited
     anywhere = np.log(_ANYWHERE / max(high - low, SMALLEST_SCALE))
@@ -104,10 +104,11 @@ def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats,
 
 def measurement_share(share: Floats) -> Floats:
     """Variance of the measurement noise in units of the noise scale, of logistic shares of process noise."""
-    return np.asarray(1.0 - _logistic(share))
+    return np.asarray(1.0 - process_share(share))
 
 
-def _logistic(value: Floats) -> Floats:
+def process_share(value: Floats) -> Floats:
+    """Share of process noise of its logistic scale."""
     return np.asarray(1.0 / (1.0 + np.exp(-value)))
 
 
@@ -168,7 +169,7 @@ class _State:
 
     def _evaluate(self, trial: Floats, shares: Floats, owner: Ints) -> tuple[Floats, Fitness]:
         lane = self.problem.lane
-        prediction = simulate(lane, self.problem.model, trial, _logistic(shares))
+        prediction = simulate(lane, self.problem.model, trial, process_share(shares))
         rows = self.trained[owner][:, :, None] & lane.counted[None]
         return prediction.error, fitness(prediction, rows, self.problem.freedom)
 

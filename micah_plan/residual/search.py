@@ -99,7 +99,7 @@ class Search:
         Args:
             base: a simpler model; one that fits hardly better than it is not looked at further and scores as it does.
         """
-        problem = self._problem(parts)
+        problem = self.problem(parts)
         start = self._starts(parts)
         share = float(base.fit.share[0]) if base is not None else _START_SHARES[0]
         first = optimise(problem, start, np.full(len(start), share), self._all(len(start)), _ROUNDS // 4)
@@ -118,7 +118,7 @@ class Search:
 
     def errors(self, scored: Scored, kind: Kind) -> Floats:
         """(S, T) measured minus predicted, each stretch with the parameters fitted without its fold."""
-        _, errors = held_out(self._problem(scored.parts), scored.folds, kind)
+        _, errors = held_out(self.problem(scored.parts), scored.folds, kind)
         return np.asarray(errors[self.fold, np.arange(len(self.fold))])
 
     def rollout_errors(self, scored: Scored) -> Floats:
@@ -128,7 +128,7 @@ class Search:
             return self.errors(scored, "rollout")[self.lane.counted]
         key = id(scored)
         if key not in self._rolled:
-            problem = replace(self._problem(scored.parts), lane=whole)
+            problem = replace(self.problem(scored.parts), lane=whole)
             _, errors = held_out(problem, scored.folds, "rollout")
             runs, rows = np.nonzero(whole.counted)
             self._rolled[key] = scored, np.asarray(errors[self.fold[whole.stretch[runs, rows]], runs, rows])
@@ -156,9 +156,10 @@ class Search:
     def intervals(self, scored: Scored) -> Floats:
         """(k, 3) interval and median of each free parameter, in the order of the parts; see `interval.intervals`."""
         correlation = self._correlations(scored)[0][0]
-        return intervals(self._problem(scored.parts), scored.fit, independent_share(correlation))
+        return intervals(self.problem(scored.parts), scored.fit, independent_share(correlation))
 
-    def _problem(self, parts: Sequence[Candidate]) -> Problem:
+    def problem(self, parts: Sequence[Candidate]) -> Problem:
+        """What there is to fit of a model."""
         free, scale, center, lower, upper = [], [], [], [], []
         at = columns(self.given)
         for part in parts:
@@ -259,7 +260,7 @@ class Search:
         """The lane with the kind of noise, and the degrees of freedom, that suit what a smooth correction leaves."""
         best: tuple[float, Lane, float] | None = None
         part = smooth(self.lane)
-        problem = self._problem((part,))
+        problem = self.problem((part,))
         share = np.zeros(1)
         for motion_noise in _MOTION_NOISES:
             lane = replace(self.lane, motion_noise=motion_noise)

@@ -8,13 +8,13 @@ gain 0 the roll-out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.residual.lane import Lane
 
@@ -81,6 +81,24 @@ def simulate(lane: Lane, model: Model, parameters: Floats, process_share: Floats
         run.step(t)
         error[:, :, t + 1], variance[:, :, t + 1] = run.measure(t + 1, kind)
     return Prediction(error * lane.counted, variance)
+
+
+def generated(lane: Lane, model: Model, parameters: Floats, mode_at: Callable[[Floats], Ints]) -> Lane:
+    """A lane whose measurements are what a model makes of its starts and commands, without noise.
+
+    Args:
+        parameters: (1, columns(model)).
+        mode_at: index of the mode at configurations.
+    """
+    made = replace(lane, z=lane.z.copy(), place=lane.place.copy(), mode=lane.mode.copy())
+    run = _Run(made, model, parameters, np.zeros(1))
+    for t in range(lane.z.shape[1] - 1):
+        made.place[:, t] = made.z[:, t] + made.u[:, t]
+        made.mode[:, t] = mode_at(made.z[:, t])
+        run.step(t)
+        offset, slope = run.reading(t + 1)
+        made.z[:, t + 1] = (offset + slope * run.c)[0]
+    return made
 
 
 class _Run:
@@ -190,6 +208,10 @@ class _Run:
             changed = changed | gone | caught
         self.at_ends = ends[0], ends[1]
         return changed
+
+    def reading(self, t: int) -> tuple[Any, Any]:
+        """Offset and slope of the reading at row t."""
+        return self._sensor(t, self.c)
 
     def _sensor(self, t: int, like: Floats) -> tuple[Any, Any]:
         """Offset and slope of the reading at row t; sensors are affine."""

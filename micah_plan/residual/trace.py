@@ -77,6 +77,7 @@ class LaneTrace:
         floor: one-step error that noise alone would leave [rad or m].
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `added_mode`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
+        alternatives: the models of one effect that were considered.
     """
 
     lane: Lane
@@ -93,6 +94,7 @@ class LaneTrace:
     floor: float
     missing_modes: tuple[MissingMode, ...] = ()
     closest: tuple[str, ...] = ()
+    alternatives: tuple[Scored, ...] = ()
 
     @property
     def unexplained_fraction(self) -> float:
@@ -145,6 +147,7 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         left=left,
         floor=min(map(search.noise_floor, {id(one): one for one in (final, chosen, named)}.values())),
         closest=closest,
+        alternatives=growth.alternatives,
     )
 
 

@@ -17,7 +17,7 @@ from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("models", "models/parts", "problems", "problems/sweeps")
+FOLDERS = ("models", "models/parts", "problems", "problems/sweeps", "problems/experiments")
 SHIPPED = [(kind_of(file), file) for place in FOLDERS for file in sorted((ROOT / place).glob("*.yaml"))]
 
 
@@ -51,7 +51,7 @@ def test_a_half_space_is_text_or_named_text() -> None:
 
 
 def test_another_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="choose one of model, parts, problem, scene, sweep, plan"):
+    with pytest.raises(InputError, match="choose one of model, parts, problem, scene, sweep, experiment, plan"):
         schema("robot")
 
 
@@ -85,4 +85,4 @@ def test_the_command_writes_the_schema(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "model.json").read_text()) == schema("model")
     refused = run("robot")
     assert refused.returncode == 2
-    assert "'robot' is not one of 'problem', 'model', 'parts', 'scene', 'sweep', 'plan'" in refused.stderr
+    assert "'robot' is not one of 'problem', 'model', 'parts', 'scene', 'sweep', 'experiment', 'plan'" in refused.stderr

@@ -1,0 +1,287 @@
+"""The next experiment, written: commands whose record tells apart what a recording could not.
+
+Each model that is left is in turn taken for true. What a rival then predicts worse of the motion that follows, after
+its parameters are fitted again as far as the recording lets them, is the evidence to expect [nats] (T-optimality:
+Atkinson and Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 1975).
+Commands are chosen a few steps at a time, for all pairs of rivals together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.tracks import tracks
+from micah_plan.quantities import plain
+from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.candidates import candidates, untried
+from micah_plan.residual.fit import Problem, process_share
+from micah_plan.residual.growth import LEAST_EVIDENCE, ranked
+from micah_plan.residual.lane import Lane
+from micah_plan.residual.search import FOLDS, Scored, Search
+from micah_plan.residual.simulation import generated, simulate
+from micah_plan.residual.trace import LaneTrace
+from micah_plan.task.experiment import Experiment, Motion
+from micah_plan.task.start import Start, start_mode
+
+# Evidence [nats] that a whole experiment aims at for every pair: thrice what an effect needs, for held-out rows.
+_ENOUGH = 3.0 * LEAST_EVIDENCE
+# A pair that no motion tells apart by more than this per run [nats] is left to its sentence.
+_HOPELESS = 0.1
+_MOST_REPETITIONS = 10
+_MOST_RIVALS = 4
+# Motions are made of so many pieces of so many steps; so many of each length are gone on with.
+_PIECES, _STEPS, _KEPT = 6, 8, 4
+_LEAST_SIZE, _GOLDEN = 0.6, 0.5 * (np.sqrt(5.0) - 1.0)
+_PLACES = (0.15, 0.5, 0.85)
+# Step of a difference quotient, as a share of what is large for a parameter.
+_DIFFERENCE = 0.02
+# Share of the width by which a motion may be predicted to leave what was seen and is no end.
+_BEYOND = 0.05
+_SMALLEST_STD = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """An experiment and what it is for.
+
+    Attributes:
+        coordinate: that is moved.
+        expected: (one, other, evidence to expect of the whole experiment [nats]) of each pair that it tells apart.
+    """
+
+    experiment: Experiment
+    coordinate: str
+    expected: tuple[tuple[str, str, float], ...]
+
+    def __str__(self) -> str:
+        pairs = "; ".join(f"{one} from {other} ({plain(nats, 2)} nats)" for one, other, nats in self.expected)
+        return f"tells apart for {self.coordinate}, with the evidence to expect: {pairs}"
+
+
+def next_experiment(automaton: HybridAutomaton, recording: Recording, found: Calibration) -> Designed | None:
+    """The experiment that tells apart what a calibration could not; None if nothing is open that motion can show.
+
+    Args:
+        automaton, recording: that were calibrated.
+    """
+    seen = [track.x for track in tracks(automaton, recording)]
+    for one in found.traces:
+        rivals = [_Rival.of(one.search, scored) for scored in _rivals(one)]
+        designed = _designed(automaton, one.lane, rivals, np.concatenate(seen)) if len(rivals) > 1 else None
+        if designed is not None:
+            return designed
+    return None
+
+
+def _rivals(one: LaneTrace) -> list[Scored]:
+    """What is left to choose among: what is tied with the effects found or, if something remains, the next best.
+
+    Where nothing was found: the model as it is, and what was nearest to being found.
+    """
+    search = one.search
+    tried = one.alternatives or tuple(search.score((*one.nominal.parts, part)) for part in candidates(one.lane))
+    options = [scored for scored in ranked(tried) if scored.names != one.nominal.names]
+    if not options:
+        return []
+    if one.outcome.verdict == "none":
+        return [one.nominal, *options][:_MOST_RIVALS]
+    best = one.chosen if one.chosen.parts else options[0]
+    named = {scored.names[-1]: scored for scored in options[::-1] if scored.names[-1] != best.names[-1]}
+    tied = {name for finding in one.findings for name in finding.tied}
+    if tied:
+        chosen = [named[name] for name in tied if name in named]
+        unseen = [untried(name, one.lane) for name in sorted(tied - set(named))]
+        chosen += [search.score((*one.nominal.parts, part)) for part in unseen if part.term.form.layer != "frame"]
+        return [best, *ranked(chosen)][:_MOST_RIVALS]
+    if one.outcome.verdict == "explained":
+        return []
+    last = [one.final] if one.final.names not in (best.names, one.nominal.names) else []
+    return [best, *last, *ranked(list(named.values()))][:_MOST_RIVALS]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rival:
+    """A model fitted to the recording, and what the recording knows of its parameters.
+
+    Attributes:
+        parameters: (1, columns); share: of process noise; scale: of the noise [rad or m].
+        information: (k, k) of its free parameters.
+    """
+
+    name: str
+    problem: Problem
+    parameters: Floats
+    share: Floats
+    scale: float
+    information: Floats
+
+    @classmethod
+    def of(cls, search: Search, scored: Scored) -> _Rival:
+        problem, fit = search.problem(scored.parts), scored.fit
+        own = cls(
+            name=" and ".join(scored.names) or "nothing",
+            problem=problem,
+            parameters=fit.parameters,
+            share=process_share(fit.share),
+            scale=float(fit.scale[0]),
+            information=np.diag(1.0 / (problem.scale * problem.looseness) ** 2),
+        )
+        slopes = own.errors(search.lane)[1].reshape(len(problem.free), search.lane.z.size)
+        return replace(own, information=own.information + slopes @ slopes.T)
+
+    def errors(self, lane: Lane) -> tuple[Floats, Floats]:
+        """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
+        problem, steps = self.problem, _DIFFERENCE * self.problem.scale
+        rows = np.repeat(self.parameters, 1 + len(problem.free), axis=0)
+        for j, column in enumerate(problem.free):
+            steps[j] *= 1.0 if rows[0, column] + steps[j] <= problem.upper[j] else -1.0
+            rows[1 + j, column] += steps[j]
+        found = simulate(lane, problem.model, rows, np.repeat(self.share, len(rows)))
+        errors = found.error / (self.scale * np.sqrt(found.variance[0]))
+        return errors[0], np.asarray((errors[1:] - errors[0]) / steps[:, None, None])
+
+    def moved(self, lane: Lane, mode_at: _ModeAt) -> Lane:
+        """The lane as this model moves."""
+        return generated(lane, self.problem.model, self.parameters, mode_at)
+
+    def outdone(self, moved: Lane) -> Floats:
+        """(S,) evidence against this model if the part moves as the lane says, its parameters fitted again [nats]."""
+        error, slopes = self.errors(moved)
+        against = np.einsum("kst,st->sk", slopes, error)
+        information = self.information + np.einsum("kst,lst->skl", slopes, slopes)
+        taken = np.einsum("sk,sk->s", against, np.linalg.solve(information, against[:, :, None])[:, :, 0])
+        return np.asarray(0.5 * np.maximum((error**2).sum(axis=1) - taken, 0.0))
+
+
+class _ModeAt:
+    """The mode that a recording has at a configuration: that of the nearest row."""
+
+    def __init__(self, lane: Lane) -> None:
+        order = np.argsort(lane.z[lane.counted], kind="stable")
+        self._z, self._mode = lane.z[lane.counted][order], lane.mode[lane.counted][order]
+
+    def __call__(self, z: Floats) -> Ints:
+        between = np.searchsorted(0.5 * (self._z[1:] + self._z[:-1]), z)
+        return np.asarray(self._mode[between])
+
+
+def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], seen: Floats) -> Designed | None:
+    """The best motion from each of some places, if they tell any two rivals apart."""
+    able = _starts(automaton, lane, seen)
+    motions, evidence = [], []
+    for start in able:
+        commands, gained = _best_commands(lane, rivals, start.mean[lane.index])
+        motions.append(Motion(start, _inputs(automaton, lane, start, commands)))
+        evidence.append(gained)
+    if not motions:
+        return None
+    total = np.sum(evidence, axis=0)
+    told = total > _HOPELESS * len(motions)
+    if not told.any():
+        return None
+    # Held-out runs judge, so there are as many as folds.
+    needed = int(np.ceil(_ENOUGH / total[told].min()))
+    repetitions = int(np.clip(needed, np.ceil(FOLDS / len(motions)), _MOST_REPETITIONS))
+    names = list(combinations([rival.name for rival in rivals], 2))
+    expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(told))
+    return Designed(Experiment(automaton, tuple(motions), repetitions), lane.coordinate, expected)
+
+
+def _starts(automaton: HybridAutomaton, lane: Lane, seen: Floats) -> list[Start]:
+    """Measured states over what was visited, in modes that move the coordinate; rounded, for files."""
+    std = tuple(max(one, _SMALLEST_STD) for one in automaton.noise.observation_std)
+    low, high = lane.visited
+    starts = []
+    for share in _PLACES:
+        nearest = np.argsort(np.abs(seen[:, lane.index] - (low + share * (high - low))), kind="stable")
+        for row in nearest[: len(seen) // 3 + 1]:
+            start = Start(tuple(float(value) for value in np.round(seen[row], 4)), std)
+            mode, _ = start_mode(automaton, start)
+            if mode is not None and automaton.mode(mode).B[lane.index].any():
+                starts.append(replace(start, mode=mode))
+                break
+    return starts
+
+
+def _best_commands(lane: Lane, rivals: Sequence[_Rival], start: float) -> tuple[Floats, Floats]:
+    """(T,) commands of the coordinate [rad or m], and (pairs,) evidence to expect of one run of them [nats]."""
+    menu = _menu(lane)
+    kept = np.zeros((1, 0))
+    for number in range(_PIECES):
+        # Sizes that never repeat say more of what else might be: a fixed sequence that fills the interval evenly.
+        sizes = _LEAST_SIZE + (1.0 - _LEAST_SIZE) * (((number * _STEPS + np.arange(_STEPS)) * _GOLDEN) % 1.0)
+        pieces = [[float(f"{value:.3g}") for value in row] for row in menu * sizes + 0.0]
+        tried = np.array([[*before, *piece] for before in kept for piece in pieces])
+        evidence, is_inside = _told_apart(lane, rivals, start, tried)
+        # A pair that is told apart already is worth little more: what counts is that all pairs are.
+        worth = np.log1p(evidence / LEAST_EVIDENCE).sum(axis=0) - np.where(is_inside, 0.0, np.inf)
+        order = np.argsort(-worth, kind="stable")[:_KEPT]
+        kept = tried[order]
+    return kept[0], evidence[:, order[0]]
+
+
+def _menu(lane: Lane) -> Floats:
+    """(P, _STEPS) pieces: on and back, small and large, alternately, once and then none, growing, at rest."""
+    sizes = np.abs(lane.u[lane.counted_starts])
+    largest = float(sizes.max())
+    k, one = np.arange(_STEPS), np.ones(_STEPS)
+    once, turns, grows = (k == 0) * 1.0, (-1.0) ** k, (k + 1.0) / _STEPS
+    shapes = [s * share * one for share in (1.0, 0.4, 0.15) for s in (1.0, -1.0)]
+    shapes += [share * turns for share in (1.0, -1.0, 0.3)] + [once, -once, grows, -grows, 0.0 * one]
+    shapes += [s * np.where(k < _STEPS // 2, 1.0, -1.0) for s in (1.0, -1.0)]
+    return largest * np.array(shapes)
+
+
+def _told_apart(lane: Lane, rivals: Sequence[_Rival], start: float, commands: Floats) -> tuple[Floats, Booleans]:
+    """(pairs, S) evidence to expect [nats], the mean of either of two being true, and (S,) whether motions stay in."""
+    imagined, mode_at = _imagined(lane, start, commands), _ModeAt(lane)
+    moved = [rival.moved(imagined, mode_at) for rival in rivals]
+    low, high = lane.visited
+    room = _BEYOND * (high - low)
+    lowest = min(low - room, lane.lower if np.isfinite(lane.lower) else np.inf)
+    highest = max(high + room, lane.upper if np.isfinite(lane.upper) else -np.inf)
+    z = np.stack([own.z for own in moved])
+    is_inside = ((z > lowest - room) & (z < highest + room)).all(axis=(0, 2))
+    pairs = combinations(range(len(rivals)), 2)
+    evidence = [0.5 * (rivals[b].outdone(moved[a]) + rivals[a].outdone(moved[b])) for a, b in pairs]
+    return np.array(evidence), np.asarray(is_inside)
+
+
+def _imagined(lane: Lane, start: float, commands: Floats) -> Lane:
+    """A lane of S runs with commands (S, T), started at one place after all that was recorded."""
+    count, steps = commands.shape
+    shape = (count, steps + 1)
+    u = np.hstack([commands, np.zeros((count, 1))])
+    counted = np.ones(shape, dtype=bool)
+    counted[:, 0] = False
+    made = replace(
+        lane,
+        z=np.full(shape, start),
+        u=u,
+        place=start + u,
+        counted=counted,
+        time=np.tile(lane.period * np.arange(steps + 1), (count, 1)),
+        order=np.ones(shape),
+        mode=np.zeros(shape, dtype=np.int64),
+        run=np.arange(count),
+        action=None,
+        whole=None,
+    )
+    vars(made)["blur"] = lane.blur  # that of the recording: what is imagined has no noise
+    return made
+
+
+def _inputs(automaton: HybridAutomaton, lane: Lane, start: Start, commands: Floats) -> tuple[tuple[float, ...], ...]:
+    """(T, m) inputs that move the coordinate so."""
+    per_input = np.asarray(automaton.mode(start.mode or automaton.modes[0].name).B)[lane.index]
+    number = int(np.argmax(np.abs(per_input)))
+    rows = np.zeros((len(commands), automaton.m))
+    rows[:, number] = commands / per_input[number]
+    return tuple(tuple(row) for row in rows.tolist())
