@@ -21,7 +21,7 @@ from micah_plan.residual import experiments
 from micah_plan.residual.added_mode import with_missing_modes
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.examined import Examined, examined
-from micah_plan.residual.geometry import DirectFinding, scatter_across
+from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane
@@ -161,8 +161,9 @@ def _check_usable(automaton: HybridAutomaton, known: Examined) -> None:
     if sum(len(track.time) for track in known.measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
     if not known.searches:
-        raise InputError("no mode of the model moves anything", remedy="take a model with a joint that moves")
-    across, arm = scatter_across(automaton, known.seen)
+        remedy = "take a model with a joint that moves; runs of what a hand holds are for predict"
+        raise InputError("the model has no coordinates that move by inputs of their own", remedy=remedy)
+    across, arm = lasting_across(automaton, known.seen), scatter_across(automaton, known.seen)[1]
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
             f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",

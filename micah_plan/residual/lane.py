@@ -17,6 +17,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
+from micah_plan.residual.row_ends import row_ends, run_modes
 from micah_plan.residual.seen import sections
 
 # Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
@@ -51,6 +52,7 @@ class Lane:
         action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
         path: that is measured.
         lower, upper: ends of the range, infinite where there is none.
+        row_ends: (2, S, T) those of each row, where other coordinates and modes change them; None: always the same.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
         period: median time from row to row [s].
@@ -83,6 +85,7 @@ class Lane:
     period: float
     rows: int
     modes: tuple[str, ...]
+    row_ends: Floats | None = None
     motion_noise: float = 0.0
     is_outside: bool = False
     effects: tuple[Effect, ...] = ()
@@ -142,35 +145,19 @@ def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, 
     """The lanes of all coordinates that some mode moves."""
     stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
     kept, found = _thinned(stretches), []
+    modes = [run_modes(automaton, track) for track in tracks]
     of_rows = [np.full(len(track.time), -1) for track in tracks]
     for s, piece in enumerate(kept):
         of_rows[piece.track][piece.start + 1 : piece.end] = s
     for number, link in measuring_links(automaton):
         if any(mode.driven[link.coordinate] for mode in automaton.modes):
-            lane, whole = (_lane(automaton, tracks, number, link.coordinate, own) for own in (kept, runs))
+            lane, whole = (_lane(automaton, tracks, modes, (number, link.coordinate), own) for own in (kept, runs))
             stretch = np.full(whole.z.shape, -1)
             for s, piece in enumerate(runs):
                 stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
             stretch[:, 0] = -1
             found.append(replace(lane, whole=replace(whole, counted=stretch >= 0, stretch=stretch)))
     return tuple(found)
-
-
-def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
-    """(T,) index of the mode that each state (T, n) is in: the one whose invariant and pins it violates least."""
-    std = np.array([min(s, 1.0) for s in automaton.noise.observation_std])
-    u = np.zeros((len(x), automaton.m))
-    misfits = []
-    for mode in automaton.modes:
-        worst = np.zeros(len(x))
-        if mode.invariant.half_spaces:
-            worst = np.maximum(worst, -mode.invariant.margins(x, u).min(axis=-1) / std.min())
-        for pin in mode.pins:
-            away = np.abs(x[:, pin.coordinate] - pin.value) / max(pin.std, std[pin.coordinate])
-            worst = np.maximum(worst, np.where(away > 2.0, away, 0.0))
-        # Being held says more than being somewhere in a range, so it comes first where both fit.
-        misfits.append(worst - 0.1 * bool(mode.pins) * (worst == 0))
-    return np.asarray(np.argmin(np.stack(misfits), axis=0))
 
 
 @dataclass(frozen=True)
@@ -195,11 +182,18 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
     return pieces
 
 
-def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: int, kept: list[_Piece]) -> Lane:
+def _lane(
+    automaton: HybridAutomaton,
+    tracks: tuple[Track, ...],
+    modes: list[Ints],
+    measuring: tuple[int, int],
+    kept: list[_Piece],
+) -> Lane:
+    link, i = measuring
     total = sum(len(track.time) for track in tracks)
-    longest = max(piece.end - piece.first for piece in kept)
-    shape = (len(kept), longest)
+    shape = (len(kept), max(piece.end - piece.first for piece in kept))
     z, u, place, time, order = (np.zeros(shape) for _ in range(5))
+    ends = np.zeros((2, *shape)) if automaton.n > 1 else None
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     action = np.zeros((*shape, 3))
@@ -208,23 +202,22 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
-        inputs = np.zeros((len(track.time), automaton.m)) if track.u is None else np.vstack([track.u, 0 * track.u[:1]])
-        u[s, :count] = inputs[rows] @ moving.B[i]
+        mode[s, :count] = modes[piece.track][rows]
+        if track.u is not None:
+            u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
         place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
-        if track.action is None:
-            place[s] += u[s]
-        else:
-            own = in_base_frame(automaton, i, track.action[rows, link])
-            place[s, : len(own)] += path.aimed(z[s, : len(own)], np.nan_to_num(own))
+        place[s] += u[s] if track.action is None else _aimed(automaton, i, path, z[s], track.action[rows, link])
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
-        mode[s, :count] = row_modes(automaton, track.x[rows])
         counted[s, start - first + 1 : count] = True
+        if ends is not None:
+            own = row_ends(automaton, track.x[rows], mode[s, :count], i)
+            ends[0, s, :count], ends[1, s, :count] = own.low, own.high
+            counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
     lower, upper = range_of(automaton, i)
     holds, release = _ends(automaton, i, lower, upper)
-    periods = np.concatenate([np.diff(track.time) for track in tracks])
     return Lane(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -243,12 +236,20 @@ def _lane(automaton: HybridAutomaton, tracks: tuple[Track, ...], link: int, i: i
         upper=upper,
         release=release,
         holds=holds,
-        period=float(np.median(periods)),
+        period=float(np.median(np.concatenate([np.diff(track.time) for track in tracks]))),
         rows=total,
         modes=automaton.mode_names,
+        row_ends=ends,
         is_outside=all(track.is_outside for track in tracks),
         effects=_on_motion(automaton, automaton.coordinates[i].name),
     )
+
+
+def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:
+    """(T,) by how much actions (up to T, 3) lead on from configurations (T,) if they mean places."""
+    own, found = in_base_frame(automaton, i, action), np.zeros_like(z)
+    found[: len(own)] = path.aimed(z[: len(own)], np.nan_to_num(own))
+    return found
 
 
 def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...]:

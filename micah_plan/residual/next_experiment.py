@@ -272,6 +272,7 @@ def _imagined(lane: Lane, start: float, commands: Floats) -> Lane:
         mode=np.zeros(shape, dtype=np.int64),
         run=np.arange(count),
         action=None,
+        row_ends=None,
         whole=None,
     )
     vars(made)["blur"] = lane.blur  # that of the recording: what is imagined has no noise

@@ -124,7 +124,7 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
         run=track.run,
         time=track.time - track.time[0],
         x=track.x,
-        v=_inputs(track) @ np.stack(rows, axis=1),
+        v=inputs_of(track) @ np.stack(rows, axis=1),
         believed=None if track.believed is None else track.believed - track.x,
         beside=np.stack([beside(automaton, track, number) for number in range(len(automaton.links))], axis=1),
         one_step=_one_step(automaton, track),
@@ -133,8 +133,8 @@ def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
 
 
 def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
-    u = _inputs(track)
-    belief = _first_belief(automaton, track)
+    u = inputs_of(track)
+    belief = first_belief(automaton, track)
     predicted, modes = [], []
     channel = InputChannel(automaton)
     for k in range(len(u)):
@@ -148,12 +148,12 @@ def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
 
 
 def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
-    belief = _first_belief(automaton, track)
+    belief = first_belief(automaton, track)
     first = automaton.modes[belief.most_likely]
     mode, x = first.name, _within(first, track.x[0])
     predicted, modes = [], []
     channel = InputChannel(automaton)
-    for origin, u in zip(track.origin, _inputs(track), strict=False):
+    for origin, u in zip(track.origin, inputs_of(track), strict=False):
         given = channel.pass_on(towards(automaton, origin, x, u), mode, x)
         reached = step(automaton, mode, x, given)
         mode, x = reached.mode, reached.x
@@ -171,7 +171,7 @@ def _within(mode: Mode, x: Floats) -> Floats:
     return np.clip(x, low, high)
 
 
-def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
+def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     """The belief after the first measurement of a run, with the run's own noise if that is larger than the model's."""
     std = np.array(automaton.noise.observation_std)
     for spread in (std, np.maximum(std, noise_of(track.x))):
@@ -193,7 +193,8 @@ def _first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     )
 
 
-def _inputs(track: Track) -> Floats:
+def inputs_of(track: Track) -> Floats:
+    """(T-1, m) inputs of a run; an InputError if it has none."""
     if track.u is None:  # predict_recording has checked
         raise InputError("expected actions, found none")
     return track.u

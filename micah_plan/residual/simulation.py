@@ -120,10 +120,11 @@ class _Run:
         self.is_held = any(bool(np.any(release > 0)) for release in self.release)
         ones = np.ones((len(parameters), lane.z.shape[0]))
         offset, slope = self._sensor(0, ones)
-        self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, self.low), self.high) * ones
+        low, high = self._ends_at(0)
+        self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, low), high) * ones
         self.variance = self.r / slope**2 * ones
         self.memory = [term.form.at_rest_in(self.c, p) for term, p in zip(model, self.p, strict=True)]
-        self.at_ends = self.c <= self.low, self.c >= self.high
+        self.at_ends, self.ends_before = (self.c <= low, self.c >= high), (low, high)
 
     def step(self, t: int) -> None:
         """Predict the state of row t + 1."""
@@ -162,10 +163,11 @@ class _Run:
         return v
 
     def _held(self, v: Any, free: Any, low: Any, high: Any) -> tuple[Any, Any]:
-        """Whether the part is held at its lower and upper end after a step: it stays until a command releases it."""
-        before_low, before_high = self.at_ends
-        stays_low = before_low & (v <= self.release[0])
-        stays_high = before_high & (-v <= self.release[1])
+        """Whether the part is held at its lower and upper end: until a command releases it, or the end is gone."""
+        (before_low, before_high), (low_before, high_before) = self.at_ends, self.ends_before
+        stays_low = before_low & (v <= self.release[0]) & (low == low_before)
+        stays_high = before_high & (-v <= self.release[1]) & (high == high_before)
+        self.ends_before = low, high
         self.at_ends = stays_low | (free <= low), stays_high | (free >= high)
         return stays_low & (self.release[0] > 0), stays_high & (self.release[1] > 0)
 
@@ -239,10 +241,12 @@ class _Run:
         return low, np.maximum(high, low), (release[0], release[1])
 
     def _ends_at(self, t: int) -> tuple[Any, Any]:
-        guards = self.layers.get("guard", ())
-        if all(self.always[n] for n in guards):
+        guards, own = self.layers.get("guard", ()), self.lane.row_ends
+        if own is None and all(self.always[n] for n in guards):
             return self.low, self.high
-        low, high = self.lane.lower + 0.0 * self.c, self.lane.upper + 0.0 * self.c
+        none = np.zeros((len(self.q), len(self.lane.z)))
+        low, high = (self.lane.lower, self.lane.upper) if own is None else (own[0, :, t], own[1, :, t])
+        low, high = low + none, high + none
         for n in guards:
             changed = self.model[n].form.stops(np, low, high, self.p[n])
             low, high = self._gated(n, t, changed[0], low), self._gated(n, t, changed[1], high)
