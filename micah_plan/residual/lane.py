@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -216,8 +217,6 @@ def _lane(
             counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
-    lower, upper = range_of(automaton, i)
-    holds, release = _ends(automaton, i, lower, upper)
     return Lane(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -232,10 +231,7 @@ def _lane(
         run=np.array([tracks[piece.track].run for piece in kept]),
         action=np.nan_to_num(action) if vectors else None,
         path=path,
-        lower=lower,
-        upper=upper,
-        release=release,
-        holds=holds,
+        **_ends(automaton, i),
         period=float(np.median(np.concatenate([np.diff(track.time) for track in tracks]))),
         rows=total,
         modes=automaton.mode_names,
@@ -286,11 +282,9 @@ def _thinned(pieces: list[_Piece]) -> list[_Piece]:
     return [pieces[i] for i in np.linspace(0, len(pieces) - 1, count).astype(int)]
 
 
-def _ends(
-    automaton: HybridAutomaton, i: int, lower: float, upper: float
-) -> tuple[tuple[bool, bool], tuple[float, float]]:
-    """Whether a mode holds coordinate i at its lower and upper end, and what command it takes to leave."""
-    holds, release = [False, False], [0.0, 0.0]
+def _ends(automaton: HybridAutomaton, i: int) -> dict[str, Any]:
+    """The ends of coordinate i, whether a mode holds it there, and what command it takes to leave."""
+    (lower, upper), holds, release = range_of(automaton, i), [False, False], [0.0, 0.0]
     for mode in automaton.modes:
         for pin in mode.pins:
             if pin.coordinate != i:
@@ -304,4 +298,4 @@ def _ends(
                         if h.b[i] and not h.on_state and not edge.is_self_transition:
                             away = (h.b[i] > 0) == (side == 0)
                             release[side] = max(release[side], h.c / abs(h.b[i])) if away else release[side]
-    return (holds[0], holds[1]), (release[0], release[1])
+    return {"lower": lower, "upper": upper, "holds": (holds[0], holds[1]), "release": (release[0], release[1])}
