@@ -22,7 +22,7 @@ from micah_plan.arrays import Booleans, Floats
 # The pose at s = 0 is common to all chains that are compared, so that its prior does not matter.
 _RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
 # Noise of a tracker (std) per axis, and of how many numbers that is worth.
-PLACE_STD, TURN_STD, _WORTH = 0.002, 0.02, 4.0
+PLACE_STD, TURN_STD, WORTH = 0.002, 0.02, 4.0
 _HUBER, _SMALL = 2.5, 1e-6
 _SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
 _BACKTRACKING = (1.0, 0.3, 0.05)
@@ -285,8 +285,8 @@ def _heard(chain: Chain, rows: Rows) -> Chain:
     off, turned, step = (np.square(_weights(part) * part).sum() for part in _residuals(chain, rows))
     count = np.maximum([2.0 * seen - 3.0, 3.0 * seen - 3.0], 0.0)  # the pose at s = 0 takes three of each
     left = np.array([off * chain.place_std**2, turned * chain.turn_std**2])
-    variance = (_WORTH * np.square([PLACE_STD, TURN_STD]) + left) / (_WORTH + count)
-    loss = 0.5 * float(step) + 0.5 * float((_WORTH + count) @ np.log(variance))
+    variance = (WORTH * np.square([PLACE_STD, TURN_STD]) + left) / (WORTH + count)
+    loss = 0.5 * float(step) + 0.5 * float((WORTH + count) @ np.log(variance))
     return replace(chain, place_std=float(np.sqrt(variance[0])), turn_std=float(np.sqrt(variance[1])), loss=loss)
 
 

@@ -8,7 +8,7 @@ harder, elsewhere, where another joint may begin, or back, since it may have bee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -125,7 +125,7 @@ class Explorer:
     def _lead(self) -> tuple[Floats, bool]:
         """The next lead, and whether it leads on along a known chain."""
         record, chain, still = self.record, self.chain, (np.zeros(3), False)
-        if record.blind or record.odd:
+        if record.blind or record.looks_again:
             return still
         if self.moves is None:
             return self._probe(), False
@@ -199,7 +199,7 @@ class Explorer:
     def _nothing_moves(self) -> None:
         force = self._most() / self.record.hand.compliance
         if force < _NO_FORCE:
-            self._end("gave_up", "too little is known of the hand to push safely")
+            self._end("gave_up", "too little is known of the hand to push safely; perhaps it does not hold the handle")
         elif self.widest < _MOVED:
             self._end("held", f"nothing moved it within {force:.3g} N; a latch of more than that is not excluded")
         else:
@@ -208,7 +208,9 @@ class Explorer:
     def take(self, seen: Measurement) -> None:
         """A measurement after the last command: believe, and note the moment."""
         record = self.record
-        record.take(seen)
+        slip = record.take(seen)
+        if slip is not None:
+            self._hold_at(slip)
         if record.blind >= _BLIND:
             self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
         elif record.lost:
@@ -219,6 +221,16 @@ class Explorer:
         way = 0.0 if self.chain is None else self.sense * float(self.chain.way[-1])
         lead, force = record.leads[-1], record.forces[-1]
         self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
+
+    def _hold_at(self, slip: Floats) -> None:
+        """The hand now holds the handle elsewhere, by (3,) in its frame [m]: so does all that is remembered of it."""
+        moved = [replace(chain, place=chain.place + chain.turn @ slip) for chain in self.chains]
+        self.chains = tuple(moved)
+        if self._rest is not None:
+            row, chain, place, variance = self._rest
+            turn = chain.poses(chain.way[-1:])[1][0]
+            chain = replace(chain, place=chain.place + chain.turn @ slip)
+            self._rest = _Rest(row, chain, place + turn @ slip, variance)
 
     def _learn(self) -> None:
         record = self.record
@@ -236,11 +248,11 @@ class Explorer:
             self._rule_out(self.steps - 1)
         if not self.chains:
             net = record.place - self._anchor - record.bending() @ record.forces[-1]
-            if float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
+            if not record.odd and float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
                 pose = (self._anchor, self._frame)
                 self.chains = with_joint(None, pose, net, record.rows(), 0)
                 self._rest = _Rest(self.steps, self.chains[0], record.place, record.variance)
-        elif self._leaves_chain():
+        elif not (record.blind or record.odd) and self._leaves_chain():
             self._next_joint()
         else:
             self.chains = refitted((self.chains[0], self.chains[1]), record.rows())

@@ -42,20 +42,20 @@ def model_of(explorer: Explorer, chain: Chain) -> HybridAutomaton:
     starts = np.concatenate([[ends[0] * rates[0]], ends[0] * rates[0] + np.cumsum(np.diff(ends) * rates)])
     friction, spread = _friction(explorer, chain)
     compliance, count = explorer.record.hand.compliance, len(chain.way)
-    segments = []
+    process, segments = compliance * spread, []
     latch = _latch(explorer, chain)
     moves = int(np.argmax(chain.way > ends[0] + 0.005))
     latched = latch > _LATCHED * friction and starts[0] > -0.01
     if latched:
         turn = Rotation.from_matrix(chain.turn).as_quat()
         held = replace(rigid(chain.place, turn), covariance=_at_rest(chain))
-        segments.append(_segment(held, explorer, (0, moves), (0.0, 0.0), rates[0], spread))
+        segments.append(_segment(held, chain, (0, moves), (0.0, 0.0), rates[0], process))
     rows = [moves, *(int(np.argmax(chain.way >= begin)) for begin in chain.begin[1:]), count - 1]
     for number, (first, last) in enumerate(pairwise(rows)):
         low, high = float(starts[number]), float(starts[number + 1])
         begin = 0.0 if number == 0 else low
         joint = shifted(_joint(chain, number), -begin)
-        segments.append(_segment(joint, explorer, (first, max(last, first)), (low, high), rates[number], spread))
+        segments.append(_segment(joint, chain, (first, max(last, first)), (low, high), rates[number], process))
     graph = KinematicGraph((KinematicEdge(BASE, HANDLE, tuple(segments)),))
     provenance = {"method": "explore", "micah_plan": __version__, "hand_stiffness": f"{1.0 / compliance:.4g} N/m"}
     provenance |= {"friction": f"{friction:.2g} N", "latch": f"{latch:.3g} N"} if latch > 0 else {}
@@ -65,7 +65,7 @@ def model_of(explorer: Explorer, chain: Chain) -> HybridAutomaton:
         release=0.7 * compliance * latch * rates[0] if latched else 0.0,
         provenance=provenance,
     )
-    automaton = replace(automaton, edges=tuple(_known(edge, explorer.record.place_std) for edge in automaton.edges))
+    automaton = replace(automaton, edges=tuple(_known(edge, chain.place_std) for edge in automaton.edges))
     width = compliance * friction * rates[0]
     lost = Effect("dead_zone", HANDLE, (("width", width), ("lost", 1.0)), (compliance * spread * rates[0], 0.1))
     return with_effect(automaton, replace(lost, note="dry friction against the spring of the hand"))
@@ -79,10 +79,9 @@ def _known(edge: Edge, place_std: float) -> Edge:
 
 
 def _segment(
-    joint: Joint, explorer: Explorer, rows: tuple[int, int], reach: tuple[float, float], rate: float, spread: float
+    joint: Joint, chain: Chain, rows: tuple[int, int], reach: tuple[float, float], rate: float, process: float
 ) -> Segment:
-    place, turn = explorer.record.place_std, explorer.record.turn_std
-    seen = place if rate == 1.0 else 1.0 / np.hypot(1.0 / (place * rate), 1.0 / turn)
+    seen = chain.place_std if rate == 1.0 else 1.0 / np.hypot(1.0 / (chain.place_std * rate), 1.0 / chain.turn_std)
     return Segment(
         joint=joint,
         run=0,
@@ -91,7 +90,7 @@ def _segment(
         configuration_start=reach[0],
         configuration_end=reach[1],
         configuration_range=reach,
-        process_std=max(explorer.record.hand.compliance * spread * rate, SMALLEST_STD),
+        process_std=max(process * rate, SMALLEST_STD),
         observation_std=max(float(seen), SMALLEST_STD),
         log_evidence=0.0,
         probability=1.0,

@@ -1,4 +1,4 @@
-"""What was done and seen, and where the handle is: force as an odometer, corrected by the tracker, with their faults.
+"""What was done and seen, and the faults of tracker and grip.
 
 A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
 elsewhere for good: then the grip has slipped on it, or the hand is off it.
@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
-from micah_plan.explore.chain import PLACE_STD, TURN_STD, Chain, Rows
+from micah_plan.explore.chain import PLACE_STD, Chain, Rows
 from micah_plan.explore.hand import UNKNOWN, Hand, hand_of
+from micah_plan.explore.slips import Slips
 
 _CONTRADICTS = 6.0  # std
 _PERHAPS_OFF, _SURELY_OFF = 1.0, 9.0  # nats
@@ -23,6 +24,9 @@ _LEAST_STD = 3e-4  # m
 _SOFT = 4e-4  # m/N, of a panel that bends much
 _LET_GO = 0.25  # of the last lead; places that commands count from are noisy, so that it is not 0
 _FEWEST = 5
+_DOUBT = 0.1  # that the grip has slipped, from which on it is looked at again without force
+_LOOKS = 4  # without force, that tell as much as many
+_SAME = 0.3  # std, by which a hand is no other
 
 
 class Record:
@@ -30,6 +34,7 @@ class Record:
 
     Attributes:
         hand: as well as it is known.
+        slips: whether the grip has slipped on the handle.
         places, turns: (3,) and (3, 3) measured, one more than commands; NaN where not seen.
         commands, leads: (3,) as given, and from the estimated place of the handle to the hand's equilibrium [m].
         forces: (3,) [N]; 0 where not measured.
@@ -37,9 +42,8 @@ class Record:
         shifted: (3,) displacement by odometer and tracker [m].
         led: whether a command led on along a known chain; else it was a push to find one.
         place, variance: (3,) where the handle is, and the variance per axis.
-        place_std, turn_std: of the tracker.
+        place_std: noise of the tracker per axis [m].
         blind: steps since the tracker saw the handle.
-        odd: whether what it saw last contradicts the odometer, and has not been seen again.
         lost, doubtful: whether the hand surely is, or may be, off the handle: no command meets a force, and it does not
             follow them.
         notes: what went wrong, one sentence each.
@@ -53,15 +57,22 @@ class Record:
         self.moved, self.moved_std, self.shifted = list[Floats](), list[float](), list[Floats]()
         self.led: list[bool] = []
         self.place, self.variance = self.places[0].copy(), PLACE_STD**2
-        self.place_std, self.turn_std = PLACE_STD, TURN_STD
+        self.place_std = PLACE_STD
+        self.slips = Slips(self.places[0], self.hand)
         self.blind, self.notes = 0, list[str]()
         self._reference, self._time, self._off = self.place.copy(), first.time, 0.0
-        self._odd: Floats | None = None
-        self._late: list[bool] = []
+        self._rests = 0
+        self._late, self._leapt = list[bool](), [False]
 
     @property
     def odd(self) -> bool:
-        return self._odd is not None
+        """Whether what the tracker saw lately contradicts the odometer, and it is not known yet why."""
+        return self._leapt[-1] or self.slips.doubt > _DOUBT
+
+    @property
+    def looks_again(self) -> bool:
+        """Whether that will tell."""
+        return self._leapt[-1] or (self.odd and self._rests < _LOOKS)
 
     @property
     def lost(self) -> bool:
@@ -73,10 +84,11 @@ class Record:
 
     def command(self, lead: Floats, led: bool) -> Floats:
         """(3,) the command for a lead, noted."""
-        given = lead
+        given, self._rests = lead, 0 if lead.any() else self._rests + 1
         if self.hand.from_measured and not self.blind:
-            off = self.place - self._reference
+            off = self.place + self.slips.expected - self._reference
             given = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
+            lead = given + self._reference - self.place
         self.leads.append(lead)
         self.commands.append(given)
         self.led.append(led)
@@ -87,8 +99,11 @@ class Record:
         for column in (self.leads, self.commands, self.led):
             column.pop()
 
-    def take(self, seen: Measurement) -> None:
-        """A measurement after the last command."""
+    def take(self, seen: Measurement) -> Floats | None:
+        """A measurement after the last command; (3,) by what the grip has slipped on the handle, if that is found [m].
+
+        The offset counts in the handle's own frame.
+        """
         force = np.full(3, np.nan) if seen.force is None else seen.force[0]
         place, turn = seen.position[0], seen.quaternion[0]
         late = seen.time <= self._time or not bool(np.isfinite(force).all())
@@ -96,25 +111,57 @@ class Record:
         self._time = max(self._time, seen.time)
         self.forces.append(np.nan_to_num(force))
         self._late.append(late)
-        step, std = self._odometer(len(self.forces) - 1)
-        self.moved.append(step)
-        self.moved_std.append(std)
-        before = self.place
-        self.place, self.variance = before + step, std**2 + (0.0 if self._is_absolute(late) else self.variance)
-        if unseen:
-            self.blind += 1
-        elif self.blind:
-            self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
-            self.blind = 0
         self.places.append(np.full(3, np.nan) if unseen else place.copy())
         self.turns.append(np.full((3, 3), np.nan) if unseen else Rotation.from_quat(turn).as_matrix())
-        if not unseen:
-            self._reference = place.copy()
-            self._correct(place)
-        self.shifted.append(self.place - before)
+        self.moved.append(np.zeros(3))
+        self.moved_std.append(0.0)
+        self.shifted.append(np.zeros(3))
+        self._leapt.append(False)
+        self._tested(len(self.forces) - 1)
+        self._passed(len(self.forces) - 1)
+        if unseen:
+            self.blind += 1
+            return None
+        if self.blind:
+            self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
+            self.blind = 0
+        self._reference = place.copy()
+        self._doubt_hand(place)
+        return None if self.doubtful else self._slip()
 
-    def _is_absolute(self, late: bool) -> bool:
-        return self.hand.from_measured and not late and bool(np.isfinite(self.places[-1]).all())
+    def _passed(self, k: int) -> None:
+        """Step k, by odometer and tracker."""
+        before = self.place
+        self.moved[k], self.moved_std[k] = self._odometer(k)
+        self.place = before + self.moved[k]
+        self.variance = self.moved_std[k] ** 2 + (0.0 if self._counted(k) else self.variance)
+        if self._saw(k + 1) and not self._leapt[k + 1]:
+            gain = self.variance / (self.variance + self.place_std**2)
+            self.place = self.place + gain * (self.places[k + 1] - self.place)
+            self.variance *= 1.0 - gain
+        self.shifted[k] = self.place - before
+
+    def _tested(self, k: int) -> None:
+        """Step k, for whether the grip slipped."""
+        known = not self._late[k] and self.hand is not UNKNOWN
+        if self._counted(k):
+            size = float(np.linalg.norm(self.leads[k]))
+            along = self.leads[k] / size if self.led[k] and size > 0 else None
+            self.slips.came(self.commands[k] + self.places[k], self.forces[k], along)
+        elif known and not self.hand.from_measured:
+            self.slips.went(self.commands[k], self.forces[k])
+        else:
+            self.slips.went_unseen(float(np.linalg.norm(self.leads[k])) + self.place_std)
+        if self._saw(k + 1):
+            self.slips.look(self.places[k + 1], k + 1)
+        self._leapt[k + 1] = self._saw(k + 1) and self.slips.leapt
+
+    def _counted(self, k: int) -> bool:
+        """Whether command k counted from a place that the tracker saw."""
+        return self.hand.from_measured and not self._late[k] and self._saw(k)
+
+    def _saw(self, row: int) -> bool:
+        return bool(np.isfinite(self.places[row]).all())
 
     def _repeats(self, place: Floats) -> bool:
         """Whether a noisy tracker says to the last digit what it said before: then it has not measured."""
@@ -125,31 +172,10 @@ class Record:
 
     def _odometer(self, k: int) -> tuple[Floats, float]:
         """Displacement in step k by its force, and the std [m]; a late answer's force is an old one too."""
-        unknown = self.hand.from_measured and not np.isfinite(self.places[k]).all()  # what the command counted from
+        unknown = self.hand.from_measured and not self._saw(k)  # what the command counted from
         if self._late[k] or unknown:
             return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
         return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
-
-    def _correct(self, place: Floats) -> None:
-        """Weigh what the tracker sees against the odometer; where both contradict each other, look again first."""
-        self._doubt_hand(place)
-        off = place - self.place
-        if self.hand is not UNKNOWN and off @ off > _CONTRADICTS**2 * (self.variance + self.place_std**2):
-            if self._odd is None:
-                self._odd = place.copy()
-                self.places[-1], self.turns[-1] = np.full(3, np.nan), np.full((3, 3), np.nan)
-                return
-            if np.linalg.norm(place - self._odd) < _CONTRADICTS * self.place_std:
-                self._slipped(off)
-                return
-        self._odd = None
-        self._weigh(off)
-
-    def _weigh(self, off: Floats) -> None:
-        """Correct the place by a share of what the tracker sees beside it."""
-        gain = self.variance / (self.variance + self.place_std**2)
-        self.place = self.place + gain * off
-        self.variance *= 1.0 - gain
 
     def _doubt_hand(self, place: Floats) -> None:
         """Log odds that the hand is off: without a force the handle followed the whole command, or it did not move."""
@@ -160,34 +186,48 @@ class Record:
             gone, led = place - before, self.leads[-1]
             self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self.place_std**2), 0.0)
 
-    def _slipped(self, off: Floats) -> None:
-        """The tracker sees another place, and stays with it. Earlier places are those of the point now held."""
-        self._odd = None
+    def _slip(self) -> Floats | None:
+        """Earlier places become those of the point now held, if the grip has surely slipped."""
+        found = self.slips.found()
+        if found is None:
+            return None
+        row, off = found
         size = 1000.0 * float(np.linalg.norm(off))
-        self.notes.append(f"step {len(self.forces)}: the handle is seen {size:.0f} mm from where the force says it is")
-        shift = self.turns[-1].T @ off
-        for i, turn in enumerate(self.turns[:-1]):
-            if np.isfinite(turn).all():
-                self.places[i] = self.places[i] + turn @ shift
-        self.place, self.variance = self.place + off, self.place_std**2
+        self.notes.append(f"step {row}: the handle is seen {size:.0f} mm from where the force says it is")
+        shift = np.asarray(self.turns[row].T @ off)
+        for i in range(row):
+            if self._saw(i):
+                self.places[i] = self.places[i] + self.turns[i] @ shift
+        self._again()
+        self._test_again()
+        return shift
 
     def know_hand(self) -> None:
         """The hand from all pushes so far, and with it all displacements anew."""
         usable = ~np.array(self._late)
         commands, places = np.array(self.commands), np.array(self.places[:-1])
         self.hand = hand_of(commands[usable], places[usable], np.array(self.forces)[usable])
+        known = self.slips.hand
+        differs = abs(self.hand.compliance / known.compliance - 1.0) > _SAME * self.hand.spread
+        if differs or self.hand.from_measured != known.from_measured:
+            self._test_again()
+        self._again()
+
+    def _again(self) -> None:
+        """Where the handle was, from the start."""
         self.place, self.variance = self.places[0].copy(), self.place_std**2
         if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
             self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
         for k, command in enumerate(self.commands):
-            seen = bool(np.isfinite(self.places[k]).all())
-            self.leads[k] = command + self.places[k] - self.place if self.hand.from_measured and seen else command
-            self.moved[k], self.moved_std[k] = self._odometer(k)
-            before = self.place
-            self.place, self.variance = before + self.moved[k], self.variance + self.moved_std[k] ** 2
-            if np.isfinite(self.places[k + 1]).all():
-                self._weigh(self.places[k + 1] - self.place)
-            self.shifted[k] = self.place - before
+            known = self.hand.from_measured and self._saw(k)
+            self.leads[k] = command + self.places[k] - self.place if known else command
+            self._passed(k)
+
+    def _test_again(self) -> None:
+        """Whether the grip slipped, from the start."""
+        self.slips = Slips(self.places[0], self.hand)
+        for k in range(len(self.commands)):
+            self._tested(k)
 
     def step_std(self, k: int) -> float:
         """Std per axis of the displacement in step k [m]: the odometer's, and what a hand is not a linear spring."""
@@ -227,9 +267,10 @@ class Record:
     def rows(self) -> Rows:
         """All rows, to fit a chain to."""
         std = np.hypot(np.array(self.moved_std), _LEAST_STD)
-        return Rows(np.array(self.places), np.array(self.turns), np.array(self.moved), std)
+        leapt = np.array(self._leapt)
+        places = np.where(leapt[:, None], np.nan, self.places)
+        return Rows(places, np.array(self.turns), np.array(self.moved), std)
 
     def fitted(self, chain: Chain) -> None:
         """What a chain leaves tells the noise of the tracker."""
         self.place_std = float(np.clip(chain.place_std, 2e-4, 0.01))
-        self.turn_std = float(np.clip(chain.turn_std, 1e-3, 0.1))

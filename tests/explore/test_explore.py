@@ -15,7 +15,9 @@ from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.execution.handle import HandlePlant, usable
 from micah_plan.execution.plant import Command, Measurement, PlantError
+from micah_plan.explore.hand import Hand
 from micah_plan.explore.run import Exploration, explore
+from micah_plan.explore.slips import Slips
 from micah_plan.task.exploration import Scene
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -90,6 +92,31 @@ def test_faults_of_tracker_and_grip_are_named_and_survived(fault: str, thing: Th
     assert plant.travelled >= 0.17
     assert any(("tracker" in note) == fault.startswith("out") for note in found.notes)
     assert plant.largest_force < 45.0
+
+
+@pytest.mark.parametrize("from_measured", [False, True])
+@pytest.mark.parametrize("thing", [HINGE, LOCKED], ids=lambda thing: thing.family)
+def test_a_slip_that_no_single_look_shows_is_named(thing: Thing, from_measured: bool) -> None:
+    slips = replace(thing, fault="slip", fault_at=9, position_noise=0.002, from_measured=from_measured)
+    found, plant = run(slips, seed=4)
+    assert [note for note in found.notes if note.startswith("step 9: the handle is seen")] == list(found.notes)
+    assert (found.outcome, found.kinds) == ("held" if thing.is_locked else "opened", thing.kinds)
+    assert plant.largest_force < 45.0
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.01])
+def test_looks_at_a_noisy_tracker_tell_a_slip_from_noise(slip: float) -> None:
+    rng, slips = np.random.default_rng(0), Slips(np.zeros(3), Hand(1e-3, 0.02, 0.2))
+    told = None
+    for k in range(40):
+        pull = rng.uniform(-0.03, 0.03, 3)  # against a handle that rests
+        slips.went(pull, pull / 1.05e-3 + 0.2 * rng.standard_normal(3))
+        slips.look(0.003 * rng.standard_normal(3) + (np.array([slip, 0.0, 0.0]) if k >= 15 else 0.0), k + 1)
+        told = told or slips.found()
+    assert (told is None) == (slip == 0.0)
+    if told is not None:
+        assert told[0] == pytest.approx(16, abs=1)
+        np.testing.assert_allclose(told[1], [slip, 0.0, 0.0], atol=0.005)
 
 
 @pytest.mark.parametrize(("fault", "said"), [("lost", "lost the handle"), ("dies", "controller stopped")])
