@@ -21,6 +21,7 @@ from micah_plan.explore.hand import stiffest
 from micah_plan.explore.kinds import judged, refitted, with_joint
 from micah_plan.explore.moves import Moves, anywhere, compass, onwards
 from micah_plan.explore.record import Record
+from micah_plan.quantities import count
 from micah_plan.task.exploration import Scene
 
 Outcome = Literal["opened", "held", "gave_up"]
@@ -88,7 +89,7 @@ class Explorer:
         self._anchor = self.record.place
         self._rest: _Rest | None = None
         self._left: dict[float, tuple[float, Moves | None]] = {}
-        self._is_gentle, self._is_returning, self._seen = True, False, 0.0
+        self._is_gentle, self._is_returning = True, False
 
     @property
     def steps(self) -> int:
@@ -102,7 +103,7 @@ class Explorer:
     def decide(self) -> Floats | None:
         """(3,) the next command [m]; None if the exploration has ended."""
         if self.outcome is None and self.steps >= self.scene.steps:
-            self._end("gave_up", f"{self.steps} steps were not enough")
+            self._end("gave_up", f"{count(self.steps, 'step')} {'was' if self.steps == 1 else 'were'} not enough")
         if self.outcome is not None:
             return None
         lead, led = self._lead()
@@ -133,7 +134,7 @@ class Explorer:
         directions = self._compass
         if chain is not None:
             ahead = self._ahead(chain)
-            if self._leaves_workspace(ahead):
+            if self.scene.is_outside(self.record.place + _AHEAD * ahead):
                 self._end("gave_up", "the workspace ends here")
                 return still
             far = min(record.hand.compliance * self.friction + _AHEAD, most)
@@ -159,10 +160,6 @@ class Explorer:
         record = self.record
         doubt = record.place_std if record.hand.from_measured else 0.0
         return largest_lead(self.scene, record.hand, *record.pushes(), doubt)
-
-    def _leaves_workspace(self, ahead: Floats) -> bool:
-        low, high, there = self.scene.low, self.scene.high, self.record.place + _AHEAD * ahead
-        return bool((low is not None and (there < low).any()) or (high is not None and (there > high).any()))
 
     def _probe(self) -> Floats:
         """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
@@ -309,7 +306,7 @@ class Explorer:
             self.moves = self._onwards(chain)
         if record.blind or record.odd or record.doubtful:
             return  # force alone shows no motion
-        self.travel, self._seen = way, max(self._seen, abs(way))
+        self.travel = max(self.travel, abs(way))
         if way >= self.scene.opening:
             self._end("opened", f"the handle went {way:.3g} m")
 
@@ -325,7 +322,7 @@ class Explorer:
     def judged(self) -> tuple[Chain | None, float]:
         """The most probable chain and the probability of its kinds; where nothing moved, None and the probability that
         nothing does within the force."""
-        if not self.chains or self.widest < _MOVED or self._seen < _MOVED:
+        if not self.chains or self.widest < _MOVED or self.travel < _MOVED:
             return None, (1.0 - self.can if self.outcome == "held" else self.probabilities().get("fast", 0.0))
         rows = self.record.rows()
         return judged([opening(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows)

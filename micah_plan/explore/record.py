@@ -61,7 +61,7 @@ class Record:
         self.slips = Slips(self.places[0], self.hand)
         self.blind, self.notes = 0, list[str]()
         self._reference, self._time, self._off = self.place.copy(), first.time, 0.0
-        self._rests = 0
+        self._rests, self._usual = 0, PLACE_STD  # the latter: noise of the tracker while the hand held the handle
         self._late, self._leapt = list[bool](), [False]
 
     @property
@@ -181,10 +181,10 @@ class Record:
         """Log odds that the hand is off: without a force the handle followed the whole command, or it did not move."""
         before = self.places[-2]
         if np.linalg.norm(self.forces[-1]) > 5.0 * self.hand.force_std + 0.3:
-            self._off = 0.0
+            self._off, self._usual = 0.0, max(self.slips.tracker_std, self.place_std)
         elif np.isfinite(before).all():
             gone, led = place - before, self.leads[-1]
-            self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self.place_std**2), 0.0)
+            self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self._usual**2), 0.0)
 
     def _slip(self) -> Floats | None:
         """Earlier places become those of the point now held, if the grip has surely slipped."""

@@ -34,7 +34,7 @@ class Exploration:
         scene: what was asked.
         kinds: of the joints, from where it was found on; empty where nothing moved.
         probability: that these are the joints; of ``held``: that nothing moves it within the force.
-        travel: way of the handle from where it was found, as far as the tracker agreed [m].
+        travel: largest way of the handle from where it was found, as far as the tracker agreed [m].
         largest_force: measured [N].
         tried: the largest force that was pushed with where nothing moved [N].
         hand: stiffness and meaning of commands, as found.
@@ -88,6 +88,9 @@ def explore(
         away = quantity(float(np.linalg.norm(first.position[0] - scene.position)), "m")
         remedy = "correct holds.position of the scene, or leave it out"
         raise InputError(f"the handle is first measured {away} from where the scene says", remedy=remedy)
+    if scene.is_outside(first.position[0]):
+        remedy = "correct workspace of the scene, or leave it out"
+        raise InputError("the handle is first measured outside of the workspace", remedy=remedy)
     explorer = Explorer(scene, first)
     while True:
         started = time.process_time()

@@ -58,6 +58,11 @@ class Slips:
         return 1.0 - float(self._share[0])
 
     @property
+    def tracker_std(self) -> float:
+        """Noise of the tracker per axis, if nothing happened [m]."""
+        return float(np.sqrt(self._noise[0]))
+
+    @property
     def expected(self) -> Floats:
         """(3,) from where the handle would be had nothing happened to where it is, mean of all hypotheses [m]."""
         held = self.state @ _SEEN.T

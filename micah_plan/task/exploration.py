@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.task.problem import Problem
@@ -39,3 +40,8 @@ class Scene:
                 raise InputError(f"{name} must be a number > 0. Got {shown(getattr(self, name))}")
         if self.steps < 1:
             raise InputError(f"steps must be at least 1. Got {shown(self.steps)}")
+
+    def is_outside(self, place: Floats) -> bool:
+        """Whether a place (3,) is not in the workspace [m]."""
+        low, high = self.low, self.high
+        return bool((low is not None and (place < low).any()) or (high is not None and (place > high).any()))

@@ -50,7 +50,7 @@ def _numbers(found: Exploration) -> Table:
 
 
 def _panel(found: Exploration, low: float, high: float) -> Panel:
-    return Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, float(max(found.steps, 1)), low, high)
+    return Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, max(found.steps, 1) + 0.5, low, high)
 
 
 def _way(found: Exploration) -> Chart:
@@ -75,7 +75,7 @@ def _way(found: Exploration) -> Chart:
         *pulls,
         panel.curve(flat[:, 0], flat[:, 1], "line", BLUE),
         panel.curve(flat[:, 0], flat[:, 1], "dots", BLUE, dots=True),
-        panel.curve(flat[:1, 0], flat[:1, 1], "dots", GREEN, dots=True),
+        element("circle", kind="level", color=GREEN, cx=panel.x(flat[0, 0]), cy=panel.y(flat[0, 1]), r=5.0),
         panel.y_axis("[m]"),
         panel.x_axis("[m], in the plane of the motion", 6, whole=False),
     ]
@@ -119,7 +119,7 @@ def _onward(places: Floats, number: int) -> Floats:
 def _forces(found: Exploration) -> Chart:
     forces = np.array([np.linalg.norm(moment.force) for moment in found.moments])
     limit, steps = found.scene.largest_force, np.arange(1.0, len(forces) + 1)
-    panel = _panel(found, 0.0, 1.1 * max(limit, float(forces.max())))
+    panel = _panel(found, 0.0, 1.25 * max(limit, float(forces.max())))
     parts = [
         panel.frame,
         panel.area(steps, np.zeros(len(forces)), forces, "spread", PINK),

@@ -254,6 +254,22 @@ def test_scenes_that_cannot_be_used_are_refused_with_their_line(tmp_path: Path, 
         load_scene(path)
 
 
+def test_a_handle_outside_of_the_workspace_is_refused() -> None:
+    with pytest.raises(InputError, match="outside of the workspace"):
+        run(DRAWER, Scene(low=(1.0, 1.0, 1.0)))
+
+
+def test_a_drawer_that_is_too_short_tells_how_far_it_went() -> None:
+    found, _ = run(Thing("drawer", (Stage(0.12, Y),)))
+    assert (found.outcome, found.kinds) == ("gave_up", ("prismatic",))
+    assert found.travel == pytest.approx(0.12, abs=0.01)
+
+
+def test_a_tracker_that_is_far_noisier_than_thought_is_no_lost_handle() -> None:
+    found, _ = run(replace(HINGE, position_noise=0.01, rotation_noise=0.1, force_noise=1.0))
+    assert found.outcome == "opened"
+
+
 def test_the_shipped_scene_is_as_the_issue_asks(repository: Path) -> None:
     scene = load_scene(repository / "problems" / "explore_handle.yaml")
     assert (scene.largest_force, scene.largest_step, scene.steps, scene.opening) == (45.0, 0.05, 300, 0.2)
