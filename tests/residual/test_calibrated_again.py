@@ -6,10 +6,13 @@ import planted_effects as plants
 import pytest
 from test_meaning import servo_run
 
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.examined import examined
 
-QUICK = [plants.short_steps]
-SLOW = [
+PLANTS = [
+    plants.short_steps,
     plants.late,
     plants.blocked,
     plants.sticky,
@@ -29,11 +32,15 @@ def run_of(plant, seed):
     return plants.door_recording(plants.runs_of(plant, 8, 40, seed))
 
 
-@pytest.mark.parametrize(
-    "plant",
-    [*QUICK, *(pytest.param(one, marks=pytest.mark.slow) for one in SLOW)],
-    ids=lambda plant: plant.__name__,
-)
+def test_a_model_with_the_effect_leaves_noise_and_one_without_does_not(door) -> None:
+    recording = plants.door_recording(plants.runs_of(plants.short_steps, 6, 25, 4))
+    weak = with_effect(door, Effect("gain", "door", (("gain", 0.8),)))
+    assert examined(weak, recording).is_noise
+    assert examined(door, recording).is_noise is False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
 def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     once = calibrate(door, run_of(plant, 3))
     again = calibrate(once.automaton, run_of(plant, 4))
@@ -53,6 +60,7 @@ def test_a_servo_that_the_model_knows_is_not_put_behind_another(door) -> None:
     assert [effect.name for effect in found.automaton.effects] == ["follow"]
 
 
+@pytest.mark.slow
 def test_what_came_later_is_found_beside_it(door) -> None:
     """First the hand falls short; then its grip gets loose as well."""
     known = calibrate(door, run_of(plants.short_steps, 3)).automaton

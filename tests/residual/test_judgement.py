@@ -21,7 +21,10 @@ def judged(door, plant, *, runs=10, rows=50, seed=0, goals=None):
     return judge(door, recording, predicted), predicted
 
 
-@pytest.mark.parametrize("plant", ["honest", "short_steps", "creeping", "sprung", "late", "rippled"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("creeping", "sprung", "late")]
+
+
+@pytest.mark.parametrize("plant", ["honest", "short_steps", "rippled", *SLOW])
 def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
     found, predicted = judged(door, getattr(plants, plant))
     floor = np.sqrt(2 * NOISE**2 + MOVED**2)
@@ -37,7 +40,11 @@ def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
 
 @pytest.mark.parametrize(
     ("plant", "what"),
-    [("short_steps", "the command"), ("late", "earlier commands"), ("creeping", "a constant")],
+    [
+        ("late", "earlier commands"),
+        pytest.param("short_steps", "the command", marks=pytest.mark.slow),
+        pytest.param("creeping", "a constant", marks=pytest.mark.slow),
+    ],
 )
 def test_words_say_what_errors_follow(door, plant, what) -> None:
     found, _ = judged(door, getattr(plants, plant))
@@ -45,8 +52,9 @@ def test_words_say_what_errors_follow(door, plant, what) -> None:
     assert what in found.sentence
 
 
-def test_honest_motion_is_rarely_called_more_than_noise(door) -> None:
-    assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in range(6))
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.slow)], ids=len)
+def test_honest_motion_is_rarely_called_more_than_noise(door, seeds) -> None:
+    assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in seeds)
 
 
 def led_by_readings(rng, rows=18):
@@ -59,7 +67,7 @@ def led_by_readings(rng, rows=18):
     return np.array(z), np.array(u)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.slow) for one in (1, 2))])
 def test_prediction_and_calibration_agree_on_what_is_noise_in_a_closed_loop(door, seed) -> None:
     rng = np.random.default_rng(seed)
     recording = plants.door_recording([led_by_readings(rng) for _ in range(20)])

@@ -6,8 +6,12 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
+from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.lane import lanes
+from micah_plan.residual.meaning import followed, means_places
 from micah_plan.residual.prediction import predict_recording
+from micah_plan.residual.search import Search
 
 
 def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002):
@@ -27,7 +31,7 @@ def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002
 @pytest.mark.parametrize(
     "servo",
     [
-        {"share": 0.3},
+        pytest.param({"share": 0.3}, marks=pytest.mark.slow),
         pytest.param({"share": 0.25, "momentum": 0.5, "late": 1}, marks=pytest.mark.slow),
         pytest.param({"share": 0.05}, marks=pytest.mark.slow),
         pytest.param({"share": 0.3, "late": 2}, marks=pytest.mark.slow),
@@ -48,7 +52,15 @@ def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> 
     assert np.sqrt(np.mean(after**2)) < min(0.004, 0.2 * np.sqrt(np.mean(before**2)))
 
 
-@pytest.mark.parametrize(("noise", "disturbance"), [(0.001, 0.004), pytest.param(0.003, 0.001, marks=pytest.mark.slow)])
+def test_places_predict_better_than_displacements(door) -> None:
+    search = Search(lanes(door, tracks(door, plants.door_recording([servo_run(150, 1, share=0.3)])))[0])
+    place = followed(search)
+    assert means_places(search, place, search.nominal)
+    assert place.names == ("follow",)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "disturbance"), [(0.001, 0.004), (0.003, 0.001)])
 def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -> None:
     """Also where what disturbs the part is larger than what blurs its measurement, and roll-outs of places peek."""
     runs = plants.runs_of(plants.short_steps, 8, 40, 3, noise=noise, disturbance=disturbance)

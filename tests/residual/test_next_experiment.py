@@ -86,7 +86,7 @@ def test_where_nothing_was_found_it_asks_for_what_is_nearest(door) -> None:
 
 
 def test_a_gain_and_a_turned_frame_no_motion_along_the_joint_tells_apart(door) -> None:
-    recording = plants.door_recording(plants.runs_of(plants.short_steps, 4, 30, 3))
+    recording = plants.door_recording(plants.runs_of(plants.short_steps, 4, 15, 3))
     found = calibrate(door, recording)
     assert found.effects[0].effect.name == "gain"
     one = found.traces[0]

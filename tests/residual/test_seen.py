@@ -40,6 +40,7 @@ def test_the_other_half_of_a_door_is_not_outside_of_a_model_that_saw_one_half():
     assert any("beyond the model's range" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_stop_beyond_the_end_that_was_seen_is_that_end_moved():
     model, log = seen_up_to(0.9 * plants.LENGTH), recording(goals=(0.4, 1.6))
     (only,) = calibrate(model, log).effects
