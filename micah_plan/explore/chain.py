@@ -21,8 +21,9 @@ from micah_plan.arrays import Booleans, Floats
 # What is known before of the numbers of a chain (std): turning [rad/m], where a joint takes over [m], its direction.
 # The pose at s = 0 is common to all chains that are compared, so that its prior does not matter.
 _RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
-# Noise of a tracker (std) per axis, and of how many numbers that is worth.
+# Noise of a tracker (std) per axis, of how many numbers that is worth, and what the odometer states of itself.
 PLACE_STD, TURN_STD, WORTH = 0.002, 0.02, 4.0
+_WORTHS = np.array([WORTH, WORTH, 10.0])
 _HUBER, _SMALL = 2.5, 1e-6
 _SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
 _BACKTRACKING = (1.0, 0.3, 0.05)
@@ -64,6 +65,7 @@ class Chain:
         rate: (n, 3) rotation per metre of way, normal to the direction; 0 for a slide.
         way: (k,) s of each row [m].
         place_std, turn_std: of the tracker, as what is left says [m, rad].
+        moved_share: std of the odometer, as a share of what it states itself.
         covariance: of the numbers, in the order of `numbers`.
         loss: negative log likelihood of the rows [nats].
         evidence: log evidence against other chains for the same rows [nats].
@@ -78,6 +80,7 @@ class Chain:
     way: Floats
     place_std: float = PLACE_STD
     turn_std: float = TURN_STD
+    moved_share: float = 1.0
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     loss: float = 0.0
     evidence: float = 0.0
@@ -178,7 +181,7 @@ def _placed(chain: Chain, rows: Rows) -> Chain:
     off = np.where(seen, np.einsum("ij,ij->i", np.nan_to_num(rows.place) - places, tangents), 0.0)
     chord = _chords(tangents)
     step = np.einsum("ij,ij->i", rows.moved, chord) - np.einsum("ij,ij->i", np.diff(places, axis=0), chord)
-    tracker, odometer = seen / chain.place_std**2, 1.0 / rows.moved_std**2
+    tracker, odometer = seen / chain.place_std**2, 1.0 / (chain.moved_share * rows.moved_std) ** 2
     diagonal = tracker + 1e-9
     diagonal[:-1] += odometer
     diagonal[1:] += odometer
@@ -199,7 +202,7 @@ def _residuals(chain: Chain, rows: Rows) -> tuple[Floats, Floats, Floats]:
     seen = rows.seen[:, None]
     off = np.where(seen, np.nan_to_num(rows.place) - places, 0.0) / chain.place_std
     turned = np.where(seen, _vectors(np.nan_to_num(rows.turn) @ turns.transpose(0, 2, 1)), 0.0) / chain.turn_std
-    step = (rows.moved - np.diff(places, axis=0)) / rows.moved_std[:, None]
+    step = (rows.moved - np.diff(places, axis=0)) / (chain.moved_share * rows.moved_std[:, None])
     return _across(off, tangents), turned, _across(step, _chords(tangents))
 
 
@@ -257,7 +260,7 @@ def _slope(chain: Chain, rows: Rows, steps: Floats) -> Floats:
     place = np.where(seen, _weights(off), 0.0) / chain.place_std * _across(shifts, tangents)
     turn = np.where(seen, _weights(turned_off), 0.0) / chain.turn_std * spins
     step = np.diff(shifts, axis=1)
-    way = _weights(step_off) / rows.moved_std[:, None] * _across(step, _chords(tangents))
+    way = _weights(step_off) / (chain.moved_share * rows.moved_std[:, None]) * _across(step, _chords(tangents))
     rate = (chain.rate - tried.rate) / (_SMALL * _RATE)
     return -np.concatenate([part.reshape(len(steps), -1) for part in (place, turn, way, rate)], axis=1).T
 
@@ -280,14 +283,17 @@ def _vectors(matrices: Floats) -> Floats:
 
 
 def _heard(chain: Chain, rows: Rows) -> Chain:
-    """With the noise of the tracker that it leaves, and the likelihood under it."""
+    """With the noise of tracker and odometer that it leaves, and the likelihood under it."""
     seen = int(rows.seen.sum())
-    off, turned, step = (np.square(_weights(part) * part).sum() for part in _residuals(chain, rows))
-    count = np.maximum([2.0 * seen - 3.0, 3.0 * seen - 3.0], 0.0)  # the pose at s = 0 takes three of each
-    left = np.array([off * chain.place_std**2, turned * chain.turn_std**2])
-    variance = (WORTH * np.square([PLACE_STD, TURN_STD]) + left) / (WORTH + count)
-    loss = 0.5 * float(step) + 0.5 * float((WORTH + count) @ np.log(variance))
-    return replace(chain, place_std=float(np.sqrt(variance[0])), turn_std=float(np.sqrt(variance[1])), loss=loss)
+    parts = _residuals(chain, rows)
+    off, turned, step = (np.square(_weights(part) * part).sum() for part in parts)
+    # The pose at s = 0 takes three of each of the tracker's numbers.
+    count = np.maximum([2.0 * seen - 3.0, 3.0 * seen - 3.0, 2.0 * len(parts[2])], 0.0)
+    left = np.array([off * chain.place_std**2, turned * chain.turn_std**2, step * chain.moved_share**2])
+    variance = (_WORTHS * np.square([PLACE_STD, TURN_STD, 1.0]) + left) / (_WORTHS + count)
+    place_std, turn_std, moved_share = (float(std) for std in np.sqrt(variance))
+    loss = 0.5 * float((_WORTHS + count) @ np.log(variance))
+    return replace(chain, place_std=place_std, turn_std=turn_std, moved_share=moved_share, loss=loss)
 
 
 def _judged(chain: Chain, rows: Rows) -> Chain:

@@ -11,6 +11,7 @@ from micah_plan.arrays import Floats
 from micah_plan.explore.chain import Chain, Rows, fitted
 
 _JOINT = 3.0  # nats against each joint more
+_NONE = 1e-3  # odds that none of the chains is right: of 1,200 objects of which it was surer than 99 % two were not
 _WELL, _FIRST = 4, 2  # rounds of a fit from a rough guess, and of one that goes on with the next step
 _SPLITS = (0.2, 0.45, 0.7)  # of the way of a joint: from where the place is fitted at which another took over
 
@@ -55,7 +56,7 @@ def judged(chains: Sequence[Chain], rows: Rows) -> tuple[Chain, float]:
     odds: dict[tuple[str, ...], float] = {}
     for chain in compared:
         odds[chain.kinds] = max(odds.get(chain.kinds, -np.inf), _log(chain))
-    return best, 1.0 / sum(float(np.exp(log - odds[best.kinds])) for log in odds.values())
+    return best, 1.0 / (_NONE + sum(float(np.exp(log - odds[best.kinds])) for log in odds.values()))
 
 
 def _log(chain: Chain) -> float:

@@ -75,11 +75,11 @@ def _way(found: Exploration) -> Chart:
         *pulls,
         panel.curve(flat[:, 0], flat[:, 1], "line", BLUE),
         panel.curve(flat[:, 0], flat[:, 1], "dots", BLUE, dots=True),
-        element("circle", kind="level", color=GREEN, cx=panel.x(flat[0, 0]), cy=panel.y(flat[0, 1]), r=5.0),
+        element("circle", kind="dots small", color=GREEN, cx=panel.x(flat[0, 0]), cy=panel.y(flat[0, 1]), r=8.0),
         panel.y_axis("[m]"),
         panel.x_axis("[m], in the plane of the motion", 6, whole=False),
     ]
-    words = ("Blue: places of the handle, green the first one. Thin lines: from each place to where the hand pulled.",)
+    words = ("Blue: places of the handle, ringed the first one. Thin lines: from each place to where the hand pulled.",)
     return Chart("The path of the hand", words, drawing(_WIDTH, [panel], parts, "path of the hand"))
 
 
