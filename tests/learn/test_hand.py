@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
@@ -9,9 +12,21 @@ from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.value import Recording
 
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MOVING = 70
 NOISES = [Noise(0.001, 0.006), Noise(1e-5, 1e-4)]
 KINDS = ["prismatic", "revolute"]
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        import kinds_catalogue
+
+        yield kinds_catalogue.simulated
+    finally:
+        sys.path.remove(str(BENCHMARKS))
 
 
 def acted(kind: str, before: np.ndarray, after: np.ndarray, noise: Noise, seed: int = 0) -> Recording:
@@ -45,6 +60,22 @@ def test_a_part_that_nobody_pushed_yet_waits_for_the_hand(kind: str, noise: Nois
         assert kinds(acted(kind, np.zeros(rows), np.zeros(0), noise)) == [kind]
     # A hand that takes up some slack before the part moves does not make it locked either.
     assert kinds(acted(kind, np.linspace(0, 1, 4), np.zeros(0), noise)) == [kind]
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hand_that_first_goes_the_other_way_has_not_pushed_in_vain(kind: str, noise: Noise) -> None:
+    away_and_back = np.concatenate([np.full(20, -1.0), np.full(20, 1.0)])
+    assert kinds(acted(kind, away_and_back, np.zeros(0), noise)) == [kind]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["locked-first", "locked-first-then-a-stop", "wander-locked-first"])
+def test_hands_whose_direction_wanders_do_not_wait_while_they_push(name: str, simulated) -> None:
+    """Where actions predicted no steps, they excused any push in vain."""
+    found = [simulated(name, seed) for seed in range(600, 618)]
+    right = sum(kinds(one.recording) in [list(answer) for answer in one.edges["part"].answers] for one in found)
+    assert right >= 16
 
 
 @pytest.mark.parametrize("noise", [*NOISES, Noise(0.0, 0.0)])

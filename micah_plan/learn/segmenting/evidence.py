@@ -111,7 +111,7 @@ def all_tabulated(
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
-    motion = fit_motion(pool, track.action if use_actions else None, rest, scale, begun)
+    motion = fit_motion(pool, track.action if use_actions else None, rest, scale, trust, begun)
     # Where on its joint a segment starts is uniform over what the recording reaches.
     table[1:] += motion.log_density
     table[0] -= (np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving)[:, None]

@@ -4,8 +4,8 @@ c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with p
 and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
 unexplained: nothing while the part follows exactly, N(0, q) while it does so loosely, two states that rarely change. So
 a part that is left alone is explained at no cost, however long it rests. A part may also wait for the hand, whatever
-that does, but the hand has it the sooner, the further it is commanded to move it: pushed in vain for longer, it is
-locked.
+that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain for
+longer, it is locked. That holds where actions explain too little to predict steps from, too.
 
 The action channel h is linear in three numbers whatever frame, gain or side of the joint the actions were given at: in
 the part's frame every joint's direction of motion is constant, so J⁻¹ R g is one row vector (MICAH, equation for the
@@ -16,7 +16,7 @@ All hypotheses are filtered together over all rows; the parameters are fitted to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,9 @@ class Motion:
         return Motion(self.log_density[some], self.gain[some], self.parameters[some])
 
 
-def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, begun: bool = False) -> Motion:
+def fit_motion(
+    pool: Pool, action: Floats | None, rest: float, scale: Floats, trust: float, begun: bool = False
+) -> Motion:
     """Maximum-likelihood step models.
 
     Args:
@@ -110,9 +112,12 @@ def fit_motion(pool: Pool, action: Floats | None, rest: float, scale: Floats, be
         )
     ]
     if action is not None:
-        reach = np.maximum(np.ptp(c, axis=1), 1e-9)
-        given = grid, weight, pool.lever[members], waiting, enough, action, reach
-        models += _led(innovations[0], innovations[2:], quiet, *given)
+        # A prior, which is not tempered as what rows say is.
+        hazard = _onward(c) / (trust * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
+        given = grid, weight, pool.lever[members], waiting, enough, action, hazard
+        led = _led(innovations[0], innovations[2:], quiet, *given)
+        # However little they explain: a hand that pushes does not wait.
+        models = [replace(models[0], waiting=led[0].waiting), *led]
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
     density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
@@ -274,6 +279,13 @@ def _directions(c: Floats) -> Floats:
     return np.where(c[:, last] >= c[:, first], 1.0, -1.0)
 
 
+def _onward(c: Floats) -> Floats:
+    """(h,) the way 1 or -1 that the part goes first, far enough to be no noise."""
+    away = c - c[:, :1]
+    far = np.abs(away) >= 0.5 * np.abs(away).max(axis=1, keepdims=True)
+    return np.asarray(np.sign(away[np.arange(len(c)), np.argmax(far, axis=1)]))
+
+
 def _led(
     own: Floats,
     commanded: Floats,
@@ -284,14 +296,14 @@ def _led(
     waiting: Floats,
     enough: Floats,
     action: Floats,
-    reach: Floats,
+    hazard: Floats,
 ) -> list[_StepModel]:
     """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
 
     Args:
         own, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
         action: (n, 3) in the part's frame [m].
-        reach: (h,) how far the part moves along each joint [rad or m].
+        hazard: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
         enough: (h,) how many steps there are to tell from.
     """
     pushes = commanded.transpose(2, 3, 0, 1)
@@ -312,8 +324,10 @@ def _led(
     plausible = lengths[2] <= _MOST_AMPLIFIED * np.maximum(lengths[0], lengths[1])
     told = enough >= FEWEST_ACTED
     exact, loose = ([one[i][:, at, chosen] for i, chosen in enumerate(best)] for one in (exactly, loosely))
-    # A hand that is not there yet has the part the sooner, the further it is commanded to move it.
-    absent = [waiting - np.abs(action[:-1] @ gain.T) / (_GAP * reach) for gain in (along, turned)]
+    # A hand that is not there yet has the part the sooner, the further it gets the way that the part then goes.
+    got = np.cumsum(action[:-1] @ np.concatenate([along, turned]).T, axis=0) * np.tile(hazard, 2)
+    further = np.diff(np.maximum.accumulate(np.maximum(got, 0.0), axis=0), axis=0, prepend=0.0)
+    absent = [waiting - one for one in np.split(further, 2, axis=1)]
     return [
         _StepModel(exact[0], loose[0], absent[0], along, 3.0, told),
         _StepModel(exact[1], loose[1], absent[1], turned, 5.0, told & plausible),

@@ -59,7 +59,9 @@ def posterior_of(
     moves = [i for i in used if moving[i]]
     index = np.arange(len(moving))
     cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves)
-    paid = float(cost[used].sum()) - ANOTHER_JOINT * bool(moves)
+    # As in the answer: for the rows that they explain, however few they were fitted to.
+    explained = np.array([sum(p.end - p.start + 1.0 for p in pieces if p.hypothesis == one) for one in used])
+    paid = float(table.cost(np.array(used), explained, bool(moves)).sum()) + ANOTHER_JOINT * max(len(moves) - 1, 0)
     cost[used] = 0.0
     worth = table.sums - cost[:, None, None]
     spare = ~moving
