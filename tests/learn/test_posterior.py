@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -24,7 +25,7 @@ from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.segmentation import segment_track
 from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths
-from micah_plan.learn.segmenting.selection import shared
+from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, shared
 from micah_plan.learn.segmenting.stating import posterior_of
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.settings import LearnSettings
@@ -239,6 +240,33 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
         answer = Segmented(track, noise, shared(table, [0], prior, settings), table)
         told = posterior_of(answer, (), settings, False).log_evidence
         assert told == pytest.approx(answer.log_probability, abs=1e-6)
+
+
+def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take_over() -> None:
+    """Not only at the likeliest: every place written out, for two joints and for a return to the first."""
+    turn = recorded([(JOINTS["revolute"], np.linspace(0, 1, 9))], np.random.default_rng(1)).position
+    slide = recorded([(JOINTS["prismatic"], np.linspace(0, 0.3, 7))], np.random.default_rng(1)).position
+    recording = recorded([(JOINTS["prismatic"], np.zeros(16))], np.random.default_rng(1))
+    recording = replace(recording, position=np.concatenate([turn, turn[-1] + slide]))
+    track = part_track(recording, 0, recording.parts[0])
+    settings = LearnSettings()
+    noise, prior, n = first_noise(track, settings), prior_of_lengths(track, settings), len(track)
+    joints = ["revolute", "prismatic"]
+    used = np.array([np.arange(n) < 9, np.arange(n) >= 9])
+    table = tabulated(refitted(joints, used, track, noise), track, noise, False, settings.rest, 0.5)
+    answer = shared(table, [0, 1], prior, settings)
+    order = [piece.hypothesis for piece in answer.pieces]
+    assert len(order) > 1
+    weights = []
+    for cuts in itertools.combinations(range(1, n), len(order) - 1):
+        pieces = list(zip((0, *cuts), (*cuts, n), order, strict=True))
+        lengths = [float(prior.log_probability(b - a)) for a, b, _ in pieces[:-1]]
+        lengths.append(float(prior.log_survival(n - pieces[-1][0] - 1)))
+        rows = [float(table.sums[one, a, b - 1]) for a, b, one in pieces]
+        weights.append(sum(lengths) + sum(rows) - len(order) * np.log(len(settings.kinds)))
+    explained = np.array([float(sum(p.end - p.start + 1 for p in answer.pieces if p.hypothesis == i)) for i in (0, 1)])
+    paid = float(table.cost(np.arange(2), explained).sum()) + ANOTHER_JOINT
+    assert answer.log_probability == pytest.approx(logsumexp(weights) - paid, abs=1e-9)
 
 
 @pytest.mark.parametrize("stopped", [None, 40])

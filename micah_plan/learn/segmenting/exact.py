@@ -34,7 +34,7 @@ def best_segmentation(
     """
     models = _Models(table, members, paid)
     n = table.log_density.shape[1]
-    worth = models.best + (_length_terms(prior, n) - np.log(kinds))
+    worth = models.best + (length_terms(prior, n) - np.log(kinds))
     # Of the rows before each, in one segment, in up to two, three, ...: as many passes as segments, each at once.
     best_before = np.full(n + 1, -np.inf)
     best_before[0] = 0.0
@@ -55,7 +55,7 @@ def best_segmentation(
 
 
 @lru_cache(maxsize=4)
-def _length_terms(prior: LengthPrior, n: int) -> Floats:
+def length_terms(prior: LengthPrior, n: int) -> Floats:
     """(n, n) ln prior of the length of a segment (first, last row); the last row leaves it open."""
     every = np.arange(1, n + 1)
     log_length, log_survival = prior.log_probability(every), prior.log_survival(every - 1)

@@ -17,7 +17,7 @@ from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
 from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths, rows_of_joints
 from micah_plan.learn.segmenting.selection import merged, selections, shared
-from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, WithoutRest, posterior_of
+from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, WithoutRest
 from micah_plan.learn.segmenting.stops import held_somewhere
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
@@ -27,7 +27,6 @@ _TIGHTENED = 2
 _MOST_PROPOSALS = 3
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
-_PLACES = 4.0  # nats: ln of the number of steps, what all places where a rest may begin are worth together
 
 
 def segment_track(
@@ -62,22 +61,13 @@ def segment_track(
 
 
 def _unless_held(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
-    """The same; or, if one joint moves the part and it is more probable that it was held elsewhere too, that.
-
-    Where a rest begins and ends is summed over if it decides.
-    """
+    """The same; or, if one joint moves the part and it is more probable that it was held elsewhere too, that."""
     used = {piece.hypothesis for piece in found.segmentation.pieces}
     if sum(bool(found.table.pool.moving[one]) for one in used) != 1:
         return found
     tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
     starts = [replace(found, table=table, segmentation=one) for table, one in tried]
-    rivals = [found, *_settled(starts, prior, settings, True)]
-    highest = max(one.log_probability for one in rivals)
-    close = [one for one in rivals if one.log_probability > highest - _PLACES]
-    if len({len(one.segmentation.pieces) for one in close}) > 1:
-        best = max(close, key=lambda one: posterior_of(one, (), settings, True).log_evidence)
-    else:
-        best = max(close, key=lambda one: one.log_probability)
+    best = max([found, *_settled(starts, prior, settings, True)], key=lambda one: one.log_probability)
     return best if len(best.segmentation.pieces) > len(found.segmentation.pieces) else found
 
 

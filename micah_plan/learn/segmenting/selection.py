@@ -6,7 +6,7 @@ and the recursion runs with them alone: joints are dropped while that pays, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -15,11 +15,11 @@ import numpy as np
 
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
-from micah_plan.learn.segmenting.exact import best_segmentation
+from micah_plan.learn.segmenting.exact import best_segmentation, length_terms
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.settings import LearnSettings
 
-ANOTHER_JOINT = 10.0  # nats: most parts have one moving joint; another one needs decisive evidence
+ANOTHER_JOINT = 15.0  # nats: most parts have one moving joint; another one needs decisive evidence
 _PROMISING = 3
 
 
@@ -44,7 +44,7 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 
 
 def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """The most probable segments under few joints, whose parameters are paid once."""
+    """The most probable segments under few joints, which are paid once, and how probable they are at any places."""
     found = best_segmentation(table, prior, len(settings.kinds), members, members)
     used: dict[int, int] = {}
     for piece in found.pieces:
@@ -55,7 +55,20 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT
-    return Segmentation(merged(found.pieces), found.log_probability - float(cost))
+    pieces = merged(found.pieces)
+    return Segmentation(pieces, _over_places(pieces, table, prior, len(settings.kinds)) - float(cost))
+
+
+def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior, kinds: int) -> float:
+    """Ln probability of the rows under joints in an order, wherever one takes over from the one before."""
+    worth = table.sums[[piece.hypothesis for piece in pieces]] + length_terms(prior, len(table.sums[0])) - np.log(kinds)
+    begun = np.full(worth.shape[1], -np.inf)
+    begun[0] = 0.0
+    for one in worth[:-1]:
+        # No row is the last of one segment but where another begins; the last row ends the last one.
+        begun[1:] = np.logaddexp.reduce(begun[:, None] + one, axis=0)[:-1]
+        begun[0] = -np.inf
+    return float(np.logaddexp.reduce(begun + worth[-1, :, -1]))
 
 
 def _fewest(apart: Segmentation, under: Callable[..., Segmentation]) -> Segmentation:
