@@ -36,6 +36,7 @@ _NAMED = {  # what says so
     "slip": ("is seen",),
     "lost": ("has lost the handle", "does not hold the handle"),
     "dies": ("stopped itself",),
+    "none": ("tracker", "is seen", "has lost", "does not hold", "stopped"),  # is to be named in none
 }
 _INSIDE = {2: 5.991, 4: 9.488}  # 95 % of chi squared
 
@@ -172,8 +173,8 @@ def faults(first: int, count: int) -> None:
             found = explore(Scene(), Checked(plant), np.random.default_rng(seed))
             told = any(word in text for text in (found.reason, *found.notes) for word in words)
             named += told
-            if not told:
-                print(f"not named: {seed} {thing.family} {fault}: {found.outcome}, {found.reason}")
+            if told == (fault == "none"):
+                print(f"wrongly told: {seed} {thing.family} {fault}: {found.outcome}, {found.reason}")
             gave_up += found.outcome == "gave_up"
             opened = plant.travelled >= _ENOUGH
             wrong += found.outcome == "opened" and not opened
