@@ -78,8 +78,8 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     corrected = with_effect(automaton, *(found.effect for found in (*geometry, *read)))
     measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
     beyond = beyond_range(corrected, [track.x for track in measured]) if measured else ()
-    corrected = opened(corrected, beyond)
-    able = lanes(corrected, measured) if measured and _has_own_inputs(corrected) else ()
+    told, corrected = corrected, opened(corrected, beyond)
+    able = lanes(corrected, measured, told) if measured and _has_own_inputs(corrected) else ()
     return Examined(
         automaton=corrected,
         geometry=geometry,

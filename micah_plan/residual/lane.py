@@ -53,6 +53,7 @@ class Lane:
         action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
         path: that is measured.
         lower, upper: ends of the range, infinite where there is none.
+        told: ends of the model that was given, where measured rows lie beyond and the range was opened.
         row_ends: (2, S, T) those of each row, where other coordinates and modes change them; None: always the same.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
@@ -81,6 +82,7 @@ class Lane:
     path: LinkMotion
     lower: float
     upper: float
+    told: tuple[float, float]
     release: tuple[float, float]
     holds: tuple[bool, bool]
     period: float
@@ -115,7 +117,7 @@ class Lane:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
         low, high = self.visited
         reach = 0.03 * (high - low)
-        return low < self.lower + reach or high > self.upper - reach
+        return low < self.told[0] + reach or high > self.told[1] - reach
 
     @property
     def repeats_one_motion(self) -> bool:
@@ -142,8 +144,14 @@ class Lane:
         return float(seen.min()), float(seen.max())
 
 
-def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, ...]:
-    """The lanes of all coordinates that some mode moves."""
+def lanes(
+    automaton: HybridAutomaton, tracks: tuple[Track, ...], told: HybridAutomaton | None = None
+) -> tuple[Lane, ...]:
+    """The lanes of all coordinates that some mode moves.
+
+    Args:
+        told: the model before its ranges were opened (`seen.opened`); None: they were not.
+    """
     stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
     kept, found = _thinned(stretches), []
     modes = [run_modes(automaton, track) for track in tracks]
@@ -157,7 +165,9 @@ def lanes(automaton: HybridAutomaton, tracks: tuple[Track, ...]) -> tuple[Lane, 
             for s, piece in enumerate(runs):
                 stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
             stretch[:, 0] = -1
-            found.append(replace(lane, whole=replace(whole, counted=stretch >= 0, stretch=stretch)))
+            ends = range_of(told or automaton, link.coordinate)
+            whole = replace(whole, counted=stretch >= 0, stretch=stretch, told=ends)
+            found.append(replace(lane, told=ends, whole=whole))
     return tuple(found)
 
 
@@ -298,4 +308,5 @@ def _ends(automaton: HybridAutomaton, i: int) -> dict[str, Any]:
                         if h.b[i] and not h.on_state and not edge.is_self_transition:
                             away = (h.b[i] > 0) == (side == 0)
                             release[side] = max(release[side], h.c / abs(h.b[i])) if away else release[side]
-    return {"lower": lower, "upper": upper, "holds": (holds[0], holds[1]), "release": (release[0], release[1])}
+    ends = {"lower": lower, "upper": upper, "told": (lower, upper)}
+    return {**ends, "holds": (holds[0], holds[1]), "release": (release[0], release[1])}

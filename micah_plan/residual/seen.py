@@ -15,6 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
@@ -60,6 +61,12 @@ class Beyond:
 
     def is_stopped_by(self, effect: Effect) -> bool:
         return effect.name == _STOP and self.is_at(effect)
+
+    def is_told_by(self, effect: Effect) -> bool:
+        """Whether an effect says why rows lie beyond: the end is elsewhere, or only readings go on."""
+        if form(effect.name).layer == "sensor":
+            return effect.coordinate == self.name
+        return effect.name == _SHIFT and self.is_at(effect)
 
     def as_shift(self, effect: Effect) -> Effect:
         """The stop as a shift of this end."""
@@ -116,9 +123,9 @@ def without_old_ends(effects: Sequence[Effect], beyond: Sequence[Beyond]) -> lis
 
 
 def closed(automaton: HybridAutomaton, beyond: Sequence[Beyond], effects: Sequence[Effect]) -> HybridAutomaton:
-    """The opened automaton with ranges that end a step beyond the recording, or as before where an effect moves one."""
+    """The opened automaton with ranges that end a step beyond the recording, or as before where an effect says why."""
     for one in beyond:
-        is_moved = any(own.name == _SHIFT and one.is_at(own) for own in effects)
+        is_moved = any(one.is_told_by(own) for own in effects)
         seen = one.reached + (one.step if one.side else -one.step)
         automaton = with_end_moved(automaton, one.coordinate, one.onward, one.end if is_moved else seen)
     return automaton

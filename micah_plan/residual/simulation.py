@@ -109,11 +109,11 @@ class _Run:
         self.p = _split(model, parameters)
         self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
         self.process = np.moveaxis(self.q[:, :, None] * lane.process_profile, 2, 0)
-        self.low, self.high, self.release = self._ends(parameters)
-        self.commands = self._commands()
         self.layers: dict[str, list[int]] = {}
         for number, term in enumerate(model):
             self.layers.setdefault(term.form.layer, []).append(number)
+        self.low, self.high, self.release = self._ends(parameters)
+        self.commands = self._commands()
         self.always = [self._is_ungated(number) for number in range(len(model))]
         self.is_bounded = bool(np.isfinite([lane.lower, lane.upper]).any()) or "guard" in self.layers
         # A command of no size leaves every end, so nothing sticks there.
@@ -230,7 +230,7 @@ class _Run:
     def _ends(self, parameters: Floats) -> tuple[Any, Any, tuple[Any, Any]]:
         """Ends over all terms (used where no end is gated), and the commands that leave them."""
         column = np.zeros((len(parameters), 1))
-        low, high = self.lane.lower + column, self.lane.upper + column
+        low, high = (end + column for end in self._given_ends())
         release: list[Any] = [self.lane.release[0] + column, self.lane.release[1] + column]
         for term, p in zip(self.model, self.p, strict=True):
             if term.form.layer == "guard":
@@ -240,12 +240,16 @@ class _Run:
                         release[side] = np.maximum(release[side], term.form.release(p))
         return low, np.maximum(high, low), (release[0], release[1])
 
+    def _given_ends(self) -> tuple[float, float]:
+        """The ends without effects. What a sensor reads beyond the model's range need not lie there."""
+        return self.lane.told if "sensor" in self.layers else (self.lane.lower, self.lane.upper)
+
     def _ends_at(self, t: int) -> tuple[Any, Any]:
         guards, own = self.layers.get("guard", ()), self.lane.row_ends
         if own is None and all(self.always[n] for n in guards):
             return self.low, self.high
         none = np.zeros((len(self.q), len(self.lane.z)))
-        low, high = (self.lane.lower, self.lane.upper) if own is None else (own[0, :, t], own[1, :, t])
+        low, high = self._given_ends() if own is None else (own[0, :, t], own[1, :, t])
         low, high = low + none, high + none
         for n in guards:
             changed = self.model[n].form.stops(np, low, high, self.p[n])

@@ -49,6 +49,17 @@ def test_a_stop_beyond_the_end_that_was_seen_is_that_end_moved():
     assert only.interval[0][0] < only.effect.values[0] < only.interval[0][1]
 
 
+@pytest.mark.slow
+def test_readings_that_go_beyond_an_end_need_not_mean_that_it_is_elsewhere():
+    """A sensor that reads too much at both ends: one effect, and not a gain with a moved end beside it."""
+    model, log = seen_up_to(plants.LENGTH), recording(plants.stretched, goals=(-0.3, 1.6))
+    found = calibrate(model, log)
+    (only,) = found.effects
+    assert only.effect.name == "sensor_scale"
+    assert only.effect.values[0] == pytest.approx(1.1, abs=0.01)
+    assert range_of(found.automaton, 0) == pytest.approx((0.0, plants.LENGTH))
+
+
 def test_rows_a_hair_beyond_the_end_move_no_end(door):
     log = recording(goals=(-1.0, 2.0))
     runs = predict_recording(door, log)
