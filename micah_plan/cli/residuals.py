@@ -195,6 +195,7 @@ def calibrate(
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
     from micah_plan.front.inputs import joined
+    from micah_plan.front.words import error_lines
 
     outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
     check_outputs((model, *recordings), outputs)
@@ -217,7 +218,8 @@ def calibrate(
     summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
     if experiment is not None:
         summary |= {"experiment": None if designed is None else _designed(designed)}
-    print_summary(as_json, summary, lambda: _print_calibrated(summary, changes, tuple(contents)))
+    lines = error_lines(found)
+    print_summary(as_json, summary, lambda: _print_calibrated(summary, lines, changes, tuple(contents)))
     if found.verdict == "unexplained":
         raise typer.Exit(NO_RESULT)
 
@@ -295,7 +297,9 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
     }
 
 
-def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], files: tuple[Path, ...]) -> None:
+def _print_calibrated(
+    summary: dict[str, Any], errors: Sequence[str], changes: Sequence[Difference], files: tuple[Path, ...]
+) -> None:
     """Verdict, effects and errors of a calibration."""
     from micah_plan.residual.verdict import SENTENCES
 
@@ -308,12 +312,7 @@ def _print_calibrated(summary: dict[str, Any], changes: Sequence[Difference], fi
             name = f"{effect['name']} ({effect['coordinate']})" + ("" if effect["is_added"] else ", not added")
             shown.add_row(name, ", ".join(values), plain(effect["evidence"]), ", ".join(effect["tied_with"]))
         out.print(shown)
-    residual = summary["residual"]
-    unit = common_unit(one["unit"] for one in summary["coordinates"])
-    for name, text in (("one_step_rmse", "one step"), ("rollout_rmse", "roll-out")):
-        before, after = (quantity(residual[when][name], unit) for when in ("before", "after"))
-        out.print(f"  {text:9} {before} before, {after} after")
-    out.print(f"  noise     {quantity(residual['noise_floor'], unit)} (one step)")
+    print_lines(errors)
     out.print(f"  left unexplained: {percent(summary['unexplained_fraction'], 0)}", markup=False)
     for note in summary["notes"]:
         out.print(f"  note: {note}", markup=False)

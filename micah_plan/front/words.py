@@ -133,14 +133,20 @@ def calibrated_lines(found: Calibration) -> list[str]:
     """Verdict, effects, errors before and after, and the next experiment."""
     from micah_plan.residual.verdict import SENTENCES
 
-    unit = common_unit(one.lane.unit for one in found.traces)
     lines = [f"{found.verdict}: {SENTENCES[found.verdict]}", *(f"  {effect_line(one)}" for one in found.effects)]
-    for name, before, after in (
-        ("one step", found.before.one_step, found.after.one_step),
-        ("roll-out", found.before.rollout, found.after.rollout),
-    ):
-        lines.append(f"  {name}  {quantity(before, unit)} before, {quantity(after, unit)} after")
-    return [*lines, f"  noise     {quantity(found.noise_floor, unit)}", f"  next: {found.experiment}"]
+    return [*lines, *error_lines(found), f"  next: {found.experiment}"]
+
+
+def error_lines(found: Calibration) -> list[str]:
+    """Errors before and after, and those of noise alone, in one unit each."""
+    lines = []
+    for own in found.errors:
+        lines += [f"  {own.of}"] if own.of else []
+        for name in ("one_step", "rollout"):
+            before, after = (quantity(getattr(size, name), own.unit) for size in (own.before, own.after))
+            lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
+        lines.append(f"  noise     {quantity(own.noise_floor, own.unit)} (one step)")
+    return lines
 
 
 def effect_line(found: FoundEffect) -> str:

@@ -13,20 +13,19 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
-from micah_plan.quantities import count, interval, percent, plain, quantity
+from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual import experiments
 from micah_plan.residual.added_mode import with_missing_modes
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
-from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.interval import CONFIDENCE
-from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane
+from micah_plan.residual.lane import MOST_ROWS, Lane
+from micah_plan.residual.notes import notes_on, told_of_beliefs, told_of_rows
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.seen import Beyond, closed, sections, with_shifts, without_old_ends
+from micah_plan.residual.seen import Beyond, closed, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
@@ -79,6 +78,17 @@ class ResidualSize:
     rollout: float
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers."""
+
+    of: str
+    unit: str
+    before: ResidualSize
+    after: ResidualSize
+    noise_floor: float
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """What a calibration found.
@@ -104,6 +114,20 @@ class Calibration:
     traces: tuple[LaneTrace, ...]
     notes: tuple[str, ...]
     experiment: str
+
+    @property
+    def errors(self) -> tuple[Errors, ...]:
+        """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
+        units = {one.lane.unit for one in self.traces}
+        if any(form(found.effect.name).layer == "geometry" for found in self.effects):
+            return (Errors("positions", "m", self.before, self.after, self.noise_floor),)
+        if len(units) == 1:
+            return (Errors("", units.pop(), self.before, self.after, self.noise_floor),)
+        sizes = [(_size([one], is_final=False), _size([one], is_final=True)) for one in self.traces]
+        return tuple(
+            Errors(one.lane.coordinate, one.lane.unit, before, after, one.floor)
+            for one, (before, after) in zip(self.traces, sizes, strict=True)
+        )
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
@@ -148,10 +172,10 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         unexplained_fraction=max(_left_beside(known), *(one.unexplained_fraction for one in traces)),
         traces=traces,
         notes=(
-            *_notes(traces),
+            *notes_on(traces),
             *(f"{one}: no effect has that name" for one in known.beside),
-            *_told_of_rows(beyond, measured),
-            *_told_of_beliefs(corrected, known.seen, measured),
+            *told_of_rows(beyond, measured),
+            *told_of_beliefs(corrected, known.seen, measured),
         ),
         experiment=_next_experiment(found, traces),
     )
@@ -214,30 +238,6 @@ def _experiment(lane: Lane, finding: Finding) -> str:
     if finding.tied:
         return experiments.separating(finding.part.name, finding.tied[0])
     return experiments.for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
-
-
-def _told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
-    """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
-    if not any(track.is_outside for track in after):
-        return []
-    notes = []
-    for i, coordinate in enumerate(corrected.coordinates):
-        ends = [
-            float(np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in own if track.believed is not None]))
-            for own in (before, after)
-        ]
-        was, now = (quantity(end, coordinate.unit, digits=2) for end in ends)
-        notes.append(
-            f"{coordinate.name}: runs ended {was} beside what the controller believed, {now} with its sensor corrected"
-        )
-    return notes
-
-
-def _told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track]) -> list[str]:
-    """What rows lie beyond the range, and that others are missing."""
-    missing = sum(len(sections(track.time)) - 1 for track in measured)
-    gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
-    return [*map(str, beyond), *([gaps] if missing else [])]
 
 
 def _direct_effect(found: DirectFinding) -> FoundEffect:
@@ -309,44 +309,6 @@ def _pose_size(automaton: HybridAutomaton, recording: Recording) -> ResidualSize
 def _together(sizes: Sequence[float], traces: Sequence[LaneTrace]) -> float:
     rows = [int(one.lane.counted.sum()) for one in traces]
     return float(np.sqrt(np.average(np.square(sizes), weights=rows)))
-
-
-def _notes(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
-    notes = []
-    for one in traces:
-        lane, name = one.lane, one.lane.coordinate
-        runs = len(np.unique(lane.run))
-        if runs < ENOUGH_RUNS:
-            which = "one run" if runs == 1 else f"{runs} runs"
-            notes.append(f"{name}: {which} only; stretches were held out, so what differs from run to run is unknown")
-        u = lane.u[lane.counted_starts]
-        moving = u[np.abs(u) > 0.05 * lane.command_size]
-        if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
-            notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if one.outcome.verdict == "none":
-            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
-            step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
-            notes.append(
-                f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
-                "are not excluded"
-            )
-        low, high = lane.visited
-        if low > lane.upper or high < lane.lower:
-            notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
-        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in one.missing_modes]
-        left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
-        if left_out:
-            notes.append(f"{name}: {left_out} was not added: {one.outcome.sentence}")
-        if one.closest:
-            notes.append(
-                f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
-            )
-        if one.facts.is_corrected:
-            notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if one.left is not None and one.left.is_more and not one.facts.smooth:
-            share = percent(one.left.share, 0)
-            notes.append(f"{name}: what remains is no noise: {share} of it follows {one.left}")
-    return tuple(notes)
 
 
 def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) -> str:

@@ -11,6 +11,7 @@ _SEPARATING: dict[frozenset[str], str] = {
     frozenset({"gain", "frame_rotation"}): (
         "command a displacement across the joint: in a turned frame it moves the part, with a gain it does not"
     ),
+    frozenset({"gain", "follow"}): "command places that stay where they are for many rows, and not displacements",
     frozenset({"gain", "lag"}): "command one long step and then none: a lag goes on moving, a gain does not",
     frozenset({"gain", "dead_zone"}): "command steps of very different sizes: friction takes as much off each",
     frozenset({"gain", "saturation"}): "command small and large steps: a limit only cuts the large ones",

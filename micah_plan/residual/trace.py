@@ -187,7 +187,8 @@ def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growt
     loose = _smoothed(search, search.nominal)
     rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
     if not means_places(search, place, ranked(rivals)[0]):
-        return singles, growth
+        # Where neither is ahead, places are tied with what was found.
+        return singles, replace(growth, alternatives=(*growth.alternatives, place))
     search.nominal = place
     more, growth = _grown(search, for_places, told)
     return (*singles, place, *more), growth

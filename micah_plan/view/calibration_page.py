@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import common_unit, count, interval, percent, plain, quantity, with_spread
+from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
+from micah_plan.residual.lane import Lane
 from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.learning_words import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
-from micah_plan.view.palette import BLUE, ORANGE
-from micah_plan.view.svg import Panel, Svg, drawing
+from micah_plan.view.palette import BLUE, INK, ORANGE
+from micah_plan.view.svg import Panel, Svg, drawing, evenly
 
 _BADGES: dict[Verdict, tuple[str, Status]] = {
     "none": ("nothing is missing", "good"),
@@ -22,7 +23,7 @@ _BADGES: dict[Verdict, tuple[str, Status]] = {
     "partly": ("explained in part", "fair"),
     "unexplained": ("not explained", "bad"),
 }
-_MOST_RUNS, _MOST_BARS = 60, 12
+_MOST_RUNS, _MOST_BARS, _MOST_DRAWN = 60, 12, 4
 _WIDTH, _HEIGHT = 400.0, 140.0
 _LEFT, _RIGHT, _TOP = 66.0, 10.0, 10.0
 _SHARE_SHOWN = 0.995
@@ -87,14 +88,13 @@ def _effect(found: FoundEffect) -> dict[str, str]:
 
 
 def _errors(found: Calibration) -> Table:
-    """Over all coordinates."""
-    unit, head = common_unit(one.lane.unit for one in found.traces), "root mean square on rows held out from the fit"
-    before, after = found.before, found.after
-    rows = (
-        ("one step ahead", *(quantity(e, unit) for e in (before.one_step, after.one_step, found.noise_floor))),
-        ("roll-out from the first row", *(quantity(e, unit) for e in (before.rollout, after.rollout)), ""),
-    )
-    return Table((head, "before", "after", "noise alone"), rows, (1, 2, 3))
+    head, rows = "root mean square on rows held out from the fit", list[tuple[str, ...]]()
+    for own in found.errors:
+        name, steps = f"{own.of}: " if own.of else "", (own.before.one_step, own.after.one_step, own.noise_floor)
+        rolls = own.before.rollout, own.after.rollout
+        rows.append((f"{name}one step ahead", *(quantity(e, own.unit) for e in steps)))
+        rows.append((f"{name}roll-out from the first row", *(quantity(e, own.unit) for e in rolls), ""))
+    return Table((head, "before", "after", "noise alone"), tuple(rows), (1, 2, 3))
 
 
 def _coordinate(one: LaneTrace) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
         Bar(name, with_spread(gain, error, "nats"), gain / best[0][1], BLUE, faint=name not in chosen)
         for name, gain, error in best
     ]
-    charts = {"pairs": _residuals(one), "ranking": Bars("", tuple(bars)), "runs": _runs(one)}
+    charts = {"motion": _motion(one), "pairs": _residuals(one), "ranking": Bars("", tuple(bars)), "runs": _runs(one)}
     return {"name": lane.coordinate, "summary": summary, **charts}
 
 
@@ -126,6 +126,41 @@ def _runs(one: LaneTrace) -> Table:
         sizes = [float(np.sqrt(np.mean(errors[chosen] ** 2))) for errors in kinds]
         rows.append((str(run), *(quantity(size, lane.unit, degrees=False) for size in sizes)))
     return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
+
+
+def _motion(one: LaneTrace) -> tuple[Svg, ...]:
+    """Measured motion of some runs, roll-outs of it before and after, and the commands below."""
+    whole = one.lane.whole or one.lane
+    counted = whole.counted
+    errors = np.zeros((2, *whole.z.shape))
+    for number, model in enumerate((one.nominal, one.final)):
+        errors[number][counted] = one.search.rollout_errors(model)
+    return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
+
+
+def _run(whole: Lane, s: int, errors: Floats) -> Svg:
+    rows = np.flatnonzero(whole.counted[s])
+    rows = np.array([rows[0] - 1, *rows]) if rows.size else np.arange(2)
+    time, z, u = whole.time[s, rows], whole.z[s, rows], whole.u[s, rows]
+    before, after = z - errors[0, rows], z - errors[1, rows]
+    low, high = (float(end) for end in (min(map(np.min, (z, before, after))), max(map(np.max, (z, before, after)))))
+    room, largest = 0.05 * (high - low) + 1e-9, 1.1 * float(np.abs(u).max()) + 1e-9
+    ends = float(time[0]), float(time[-1]) + 1e-9
+    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, low - room, high + room)
+    told = panel.below(12.0, 0.4 * _HEIGHT, -largest, largest)
+    parts = [
+        panel.frame,
+        panel.curve(time, before, "run chosen", ORANGE),
+        panel.curve(time, after, "run chosen", BLUE),
+        panel.curve(time, z, "dots small", INK, dots=True),
+        panel.y_axis(f"{whole.coordinate}\n[{whole.unit}]"),
+        told.frame,
+        told.level(0.0, "zero"),
+        told.curve(time, u, "trend"),
+        told.y_axis(f"command\n[{whole.unit}]", 2),
+        told.x_axis(f"time in run {whole.run[s]} [s]", whole=False),
+    ]
+    return drawing(_WIDTH, [panel, told], parts, f"{whole.coordinate} in run {whole.run[s]}, measured and predicted")
 
 
 def _residuals(one: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:

@@ -182,7 +182,9 @@ def rounded_up(length: float) -> float:
 
 
 def tick_text(value: float, among: Sequence[float]) -> str:
-    """A tick with as many decimals as tell it from the other ticks of its axis."""
-    gap = min((b - a for a, b in itertools.pairwise(among)), default=1.0)
+    """A tick with as many decimals as tell it from the other ticks of its axis; alone, with all that it has."""
+    if len(among) < 2:
+        return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+    gap = min((b - a for a, b in itertools.pairwise(among)))
     digits = max(0, -math.floor(math.log10(gap) + 1e-9))
     return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")

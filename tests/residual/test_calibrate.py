@@ -44,7 +44,7 @@ def test_a_gain_is_named_sized_and_added(door) -> None:
     assert after < 0.25 * before
     page = calibration_page(found, "door")
     assert "explained" in page
-    assert page.count("<svg") == 8
+    assert page.count("<svg") == 12
     assert "http" not in page.replace('http-equiv="Content-Security-Policy"', "")
 
 
