@@ -117,7 +117,7 @@ def compared(problem: Path, trees: tuple[Path, Path], repeats: int, seed: int) -
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("revision", help="the commit to compare with")
-    parser.add_argument("problems", nargs="*", type=Path, help="default: all that the project ships")
+    parser.add_argument("problems", nargs="*", type=Path, help="default: all that it had")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     add_json(parser)
@@ -129,8 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         git = ("git", "-C", str(ROOT), "worktree")
         subprocess.run([*git, "add", "--quiet", "--detach", str(old), options.revision], check=True)  # noqa: S603 - git
         try:
-            shipped = set((ROOT / "problems").glob("*.yaml")) - {ROOT / "problems" / "explore_handle.yaml"}  # a scene
-            for problem in options.problems or sorted(shipped):
+            for problem in options.problems or sorted((old / "problems").glob("*.yaml")):
                 row = compared(problem, (old, ROOT), options.repeats, options.seed)
                 rows.append(row)
                 cells = [row.get(stage) for stage in STAGES]
