@@ -1,9 +1,10 @@
 """Files, lines and the median file of every package, at an earlier commit and now.
 
-    python benchmarks/size.py REVISION [--kinds]
+    python benchmarks/size.py REVISION [--kinds] [--constants PACKAGE]
 
 With `--kinds`, what the lines are, without the packages that the restructuring left alone: code, docstrings, blank
-lines, imports, heads of functions and comments.
+lines, imports, heads of functions and comments. With `--constants`, the numbers that a package's modules name, with
+values and comments, and how many there were.
 
 Packages that the earlier commit called otherwise stand beside what became of them (`RENAMED`); folders within a package
 count with it. Lines are all lines of Python files.
@@ -83,6 +84,35 @@ def print_kinds(old: Mapping[str, Sequence[str]], new: Mapping[str, Sequence[str
         print(f"| {name} | {then[name]} | {count} | {100 * (count / then[name] - 1):+.0f} % |")
 
 
+def constants(text: str) -> dict[str, tuple[str, str]]:
+    """Values and comments of the numbers that a module names."""
+    lines, found = text.splitlines(), {}
+    for node in ast.parse(text).body:
+        if not (isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)):
+            continue
+        name, value = node.targets[0].id, ast.unparse(node.value)
+        numbers = any(
+            isinstance(one, ast.Constant) and isinstance(one.value, int | float) for one in ast.walk(node.value)
+        )
+        if name.upper() == name and numbers:
+            beside = lines[node.lineno - 1].partition("  # ")[2]
+            above = lines[node.lineno - 2].removeprefix("# ") if lines[node.lineno - 2].startswith("# ") else ""
+            found[name] = value, beside or above
+    return found
+
+
+def print_constants(old: Sequence[str], new: Mapping[str, str]) -> None:
+    """Of one package: how many before and now, and each that there is."""
+    then = sum(len(constants(text)) for text in old)
+    today = {name: found for name, text in new.items() if (found := constants(text))}
+    print(f"{then} named numbers before, {sum(map(len, today.values()))} now")
+    print("| file | name | value | what it is |")
+    print("| --- | --- | --- | --- |")
+    for name, found in today.items():
+        for constant, (value, meaning) in found.items():
+            print(f"| {name} | `{constant}` | {value} | {meaning} |")
+
+
 def row(name: str, old: Sequence[int], new: Sequence[int]) -> str:
     cells = [f"{len(own)} | {sum(own)} | {median(own):.0f}" if own else "| |" for own in (old, new)]
     change = f"{100 * (sum(new) / sum(old) - 1):+.0f} %" if old else "new"
@@ -93,8 +123,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("revision", help="the commit to compare with")
     parser.add_argument("--kinds", action="store_true", help="what the lines are")
+    parser.add_argument("--constants", metavar="PACKAGE", help="the named numbers of a package")
     options = parser.parse_args()
     texts = before(options.revision), now()
+    if options.constants:
+        here = ROOT / PACKAGE / options.constants
+        files = {file.relative_to(here).as_posix(): file.read_text("utf-8") for file in sorted(here.rglob("*.py"))}
+        print_constants(texts[0].get(options.constants, []), files)
+        return
     if options.kinds:
         print_kinds(*texts)
         return

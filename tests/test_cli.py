@@ -120,6 +120,7 @@ def test_show_writes_a_page(micah, road, shown, tmp_path):
     assert only_json(done)["bytes"] == len((tmp_path / "page.html").read_bytes())
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(micah, road, tmp_path):
     micah("learn", "examples/demonstrations/microwave.csv", "--parts", "models/parts/microwave.yaml", "--seed", 3,
           "-o", tmp_path / "model.yaml")  # fmt: skip
@@ -167,6 +168,7 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
     assert not (tmp_path / "plan.json").exists()
 
 
+@pytest.mark.slow
 def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path):
     drawer = load_model(repository / "models" / "drawer.yaml")
     dump_model(with_effect(drawer, Effect("lag", "drawer", (("steps", 0.3),))), tmp_path / "lags.yaml")

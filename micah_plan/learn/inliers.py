@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.track import PartTrack
 
-_STDS = 7.0
+_STDS = 7.0  # medians of the distance to neighbours, from which a row is an outlier
 _FLOORS = (0.03, 0.3)  # m, rad; no row so close to its neighbours is an outlier
-_NEIGHBOURS = 7
+_NEIGHBOURS = 7  # rows, around each
 
 
 def find_inliers(track: PartTrack) -> Booleans:

@@ -15,7 +15,7 @@ from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.track import PartTrack
 
-_SMOOTHED_ROWS = 5
+_SMOOTHED_ROWS = 5  # rows that a smoothed configuration is told from
 _PROJECTIONS = 10
 _CUT_SHORT = 2.0  # stds of a measurement by which smoothing may move rows
 _DECIMALS = 12

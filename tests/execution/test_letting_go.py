@@ -30,6 +30,7 @@ def command(u, **changes) -> Command:
     return Command(np.array(u), np.zeros((5, 3)), np.zeros((5, 3)), **changes)
 
 
+@pytest.mark.slow
 def test_in_the_model_most_trials_end_with_the_object_on_the_books() -> None:
     problem, plan = solved()
     found = execute(problem, plan, trials=20)
@@ -100,7 +101,7 @@ pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extr
 from micah_plan.execution.mujoco.held import HeldPlant  # noqa: E402
 
 
-@pytest.mark.parametrize("arm", [False, True])
+@pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_in_mujoco_the_stapler_stands_on_the_books(arm: bool) -> None:
     problem, plan = solved(arm=arm)
     found = execute(problem, plan, plant="mujoco", trials=2, seed=3)

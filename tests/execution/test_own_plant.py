@@ -86,7 +86,14 @@ def test_a_machine_in_another_process_is_executed_on_and_says_no_truth(untrouble
     assert untroubled.has_ended
 
 
-@pytest.mark.parametrize("fault", ["drop:1", "drop:4", f"drop:{STEPS + 1}", "late:1", "late:4"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "drop:4",
+        "late:1",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("drop:1", f"drop:{STEPS + 1}", "late:4")),
+    ],
+)
 def test_a_lost_or_late_reply_changes_nothing(untroubled, fault) -> None:
     """The request is sent again and carried out once: the log is the same to the last bit."""
     found = Trials(fault, timeout_s=1.0)

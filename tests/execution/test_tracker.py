@@ -27,6 +27,7 @@ def test_white_noise_has_its_std_per_link():
     assert abs(np.corrcoef(position[1:, 0, 0], position[:-1, 0, 0])[0, 1]) < 0.06
 
 
+@pytest.mark.slow
 def test_the_wander_is_stationary_and_forgets_in_its_time():
     noise = TrackerNoise(0.0, 0.0, position_wander=0.01, rotation_wander=0.1, wander_time=2.0)
     position, rotation = errors(noise, 20000, 0.5)

@@ -95,6 +95,7 @@ def test_a_part_that_returns_to_a_joint_has_the_same_again() -> None:
     assert [segment.start for segment in segments[1:]] == [segment.end + 1 for segment in segments[:-1]]
 
 
+@pytest.mark.slow
 def test_closed_and_open_are_one_model_each_however_often_they_are_held() -> None:
     recording = opened_and_held(cycles=4, moving=60, held=700)
     segments = learned(recording, len(recording), settings=LearnSettings()).segments()

@@ -82,7 +82,10 @@ def assert_same_in_turned_frames(recording: Recording, frames: list[Rotation]) -
     assert same >= len(frames) - (len(FRAMES) - SAME_AT_LEAST), f"{same} of {len(frames)}"
 
 
-@pytest.mark.parametrize(("draw", "orientation"), [(shut, True), (wandering, False), (resting, True)])
+@pytest.mark.parametrize(
+    ("draw", "orientation"),
+    [(wandering, False), *(pytest.param(one, True, marks=pytest.mark.slow) for one in (shut, resting))],
+)
 def test_simulated_kinds_are_the_same_in_every_frame(draw: Callable[[bool], Recording], orientation: bool) -> None:
     assert_same_in_turned_frames(draw(orientation), FRAMES)
 

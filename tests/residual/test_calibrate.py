@@ -48,6 +48,7 @@ def test_a_gain_is_named_sized_and_added(door) -> None:
     assert "http" not in page.replace('http-equiv="Content-Security-Policy"', "")
 
 
+@pytest.mark.slow
 def test_a_delay_is_told_in_steps_and_seconds(door) -> None:
     found, recording = found_in(door, plants.late)
     assert [effect.effect.name for effect in found.effects] == ["delay"]

@@ -46,6 +46,7 @@ def test_actions_across_the_joint_tell_their_frame(door) -> None:
     assert "frame_rotation" not in indistinguishable(able["gain"], lane)
 
 
+@pytest.mark.slow
 def test_a_curve_that_no_effect_has_gets_no_name(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.tiring, 4, 20, 2, noise=0.001)))
     assert found.verdict == "unexplained"

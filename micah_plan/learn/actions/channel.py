@@ -30,17 +30,17 @@ from micah_plan.learn.track import PartTrack
 DELAY_STD = 0.08  # of the run's duration
 LEAST_LOG_ODDS = 5.0  # of the channel against none, 150 : 1
 _COARSE_STEPS = 128  # per run
-_COARSE_DELAYS = np.arange(-22, 23) / 96
-_NEAR_ROWS = 8
-_WALK_SHARES = (0.3, 0.01)
-_WALKS = 0.25 ** np.arange(9.0)
+_COARSE_DELAYS = np.arange(-22, 23) / 96  # of the run, tried first
+_NEAR_ROWS = 8  # on each side of no delay, tried first as well
+_WALK_SHARES = (0.3, 0.01)  # of the mean square of a step, from which the walk is sought
+_WALKS = 0.25 ** np.arange(9.0)  # shares of a walk that are tried
 _NEGLIGIBLE_WALK = -4.0  # ln probability
-_FINE_DELAYS = 13
-_MOST_ROUNDS = 6
+_FINE_DELAYS = 13  # tried around the best
+_MOST_ROUNDS = 6  # of delays, each closer around the best
 _WIDEST = 0.25  # half-width of the delays integrated over, as a share of the run
 _MOST_UNKNOWN = 0.04  # share of the run beyond the delay where actions count as unknown at most
-_FEWEST_STEPS = 10
-_FEWEST_DRAWS = 8.0
+_FEWEST_STEPS = 10  # to tell a channel
+_FEWEST_DRAWS = 8.0  # effective ones; with fewer nothing is said
 _NUMBERS = 5  # rotation, gain, delay
 _BLOCKS = 64  # per run, to which `explained` refers
 

@@ -23,7 +23,7 @@ from micah_plan.learn.track import PartTrack
 _WHITE_SPREAD = 0.4  # std of ln r about what the caller believes of the white variance r
 _WALK_DECADES = np.arange(-9.0, 1.1)  # ln-grid of the random walk's variance, of the mean squared step
 _REFINEMENTS = 4
-_TINY = 1e-300
+_TINY = 1e-300  # against division by 0
 
 
 @dataclass(frozen=True, eq=False)

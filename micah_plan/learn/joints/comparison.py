@@ -17,7 +17,7 @@ from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
 from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vectors, times_matrix
 
 _NEWTON_STEPS = 8
-_TINY = 1e-12
+_TINY = 1e-12  # against division by 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.joint_frame import Seen
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
 
-_TINY = 1e-9
+_TINY = 1e-9  # relative; smaller is round-off
 # Columns of a design: tilt 0, 1; shift of the centre 2, 3; pitch 4; turn of the origin 5, 6, 7; its shift 8, 9, 10.
 _TILT, _SHIFT, _PITCH, _TURN, _MOVE = 0, 2, 4, 5, 8
 

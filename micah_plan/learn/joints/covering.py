@@ -10,8 +10,8 @@ from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
 
-_SURE = 0.95
-_QUANTILE = 1.959964
+_SURE = 0.95  # share that intervals are to hold
+_QUANTILE = 1.959964  # of the normal distribution, for that share
 _BISECTIONS = 30
 _TINY = 1e-12
 

@@ -29,9 +29,9 @@ _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
 _POSITION_SPAN = 1.0  # m, where the rows span less
 _STARTING_ROWS = 100  # no start needs more
-_VOTES = 3
+_VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
 _ROTATION_LENGTH = 0.2  # m/rad, while no noise is known
-_ROUNDS = 2
+_ROUNDS = 2  # of noise and joint in turn
 _ROUGH = 0.05  # nats
 _FAR = 4.0  # stds that better weights may move an axis by
 

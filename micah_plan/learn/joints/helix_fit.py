@@ -24,11 +24,11 @@ from micah_plan.learn.joints.parametrization import Chart, chart_of
 from micah_plan.learn.joints.tracker_noise import Scales, TrackerNoise, log_evidence, noise_of, wanders
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck
 
-_LEADS = np.radians(np.linspace(-84.0, 84.0, 9))
+_LEADS = np.radians(np.linspace(-84.0, 84.0, 9))  # rad; lead angles tried all over the range
 _STDS = (-2.6, -1.5, -0.7, 0.0, 0.7, 1.5, 2.6)  # around the likeliest angle
 _BETWEEN = 10  # angles for each that was tried, interpolated
-_STEPS = 6
-_FIRST_STEPS = 25
+_STEPS = 6  # of Gauss and Newton at one angle
+_FIRST_STEPS = 25  # from the start
 _CONVERGED = 0.01  # nats
 _LARGEST_TURN = 0.5  # rad, of one step
 _LEAST_CURVATURE = 0.3  # of what it was, after one step

@@ -19,7 +19,7 @@ from micah_plan.learn.joints.quaternions import conjugate, rotated, rotation_mat
 Line = tuple[Floats, Floats]
 """Directions (h, 3) of axes, and points (h, 3) on them."""
 
-_TINY = 1e-9
+_TINY = 1e-9  # relative; smaller is round-off
 _STRAIGHTEST = 1e-4  # width of the rows in diameters of their circle
 
 

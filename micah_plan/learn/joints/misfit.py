@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 
-_MODES = 8
+_MODES = 8  # waves along the travel that a misfit is made of
 _SHORTEST = 1e-9  # rad or m; no range
 _FACTOR = 8.0  # from one variance of a misfit that is tried to the next
 _LARGEST = 1e4  # of these, in units of the white noise of a row; the smallest is that of the mean of all rows

@@ -11,10 +11,10 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 
-_STEPS = 6
+_STEPS = 6  # of expectation maximisation
 _LARGE = 600.0  # nats
-_MOST_OUTLIERS = 0.45
-_LEAST_OUTLIERS = 1e-4
+_MOST_OUTLIERS = 0.45  # share of rows
+_LEAST_OUTLIERS = 1e-4  # share of rows
 
 
 @dataclass(frozen=True, eq=False)

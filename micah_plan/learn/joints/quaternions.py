@@ -6,7 +6,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 
-_TINY = 1e-12
+_TINY = 1e-12  # against division by 0
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 # Of the matrix of a product: which number of the right quaternion, and its sign.
 _NUMBER = np.array([[3, 2, 1, 0], [2, 3, 0, 1], [1, 0, 3, 2], [0, 1, 2, 3]])

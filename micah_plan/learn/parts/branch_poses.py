@@ -13,11 +13,11 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.learn.parts.relative import RelativeRows
 
-_WINDOW = 7
-_FEWEST_ROWS = 8
+_WINDOW = 7  # rows of the running median
+_FEWEST_ROWS = 8  # to smooth
 _SMALLEST = 1e-9
-_OUTLIER_STDS = 5.0
-_STD_PER_MAD = 1.4826
+_OUTLIER_STDS = 5.0  # from the running median
+_STD_PER_MAD = 1.4826  # of the normal distribution
 
 
 def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransform) -> RigidTransform:

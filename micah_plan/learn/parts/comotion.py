@@ -18,9 +18,9 @@ from micah_plan.recording.value import Recording
 
 _WINDOWS = 24  # per run
 _MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
-_SHARE = 0.5
+_SHARE = 0.5  # of the rows in which a parent moves, in which its child moves as well
 _FAR = 0.1  # m; further than slow errors of a tracker take a part, seen from another
-_FAR_STDS = 20.0
+_FAR_STDS = 20.0  # of the white noise
 _FEW = 0.05  # share of the rows that do not count
 
 

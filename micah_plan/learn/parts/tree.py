@@ -53,7 +53,7 @@ from micah_plan.recording.value import Recording
 PairLearner = Callable[[Recording], KinematicEdge]
 Progress = Callable[[str, float], None]
 
-_MOST_ROUNDS = 5
+_MOST_ROUNDS = 5  # of poses along a tree and trees in turn
 _LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
 _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 

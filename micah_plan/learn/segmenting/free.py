@@ -21,8 +21,8 @@ from micah_plan.learn.track import PartTrack
 _WHITE = np.array([0.3, 0.6, 1.0, 1.5])  # stds of white noise that are tried, in the roughness of the rows
 _ACCELERATION = np.geomspace(0.003, 10.0, 12)  # stds of a change of velocity from row to row, in the same unit
 _WHITES, _ACCELERATIONS = (one.ravel() for one in np.meshgrid(_WHITE, _ACCELERATION, indexing="ij"))
-_DOF = 8.0
-_ITERATIONS = 4
+_DOF = 8.0  # of Student's distribution
+_ITERATIONS = 4  # of its scale
 FINEST_EXTENT = 1e-3  # m or rad
 
 

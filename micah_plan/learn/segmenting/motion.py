@@ -29,16 +29,16 @@ from micah_plan.learn.segmenting.pool import Pool
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
-_EXPECTATION_STEPS = 6
+_EXPECTATION_STEPS = 6  # of expectation maximisation
 FEWEST_ACTED = 12  # rows to tell an action channel
 _LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothing
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
-_OTHER_SPEED = 0.1
+_OTHER_SPEED = 0.1  # probability that the speed is neither the typical one nor that before
 _TINY = 1e-16
 _TURNING = 0.01  # probability that a step goes the other way than the one before
 _STARTING = 0.05  # probability that a part that has not moved yet starts to
-_SMOOTHED = 5
+_SMOOTHED = 5  # steps, on each side, that tell the way of one
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ _FAST_DURATIONS = np.array([1 / 100, 1 / 30, 1 / 10])
 _FAST_MOST = 1.75  # stds of the slow wander; more is motion as well
 # The slow wander is as large as is expected; or, where answers are doubted, as small as the rows tell it.
 _ANY_SLOW = np.array([1.0, 0.25, 0.0625])
-_DOFS = (8.0, 30.0)
+_DOFS = (8.0, 30.0)  # of Student's distribution, tried
 _ITERATIONS = 3
 _STILL = 1e-9  # stds of noise per rad or m; where a pose moves by less, it has no direction of motion
 

@@ -33,8 +33,8 @@ from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, merged
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
-_ROUNDS = 2
-_DOF = 8.0
+_ROUNDS = 2  # of segments and joints in turn
+_DOF = 8.0  # of Student's distribution
 _SLACK = 0.5  # nats per step by which surprise may exceed the usual: joints fitted elsewhere, a tracker that wanders
 
 

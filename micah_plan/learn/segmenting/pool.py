@@ -20,8 +20,8 @@ from micah_plan.learn.segmenting.noise import NoiseModel, NoiseScales
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood
 from micah_plan.learn.track import PartTrack
 
-_LEVELS = 4
-_FEWEST_ROWS = 8
+_LEVELS = 4  # of windows, each half as long
+_FEWEST_ROWS = 8  # of a window
 _MOTION_STDS = 3.0  # a window that spans less than so many stds of noise cannot tell a joint
 _ITERATIONS = 4
 _TINY = 1e-30

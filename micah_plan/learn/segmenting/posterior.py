@@ -13,7 +13,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 
-_MOST_SEGMENTS = 8
+_MOST_SEGMENTS = 8  # that are summed over
 _MORE_SEGMENTS = 3  # than there are in the most probable segmentation
 
 

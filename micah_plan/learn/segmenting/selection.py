@@ -20,7 +20,7 @@ from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.settings import LearnSettings
 
 ANOTHER_JOINT = 15.0  # nats: most parts have one moving joint; another one needs decisive evidence
-_PROMISING = 3
+_PROMISING = 3  # joints that are tried with rests
 
 
 def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings) -> list[Segmentation]:

@@ -23,11 +23,11 @@ from micah_plan.learn.segmenting.selection import shared
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
-_GRAINS = 16
-_FEWEST_ROWS = 3
+_GRAINS = 16  # places where a rest may begin or end
+_FEWEST_ROWS = 3  # of a rest
 # Nats that a rest may gain where joints and noise are fitted again. This saves time: with 40 answers were the same.
 _SETTLING = 6.0
-_LENGTHS = 8
+_LENGTHS = 8  # of rests in the end
 _LONGEST = 0.6  # of the rows
 
 
