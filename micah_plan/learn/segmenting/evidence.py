@@ -25,7 +25,7 @@ from micah_plan.learn.segmenting.occam import held_costs, parameter_costs, param
 from micah_plan.learn.segmenting.pool import Hypotheses, Pool, all_of, pool_of
 from micah_plan.learn.track import PartTrack
 
-_HELD_FIRST = 3.3  # nats: a part that has not moved yet waits for the hand in 26 of 27 demonstrations
+_HELD_FIRST = 4.6  # nats: a part that has not moved yet waits for the hand in 99 of 100 demonstrations
 _SLIP = 0.01  # probability that a row tells nothing of the next
 
 
