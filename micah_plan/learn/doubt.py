@@ -32,23 +32,23 @@ _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint f
 
 @dataclass(frozen=True, eq=False)
 class Doubt:
-    """What explains the rows better than the joints of an answer.
+    """What else may explain the rows than the joints of an answer.
 
     Attributes:
-        single: the one joint that explains all of them best.
-        log_odds: of what explains them better than any joint, over these [nats]; -inf if the one joint does.
-        log_evidence: of it.
+        log_odds: of what no joint follows, over the best joints [nats].
+        log_evidence: of what explains the rows best.
+        single: the one joint that explains all of them best, if the answer does not stand.
         path: along which the part moves; None: it moves freely, if there are odds of that.
     """
 
-    single: Segmented
     log_odds: float
     log_evidence: float
-    path: Joint | None
+    single: Segmented | None = None
+    path: Joint | None = None
 
     @property
     def moves_freely(self) -> bool:
-        return self.path is None and self.log_odds > 0
+        return self.single is not None and self.path is None and self.log_odds > 0
 
 
 def doubt_of(
@@ -60,7 +60,7 @@ def doubt_of(
     settings: LearnSettings,
     use_actions: bool,
 ) -> Doubt | None:
-    """What explains the rows better than an answer; None if nothing does, or if its joints miss them by little.
+    """What may explain the rows better than an answer; None if its joints miss them by little.
 
     Two joints in turn follow many a curve closely, so what counts is how far the best single one misses the rows: what
     real joints miss comes back in every pass, and a curve follows it better than they do.
@@ -80,19 +80,19 @@ def doubt_of(
     if found is not None and found.log_probability <= free:
         found = None
     told = (free if found is None else found.log_probability) - _RARE
-    if told <= segmented.log_probability:
-        return None
-    joints = log_probability_at_most(segmented, settings, use_actions)
-    if told <= joints:
-        return None
-    log_odds = told - max(single.log_probability, joints)
+    answer = segmented.log_probability
+    if told > answer:
+        answer = log_probability_at_most(segmented, settings, use_actions)
+    if told <= answer:
+        return Doubt(told - answer, answer)
+    log_odds = told - max(single.log_probability, answer)
     if log_odds <= 0:
-        return Doubt(single, -np.inf, single.log_probability, None)
+        return Doubt(log_odds, single.log_probability, single)
     if found is None:
-        return Doubt(single, log_odds, told, None)
+        return Doubt(log_odds, told, single)
     rows = track.take(np.flatnonzero(inlier))
     std = max(found.std, length_std(first_noise(rows, settings)))
-    return Doubt(single, log_odds, told, principal_path(rows, std, found.curve) or found.curve)
+    return Doubt(log_odds, told, single, principal_path(rows, std, found.curve) or found.curve)
 
 
 def misfit_of(

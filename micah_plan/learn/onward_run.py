@@ -150,8 +150,9 @@ def learn_onward(
     if fresh is not None:
         # A window is no place to look for a curve that is passed again.
         doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False), use_actions)
-        if doubt is not None:
-            found, settled, free = doubt.single, (), doubt.log_odds
+        free = -np.inf if doubt is None else doubt.log_odds
+        if doubt is not None and doubt.single is not None:
+            found, settled = doubt.single, ()
             fitted, places = fitted_to(found)
             if doubt.moves_freely:
                 misfit = misfit_of(fitted, track, inlier, noise, settings, free)

@@ -17,9 +17,9 @@ from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, without_changepoints
-from micah_plan.learn.segmenting.segmentation import segment_track, without_rests
+from micah_plan.learn.segmenting.segmentation import segment_track
 from micah_plan.learn.segmenting.segmented import Segmented
-from micah_plan.learn.segmenting.stating import WithoutRest, kind_probabilities, posterior_of
+from micah_plan.learn.segmenting.stating import kind_probabilities, posterior_of
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -63,7 +63,6 @@ class SegmentedRun:
         track, inlier: its rows, and which are no outliers.
         steps: the rows averaged.
         segmented: the segments in steps, and what decided them.
-        fewer: what else they may be, with a rest less.
         posterior: over segmentations, in steps.
     """
 
@@ -71,7 +70,6 @@ class SegmentedRun:
     inlier: Booleans
     steps: Steps
     segmented: Segmented
-    fewer: tuple[WithoutRest, ...]
     posterior: ChangepointPosterior
 
 
@@ -106,9 +104,8 @@ def segment_run(
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings)
     segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, known)
-    fewer = without_rests(segmented, settings, use_actions)
-    posterior = posterior_of(segmented, fewer, settings, use_actions)
-    return SegmentedRun(track, inlier, steps, segmented, fewer, posterior)
+    posterior = posterior_of(segmented, settings, use_actions)
+    return SegmentedRun(track, inlier, steps, segmented, posterior)
 
 
 def with_joints(
@@ -125,20 +122,19 @@ def with_joints(
 
     fitted, places = fitted_to(segmented)
     doubt = doubt_of(segmented, fitted, track, inlier, noise, settings, use_actions)
-    if doubt is not None:
+    if doubt is not None and doubt.single is not None:
         segmented = doubt.single
         fitted, places = fitted_to(segmented)
         if doubt.log_odds <= 0:
             # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
             # anew to the one joint takes what that misses for a tracker's wander, which explains any curve.
             told = found.posterior.log_evidence
-            posterior = replace(posterior_of(segmented, (), settings, use_actions), log_evidence=told)
+            posterior = replace(posterior_of(segmented, settings, use_actions), log_evidence=told)
         if doubt.moves_freely:
             misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
-    fewer = found.fewer if doubt is None else ()
     against = -np.inf if doubt is None else doubt.log_odds
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, against, fewer) for p in pieces]
+    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, against) for p in pieces]
     if doubt is not None and doubt.path is not None:
         fitted = [FittedPiece(0, len(track) - 1, doubt.path, np.zeros(3), None, doubt.log_evidence)]
         (shares,) = kinds

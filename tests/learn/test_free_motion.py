@@ -123,3 +123,18 @@ def test_a_path_that_no_joint_has_is_refused_under_a_wandering_tracker_too(std: 
     s = np.linspace(0, 0.3, 120)
     position = np.stack([s, 0.03 * np.cos(2 * np.pi * s / 0.15), np.zeros(120)], axis=1)
     assert misfit_of(seen_by_a_wandering_tracker(position, std, np.random.default_rng(4))) is not None
+
+
+def test_how_sure_a_joint_is_fades_as_its_path_bends_away_from_it() -> None:
+    """A joint that is the answer by little is not said with certainty, nor is free motion."""
+    s = np.linspace(0, 0.3, 120)
+    said = []
+    for size in (0.02, 0.024, 0.03):
+        position = np.stack([s, size * np.cos(2 * np.pi * s / 0.15), np.zeros(120)], axis=1)
+        seen = seen_by_a_wandering_tracker(position, 0.007, np.random.default_rng(4))
+        (segment,) = learn_graph(seen).edges[0].segments
+        said.append((sum(p for _, p in segment.certainty.kinds), segment.certainty.misfit is None))
+    (first, holds), (second, *_), (third, missed) = said
+    assert holds
+    assert not missed
+    assert 0.9 > first > 0.5 > second > third > 0.01

@@ -24,9 +24,9 @@ from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.segmentation import segment_track
-from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths
+from micah_plan.learn.segmenting.segmented import Alternative, Segmented, prior_of_lengths
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, shared
-from micah_plan.learn.segmenting.stating import posterior_of
+from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, kind_probabilities, posterior_of
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
@@ -238,7 +238,7 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
         pool = refitted(["revolute"], np.arange(60)[None] < rows, track, noise)
         table = tabulated(pool, track, noise, False, settings.rest, 0.5)
         answer = Segmented(track, noise, shared(table, [0], prior, settings), table)
-        told = posterior_of(answer, (), settings, False).log_evidence
+        told = posterior_of(answer, settings, False).log_evidence
         assert told == pytest.approx(answer.log_probability, abs=1e-6)
 
 
@@ -290,3 +290,25 @@ def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, sto
                 rows[piece.start : piece.end + 1] = True
         rivals = [name for name, own in zip(pool.joints.kinds, pool.used, strict=True) if np.array_equal(own, rows)]
         assert set(rivals) >= {"rigid", "prismatic", "revolute", kind}
+
+
+def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_is_said() -> None:
+    """Under the noise of the answer its rivals fare worse than under their own."""
+    recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 70, 30))], np.random.default_rng(3))
+    settings = LearnSettings()
+    steps = steps_of(part_track(recording, 0, recording.parts[0]), np.ones(len(recording), dtype=bool), settings)
+    found = segment_track(steps.track, settings.of_steps(steps.size), use_actions=False)
+    first, _ = (piece.hypothesis for piece in found.segmentation.pieces)
+    n = len(steps.track)
+    for below, share in ((0.0, 0.5), (LOG_ODDS_OVERSTATED, 1 / (1 + np.e)), (1e9, 0.0)):
+        other = Alternative(("revolute",), np.zeros(n, dtype=np.int64), found.log_probability - below)
+        told = replace(found, others=(other,))
+        kinds = dict(kind_probabilities(told, first, settings.kinds, -np.inf))
+        alone = dict(kind_probabilities(replace(found, others=()), first, settings.kinds, -np.inf))
+        assert alone["revolute"] < 0.1 < alone["prismatic"]
+        given = alone["revolute"] / (alone["revolute"] + alone["prismatic"])
+        ratio = kinds["revolute"] / (kinds["revolute"] + kinds["prismatic"])
+        assert ratio == pytest.approx(max(share, given), abs=1e-6)
+        counts, without = (posterior_of(one, settings, False).counts for one in (told, replace(found, others=())))
+        odds = np.exp(-below / LOG_ODDS_OVERSTATED)
+        assert counts[0] == pytest.approx((without[0] + odds) / (1 + odds), abs=1e-9)

@@ -15,9 +15,13 @@ from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
 from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
-from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths, rows_of_joints
+from micah_plan.learn.segmenting.segmented import (
+    Segmented,
+    alternative,
+    prior_of_lengths,
+    rows_of_joints,
+)
 from micah_plan.learn.segmenting.selection import merged, selections, shared
-from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, WithoutRest
 from micah_plan.learn.segmenting.stops import held_somewhere
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
@@ -56,41 +60,39 @@ def segment_track(
     outcomes = _settled(proposals, prior, settings, use_actions)
     best = max(outcomes, key=lambda one: one.log_probability)
     if use_actions and track.action is not None and "rigid" in settings.kinds:
-        best = _unless_held(best, prior, settings)
-    return _beside_rivals(best, settings, use_actions)
+        outcomes += _with_a_rest(best, prior, settings)
+        best = max(outcomes, key=lambda one: one.log_probability)
+    # A rest is doubted, not taken back: a hand that stops pushing and a part that stops are told apart by little.
+    doubted = _without_a_rest(best, prior, settings, use_actions)
+    others = tuple(alternative(one) for one in [*outcomes, *doubted] if one is not best)
+    return replace(_beside_rivals(best, settings, use_actions), others=others)
 
 
-def _unless_held(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented:
-    """The same; or, if one joint moves the part and it is more probable that it was held elsewhere too, that."""
+def _with_a_rest(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
+    """What else is probable if one joint moves the part: that it was held in one more stretch of rows."""
     used = {piece.hypothesis for piece in found.segmentation.pieces}
     if sum(bool(found.table.pool.moving[one]) for one in used) != 1:
-        return found
+        return []
     tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
     starts = [replace(found, table=table, segmentation=one) for table, one in tried]
-    best = max([found, *_settled(starts, prior, settings, True)], key=lambda one: one.log_probability)
-    return best if len(best.segmentation.pieces) > len(found.segmentation.pieces) else found
+    outcomes = _settled(starts, prior, settings, True)
+    return [one for one in outcomes if len(one.segmentation.pieces) > len(found.segmentation.pieces)]
 
 
-def without_rests(found: Segmented, settings: LearnSettings, use_actions: bool) -> tuple[WithoutRest, ...]:
+def _without_a_rest(
+    found: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool
+) -> list[Segmented]:
     """What is left of an answer if a rest is no rest, joints and noise fitted again: for each rest that there is."""
     pieces, moving = found.segmentation.pieces, found.table.pool.moving
-    rests = [i for i, piece in enumerate(pieces) if not moving[piece.hypothesis]]
-    tried: list[tuple[int, int]] = []
     starts = []
-    for i in rests:
+    for i in (k for k, piece in enumerate(pieces) if not moving[piece.hypothesis]):
         beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
         joint = next((one for one in beside if moving[one]), None)
         if joint is not None:
             fewer = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
-            tried.append((i, joint))
             starts.append(replace(found, segmentation=Segmentation(fewer, -np.inf)))
-    outcomes = _settled(starts, prior_of_lengths(found.track, settings), settings, use_actions) if starts else []
-    result = []
-    for (i, joint), one in zip(tried, outcomes, strict=True):
-        if len(one.segmentation.pieces) < len(pieces):
-            odds = np.exp(min(one.log_probability - found.log_probability, 0.0) / LOG_ODDS_OVERSTATED)
-            result.append(WithoutRest(i, joint, len(one.segmentation.pieces) - 1, float(odds)))
-    return tuple(result)
+    outcomes = _settled(starts, prior, settings, use_actions) if starts else []
+    return [one for one in outcomes if len(one.segmentation.pieces) < len(pieces)]
 
 
 def log_probability_at_most(found: Segmented, settings: LearnSettings, use_actions: bool) -> float:

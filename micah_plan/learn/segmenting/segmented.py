@@ -6,13 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Booleans
+from micah_plan.arrays import Booleans, Ints
+from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another answer for the same rows, under the noise that it leaves itself.
+
+    Attributes:
+        kinds: of the joints of its pieces, in their order.
+        of_row: (n,) index into these, of the piece that each row is in.
+        log_probability: as of an answer [nats].
+    """
+
+    kinds: tuple[JointKind, ...]
+    of_row: Ints
+    log_probability: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +40,26 @@ class Segmented:
         noise: estimated together with the segments.
         segmentation: pieces, in rows of that track; those of one hypothesis share its parameters.
         table: the evidence that decided, with its pool and step models.
+        others: answers that are less probable.
     """
 
     track: PartTrack
     noise: NoiseModel
     segmentation: Segmentation
     table: EvidenceTable
+    others: tuple[Alternative, ...] = ()
 
     @property
     def log_probability(self) -> float:
         """Of the rows and segments, parameters of a joint counted once [nats]."""
         return self.segmentation.log_probability
+
+
+def alternative(found: Segmented) -> Alternative:
+    """An answer as an alternative to another one."""
+    pieces, names = found.segmentation.pieces, found.table.pool.hypotheses.joints.kinds
+    of_row = np.repeat(np.arange(len(pieces)), [piece.end - piece.start + 1 for piece in pieces])
+    return Alternative(tuple(names[piece.hypothesis] for piece in pieces), of_row, found.log_probability)
 
 
 def rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:

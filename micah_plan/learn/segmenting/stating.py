@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +12,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learn.segmenting.segmented import Segmented, prior_of_lengths
+from micah_plan.learn.segmenting.segmented import Alternative, Segmented, prior_of_lengths
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
 from micah_plan.learn.segmenting.stops import rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
@@ -26,32 +26,10 @@ _ENDS_AT_REST = 2.7  # nats
 LOG_ODDS_OVERSTATED = 6.0
 
 
-@dataclass(frozen=True, eq=False)
-class WithoutRest:
-    """An answer with one rest less: the joint beside it has the part there as well.
-
-    Attributes:
-        piece: index of the rest among the pieces of the answer.
-        joint: hypothesis of the joint that takes its rows.
-        changepoints: how many there are without it.
-        odds: how probable that is, over the answer.
-    """
-
-    piece: int
-    joint: int
-    changepoints: int
-    odds: float
-
-
-def posterior_of(
-    found: Segmented, fewer: Sequence[WithoutRest], settings: LearnSettings, use_actions: bool
-) -> ChangepointPosterior:
+def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -> ChangepointPosterior:
     """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
 
     Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
-
-    Args:
-        fewer: what else the answer may be, its joints fitted to other rows.
     """
     table, pieces = found.table, found.segmentation.pieces
     used = sorted({piece.hypothesis for piece in pieces})
@@ -79,18 +57,25 @@ def posterior_of(
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
     prior = prior_of_lengths(found.track, settings)
     result = changepoint_posterior(worth, apart, prior, len(settings.kinds), len(pieces) - 1)
-    return replace(_beside(result, fewer), log_evidence=result.log_evidence - paid)
+    return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
 
 
-def _beside(found: ChangepointPosterior, fewer: Sequence[WithoutRest]) -> ChangepointPosterior:
-    """The posterior, where an answer may also have a rest less: without the places where that begins and ends."""
-    counts, changepoint = found.counts.copy(), found.changepoint.copy()
-    for one in fewer:
-        counts[one.changepoints] += one.odds
-        ends = found.starts[max(one.piece - 1, 0) : one.piece + 1].sum(axis=0)
-        changepoint += one.odds * np.maximum(found.changepoint - ends, 0.0)
+def _beside(stated: ChangepointPosterior, found: Segmented) -> ChangepointPosterior:
+    """The posterior, where the answer may also be one of fewer segments, its joints fitted to other rows."""
+    counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
+    for pieces in range(1, len(found.segmentation.pieces)):
+        fewer = [one for one in found.others if len(one.kinds) == pieces]
+        if fewer:
+            best = max(fewer, key=lambda one: one.log_probability)
+            counts[pieces - 1] += _odds(best, found)
+            changepoint[1:] += _odds(best, found) * np.diff(best.of_row)
     total = counts.sum()
-    return replace(found, counts=counts / total, changepoint=changepoint / total)
+    return replace(stated, counts=counts / total, changepoint=changepoint / total)
+
+
+def _odds(other: Alternative, found: Segmented) -> float:
+    """How probable another answer is, over the one that was found."""
+    return float(np.exp(min(other.log_probability - found.log_probability, 0.0) / LOG_ODDS_OVERSTATED))
 
 
 def kind_probabilities(
@@ -98,13 +83,11 @@ def kind_probabilities(
     hypothesis: int,
     kinds: Sequence[JointKind],
     free: float,
-    fewer: Sequence[WithoutRest] = (),
 ) -> tuple[tuple[JointKind, float], ...]:
     """Probability of every kind of joint for all rows of one joint.
 
     Args:
         free: log odds of free motion against all segments together [nats].
-        fewer: what else the answer may be, if some rest is none.
     """
     table, pieces = found.table, found.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
@@ -134,8 +117,11 @@ def kind_probabilities(
     of_kind = [rival & (np.array(names) == kind) for kind in kinds]
     best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
     share = np.exp(best - best.max())
-    for one in fewer:
-        if pieces[one.piece].hypothesis == hypothesis:
-            share[list(kinds).index(names[one.joint])] += one.odds * share[list(kinds).index(names[hypothesis])]
-    share = share / share.sum() / (1 + np.exp(min(free, 700.0)))
+    own = list(kinds).index(names[hypothesis])
+    # Other answers have noise of their own; under the noise of the one that was found they fare worse.
+    for one in found.others:
+        there = list(kinds).index(one.kinds[int(np.argmax(np.bincount(one.of_row[governed])))])
+        if there != own:
+            share[there] = max(share[there], _odds(one, found) * share[own])
+    share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
