@@ -126,7 +126,7 @@ def inverse(
     guess = along / pitch if pitch and near is None else near
     if guess is not None:
         angle = angle + 2 * np.pi * np.round((np.asarray(guess, dtype=float) - angle) / (2 * np.pi))
-    return _balanced(angle, weight, along, pitch) if pitch else np.asarray(angle)
+    return balanced(angle, weight, along, pitch) if pitch else np.asarray(angle)
 
 
 def _turn(joint: Joint, measured: Floats, rotation: Rotation | None, rotation_length: float) -> NDArray[np.complex128]:
@@ -146,17 +146,22 @@ def _turn(joint: Joint, measured: Floats, rotation: Rotation | None, rotation_le
     return np.asarray(turn)
 
 
-def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: float) -> Floats:
-    """Minimise -2 weight cos(c - angle) + (along - pitch c)² over c, starting at c = angle.
+def balanced(angle: Floats, weight: Floats, along: Floats, pitch: float | Floats) -> Floats:
+    """Configurations of a screw that minimise -2 weight cos(c - angle) + (along - pitch c)², from c = angle on.
 
     Each step minimises a parabola that touches the error from above, so the error cannot grow.
+
+    Args:
+        angle, weight, along: of any one shape: the angle [rad] that the plane across the axis tells, how much that
+            counts [m²], and the way along the axis [m].
+        pitch: [m/rad], to be broadcast.
     """
     c = angle
     for _ in range(_MOST_ITERATIONS):
         slope = weight * np.sin(c - angle) - pitch * (along - pitch * c)
         step = slope / (weight + pitch**2)
         c = c - step
-        if np.abs(step).max(initial=0.0) < 1e-15:
+        if np.abs(step).max(initial=0.0) < 1e-14:
             break
     return np.asarray(c)
 

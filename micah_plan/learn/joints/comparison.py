@@ -13,10 +13,11 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import balanced
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
 from micah_plan.learn.joints.quaternions import conjugate, cross, rotated, rotation_vectors, times_matrix
 
-_NEWTON_STEPS = 8
+_TELLING_PITCH = 0.05 / (2 * np.pi)  # m/rad
 _TINY = 1e-12  # against division by 0
 
 
@@ -96,7 +97,11 @@ def compare_arrays(
     angle = np.where(turning[:, None] & (weight > _TINY), np.arctan2(imaginary, real), 0.0)
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
     if len(pitched):
-        angle[pitched] = _balanced(angle[pitched], weight[pitched], along[pitched], joints.pitch[pitched, None])
+        pitch = joints.pitch[pitched, None]
+        # Whole turns only where the pitch is large against noise; a small one is left to continuity.
+        turns = np.round((along[pitched] / pitch - angle[pitched]) / (2 * np.pi))
+        counted = angle[pitched] + 2 * np.pi * np.where(np.abs(pitch) > _TELLING_PITCH, turns, 0.0)
+        angle[pitched] = balanced(counted, weight[pitched], along[pitched], pitch)
     if angle.size:
         angle = _unwrapped(angle)
     half_sine, half_cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
@@ -141,18 +146,3 @@ def levers(joints: JointArrays, in_part: bool) -> Floats:
         return np.asarray(lever)
     from_base = conjugate(joints.quaternion)
     return rotated(from_base, lever)
-
-
-def _balanced(angle: Floats, weight: Floats, along: Floats, pitch: Floats) -> Floats:
-    """Minimise -2 weight cos(c - angle) + (along - pitch c)² by parabolas from above, whole turns by the pitch."""
-    turns = np.round((along / pitch - angle) / (2 * np.pi))
-    # Whole turns only where the pitch is large against noise; a small one is left to continuity.
-    c = angle + 2 * np.pi * np.where(np.abs(pitch) * 2 * np.pi > 0.05, turns, 0.0)
-    target = c
-    for _ in range(_NEWTON_STEPS):
-        slope = weight * np.sin(c - target) - pitch * (along - pitch * c)
-        step = slope / np.maximum(weight + pitch**2, _TINY)
-        c = c - step
-        if np.abs(step).max(initial=0.0) < _TINY:
-            break
-    return np.asarray(c)

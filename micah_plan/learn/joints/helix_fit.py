@@ -20,6 +20,7 @@ from micah_plan.learn.joints.covering import covering
 from micah_plan.learn.joints.helix import NUMBERS, Helix, chart_slopes, helix_of
 from micah_plan.learn.joints.joint_frame import cross, seen_by
 from micah_plan.learn.joints.likelihood import Fit, error_covariance, normal_equations, seen_with
+from micah_plan.learn.joints.newton import UNKNOWN, descended
 from micah_plan.learn.joints.parametrization import Chart, chart_of
 from micah_plan.learn.joints.tracker_noise import Scales, TrackerNoise, log_evidence, noise_of, wanders
 from micah_plan.learn.joints.wander import OrnsteinUhlenbeck
@@ -32,7 +33,6 @@ _FIRST_STEPS = 25  # from the start
 _CONVERGED = 0.01  # nats
 _LARGEST_TURN = 0.5  # rad, of one step
 _LEAST_CURVATURE = 0.3  # of what it was, after one step
-_UNKNOWN = 1.0  # rad, m, 1/m: std of what the rows say nothing about
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def fit_helix(
     highest = int(np.argmax(log_density))
     likelier = log_density[highest] > _log_density(first, rows)
     best = _fitted(tried[highest].helix, rows, noise, NUMBERS) if likelier else first
-    std = float(np.linalg.inv(best.information + np.eye(NUMBERS) / _UNKNOWN**2)[-1, -1]) ** 0.5
+    std = float(np.linalg.inv(best.information + np.eye(NUMBERS) / UNKNOWN**2)[-1, -1]) ** 0.5
     tried += _at(best, best.helix.lead + std * np.array(_STDS), rows, noise)
     log_density += [_log_density(one, rows) for one in tried[len(log_density) :]]
     leads, order = np.unique([one.helix.lead for one in tried], return_index=True)
@@ -92,7 +92,7 @@ def fit_helix(
         return None
     noise = posterior.likeliest
     median = _fitted(median.helix, rows, noise, NUMBERS - 1)
-    slopes, prior = median.slopes[:, :-1], np.eye(NUMBERS - 1) / _UNKNOWN**2
+    slopes, prior = median.slopes[:, :-1], np.eye(NUMBERS - 1) / UNKNOWN**2
     spread = np.linalg.inv(median.information[:-1, :-1] + prior)
     spread = error_covariance(median.fit, noise, posterior, spread @ slopes.T, spread @ prior @ spread)
     return _covered(median, tried, chance, spread, start), noise
@@ -121,23 +121,36 @@ def _at(start: _Tried, leads: Floats, rows: _Rows, noise: TrackerNoise) -> list[
 
 def _fitted(helix: Helix, rows: _Rows, noise: TrackerNoise, free: int, steps: int = _STEPS) -> _Tried:
     """The helix after Gauss-Newton steps of the first numbers."""
-    now, pull = _seen(helix, rows, noise)
-    damping = 0.0
-    for _ in range(steps):
-        information = now.information[:free, :free]
-        damped = information + damping * np.diag(np.diag(information)) + np.eye(free) / _UNKNOWN**2
-        step = np.asarray(np.linalg.solve(damped, pull[:free]))
-        if 0.5 * float(step @ pull[:free]) < _CONVERGED:
-            break
-        trial = now.helix.moved(_shortened(step, now.helix))
-        if trial is not None:
-            after, after_pull = _seen(trial, rows, noise)
-            if after.cost < now.cost:
-                now, pull = after, after_pull
-                damping /= 10
-                continue
-        damping = max(damping, 1e-3) * 30
-    return now
+    return descended(_Descent(*_seen(helix, rows, noise), rows, noise, free), steps, _CONVERGED).tried
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """A helix on its way to the likeliest one, of which so many numbers are free."""
+
+    tried: _Tried
+    whole_pull: Floats
+    rows: _Rows
+    noise: TrackerNoise
+    free: int
+
+    @property
+    def information(self) -> Floats:
+        return self.tried.information[: self.free, : self.free]
+
+    @property
+    def pull(self) -> Floats:
+        return self.whole_pull[: self.free]
+
+    @property
+    def cost(self) -> float:
+        return self.tried.cost
+
+    def moved(self, step: Floats) -> _Descent | None:
+        helix = self.tried.helix.moved(_shortened(step, self.tried.helix))
+        if helix is None:
+            return None
+        return _Descent(*_seen(helix, self.rows, self.noise), self.rows, self.noise, self.free)
 
 
 def _shortened(step: Floats, helix: Helix) -> Floats:

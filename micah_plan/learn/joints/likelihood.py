@@ -6,6 +6,7 @@ is that of this estimator under the whole posterior of the noise (a sandwich), n
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,11 @@ from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.contrasts import Contrasts, contrasts_of
 from micah_plan.learn.joints.covering import covering
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
+from micah_plan.learn.joints.newton import UNKNOWN, descended
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, TrackerNoise
 
 _STEPS = 25
-_UNKNOWN = 1.0  # rad, m, m/rad: std of what the rows say nothing about
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,25 +48,27 @@ def fit_likelihood(
     Args:
         converged: it stops where the next step promises less than that [nats].
     """
-    fit = seen_with(joint, position, quaternion, noise)
-    information, pull, cost = normal_equations(fit, noise)
-    damping = 0.0
-    for _ in range(_STEPS):
-        damped = information + damping * np.diag(np.diag(information)) + np.eye(len(pull)) / _UNKNOWN**2
-        step = np.asarray(np.linalg.solve(damped, pull))
-        if 0.5 * float(step @ pull) < converged:
-            break
-        trial = stepped(fit.joint, fit.chart, step)
-        if trial is not None:
-            after = seen_with(trial, position, quaternion, noise)
-            *equations, next_cost = normal_equations(after, noise)
-            if next_cost < cost:
-                fit, cost = after, next_cost
-                information, pull = equations
-                damping /= 10
-                continue
-        damping = max(damping, 1e-4) * 30
-    return fit
+
+    def look(trial: Joint) -> _Trial:
+        fit = seen_with(trial, position, quaternion, noise)
+        return _Trial(fit, *normal_equations(fit, noise), look)
+
+    return descended(look(joint), _STEPS, converged).fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A joint on its way to the likeliest one, and how to look at another."""
+
+    fit: Fit
+    information: Floats
+    pull: Floats
+    cost: float
+    look: Callable[[Joint], _Trial]
+
+    def moved(self, step: Floats) -> _Trial | None:
+        joint = stepped(self.fit.joint, self.fit.chart, step)
+        return None if joint is None else self.look(joint)
 
 
 def parameter_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior) -> ParameterCovariance:
@@ -74,7 +77,7 @@ def parameter_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterio
     What the rows do not determine has a std of about 1 rad, 1 m or 1 m/rad.
     """
     information, _, _ = normal_equations(fit, noise)
-    prior = np.eye(len(information)) / _UNKNOWN**2
+    prior = np.eye(len(information)) / UNKNOWN**2
     spread = np.linalg.inv(information + prior)
     # In the joint's frame, so that nothing depends on the base's.
     gain = fit.chart.in_frame @ spread
