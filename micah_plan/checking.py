@@ -50,18 +50,20 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
 
         return suspicions_of_model(load_model(file))
     if kind == "parts":
+        from micah_plan.automaton.suspicion import far_handles
         from micah_plan.documents.parts import load_parts
 
-        load_parts(file)
-    elif kind == "plan":
+        return tuple(far_handles(load_parts(file)))
+    if kind == "plan":
         from micah_plan.documents.plan import load_plan
 
         load_plan(file)
     elif kind == "scene":
         from micah_plan.documents.exploration import load_scene
+        from micah_plan.task.suspicion import suspicions_of_scene
 
-        load_scene(file)
-    elif kind == "experiment":
+        return suspicions_of_scene(load_scene(file))
+    if kind == "experiment":
         from micah_plan.documents.experiment import load_experiment
 
         load_experiment(file)
@@ -77,8 +79,14 @@ def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
             from micah_plan.robot.load_arm import load_arm
 
             load_arm(problem.robot)
-        if problem.hold is None:  # the modes of a held object are contacts of the hand's own model
-            from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
+            if problem.release is not None:
+                from micah_plan.robot.along_release import with_open_gripper
 
-            return suspicions_of_model(problem.automaton)
+                load_arm(with_open_gripper(problem))
+        from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
+        from micah_plan.task.suspicion import suspicions as suspicions_of_problem
+
+        # The modes of a held object are contacts of the hand's own model.
+        of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
+        return (*of_model, *suspicions_of_problem(problem))
     return ()

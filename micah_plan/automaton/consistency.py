@@ -1,5 +1,5 @@
 """Whether what an automaton says can be meant: units against joints and inputs, transitions that repeat each other or
-are always taken, effects that are there twice, limits beyond physical sizes.
+are always taken, effects that are there twice, limits and weights beyond physical sizes.
 
 `check` refuses what cannot be used at all. Here each part by itself could be used, and only together they make no
 sense. Only what is certainly wrong is refused; `suspicion` tells what may be meant.
@@ -7,17 +7,18 @@ sense. Only what is certainly wrong is refused; `suspicion` tells what may be me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.emptiness import is_empty
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
 from micah_plan.automaton.joint import UNITS
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
 
 LARGEST = 1e6  # m or rad; beyond it a number is a mistake of units or of keys, not a place
+LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
 Place = tuple[str | int, ...]
 
 
@@ -29,10 +30,13 @@ def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable
         yield ("inputs", given.name), partial(_check_unit_of_input, automaton, given)
     for mode in automaton.modes:
         yield ("modes", mode.name, "invariant"), partial(_check_limits, automaton, mode.invariant, f"mode {mode.name}")
+        yield ("modes", mode.name, "inputs"), partial(_check_limits, automaton, mode.inputs, f"mode {mode.name}")
+        yield ("modes", mode.name, "step"), partial(_check_step, mode)
     first: dict[tuple[str, str, Region], int] = {}
     for i, edge in enumerate(automaton.edges):
         same = first.setdefault((edge.source, edge.target, edge.guard), i)
         yield ("edges", i, "guard"), partial(_check_limits, automaton, edge.guard, f"edge {edge.name}")
+        yield ("edges", i, "reset"), partial(_check_reset, automaton, edge)
         yield ("edges", i), partial(_check_repeated, edge, i, same)
         yield ("edges", i, "guard"), partial(_check_stays, automaton, edge)
     for i, effect in enumerate(automaton.effects):
@@ -69,6 +73,7 @@ def _check_unit_of_input(automaton: HybridAutomaton, given: Coordinate) -> None:
 
 
 def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> None:
+    """Half-spaces that lie farther away than anything can be, or whose weights make rounding of everything else."""
     for half_space in region.half_spaces:
         bound = half_space.bound
         if bound is not None and not abs(bound.value) <= LARGEST:
@@ -78,6 +83,35 @@ def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> Non
                 f"found {bound.value:g}",
                 remedy="give it in m or rad",
             )
+        weights = (*half_space.a, *half_space.b)
+        _check_weights(weights, f"{where}: {half_space.name or 'a half-space'}")
+        away = abs(half_space.c) / max(map(abs, weights))
+        if not away <= LARGEST:
+            problem = f"{where}: {half_space.name or 'a half-space'}: expected one at most {LARGEST:g} away from 0"
+            raise InputError(f"{problem}, found {away:g}", remedy="correct its numbers")
+
+
+def _check_weights(weights: Sequence[float], where: str) -> None:
+    """Of one expression: the largest decides, as what is rounding beside it is harmless."""
+    largest = max(map(abs, weights), default=0.0)
+    if largest and not 1 / LARGEST_WEIGHT <= largest <= LARGEST_WEIGHT:
+        expected = f"expected weights of {1 / LARGEST_WEIGHT:g} to {LARGEST_WEIGHT:g} in size"
+        raise InputError(f"{where}: {expected}, found {largest:g}", remedy="correct the number before the name")
+
+
+def _check_step(mode: Mode) -> None:
+    for row in mode.input_matrix:
+        _check_weights(row, f"mode {mode.name}: step")
+
+
+def _check_reset(automaton: HybridAutomaton, edge: Edge) -> None:
+    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
+    for coordinate, *row, constant in zip(automaton.coordinates, *a.T, *b.T, c.tolist(), strict=True):
+        where = f"edge {edge.name}: reset of {coordinate.name}"
+        _check_weights(row, where)
+        if not abs(constant) <= LARGEST:
+            problem = f"{where}: expected at most {LARGEST:g} {coordinate.unit} in size, found {constant:g}"
+            raise InputError(problem, remedy="give it in m or rad")
 
 
 def _check_repeated(edge: Edge, number: int, first: int) -> None:

@@ -75,9 +75,9 @@ def towards(automaton: HybridAutomaton, at: Floats, x: Floats, u: Floats) -> Flo
     for effect in automaton.effects:
         if form(effect.name).layer == "place":
             i = automaton.index(effect.coordinate)
-            j, scale = _strongest_input(automaton, effect)
-            given = given.copy() if given is u else given
-            given[..., j] += (at[..., i] - x[..., i]) / scale
+            if moved := _strongest_input(automaton, effect):
+                given = given.copy() if given is u else given
+                given[..., moved[0]] += (at[..., i] - x[..., i]) / moved[1]
     return given
 
 
@@ -190,12 +190,15 @@ def _memories(
     return tuple(found)
 
 
-def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float]:
-    """The input that moves an effect's coordinate most in the first mode that does, and its command per unit of it."""
+def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
+    """The input that moves an effect's coordinate most in the first mode that does, and its command per unit of it.
+
+    None where no input moves it: then there is nothing to remember.
+    """
     i = automaton.index(effect.coordinate)
     mode = next((mode for mode in automaton.modes if mode.driven[i]), None)
     if mode is None:
-        return i, 1.0
+        return None
     j = int(np.argmax(np.abs(mode.B[i])))
     return j, float(mode.B[i, j])
 
@@ -207,9 +210,12 @@ def _only_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float]
     adds that input at once.
     """
     i = automaton.index(effect.coordinate)
-    j, scale = _strongest_input(automaton, effect)
+    strongest = _strongest_input(automaton, effect)
+    if strongest is None:
+        return None
+    j, scale = strongest
     moving = [mode.B[i] for mode in automaton.modes if mode.driven[i]]
-    if not moving or any(np.delete(mode.B[:, j], i).any() for mode in automaton.modes):
+    if any(np.delete(mode.B[:, j], i).any() for mode in automaton.modes):
         return None
     alone = all(row[j] == scale and np.count_nonzero(row) == 1 for row in moving)
     added = any(edge.reset.B is not None and any(row[j] for row in edge.reset.B) for edge in automaton.edges)

@@ -11,24 +11,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.consistency import preceding
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Part
 from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.quantities import quantity
 
 LARGEST_JUMP_M = 0.2
 FARTHEST_M = 50.0
+_IN_METRES = "lengths are in m: are these millimetres? then divide them by 1000"
 
 
 def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
     """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
     jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
-    return (*_millimetres(automaton), *jumps, *never_taken(automaton))
+    return (*_millimetres(automaton), *far_handles(automaton.parts), *jumps, *never_taken(automaton))
 
 
 def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
@@ -42,14 +43,21 @@ def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
     )
 
 
+def far_handles(parts: Iterable[Part]) -> Iterator[str]:
+    """Handles that lie farther from their part than a room is wide."""
+    for part in parts:
+        distance = 0.0 if part.handle is None else float(np.linalg.norm(part.handle))
+        if distance > FARTHEST_M:
+            yield f"parts.{part.name}.handle: {quantity(distance, 'm')} from the part; {_IN_METRES}"
+
+
 def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:
-    said = "lengths are in m: are these millimetres? then divide them by 1000"
     for mode in automaton.modes:
         for link, joint in zip(automaton.links, mode.joints, strict=True):
             distance = float(np.linalg.norm(joint.position))
             if distance > FARTHEST_M:
                 parent = "the base frame" if link.parent == "base" else f"part {link.parent}"
-                yield f"modes.{mode.name}.joints.{link.child}: {quantity(distance, 'm')} from {parent}; {said}"
+                yield f"modes.{mode.name}.joints.{link.child}: {quantity(distance, 'm')} from {parent}; {_IN_METRES}"
 
 
 def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:

@@ -38,7 +38,7 @@ from micah_plan.documents.problem import ProblemDocument, problem_data, problem_
 from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
-from micah_plan.task.acceptance import least_share
+from micah_plan.task.agreement import disagreement
 from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, ReleasePlan, Trajectory
 from micah_plan.task.problem import Problem
 
@@ -307,21 +307,11 @@ def _stored(located: Located) -> StoredPlan:
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
     own = document.meanings(located, scope_of(planned))
     plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
-    _check_accepted(plan, problem, located)
+    if amiss := disagreement(plan, problem):
+        raise located.at(amiss[0]).error(amiss[1], _AGAIN)
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)
     return StoredPlan(plan, problem, document.version, located.source)
-
-
-def _check_accepted(plan: Plan, problem: Problem, at: Located) -> None:
-    """Refuse a plan that says it is solved although verification would not have accepted it."""
-    share, confidence = plan.success_probability, problem.settings.confidence
-    if plan.outcome != "solved" or share is None:
-        return
-    least = least_share(confidence, plan.verification_trials)
-    if share < least:
-        problem_text = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
-        raise at.at("success_probability").error(f"{problem_text} the confidence {confidence:g} asks for", _AGAIN)
 
 
 def _array(value: Any, shape: tuple[int, ...], at: Located) -> NDArray[np.float64]:

@@ -315,8 +315,10 @@ def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
     """The remedy that says what the modes allow: ``allowed: swings (door >= 0, door <= 1.2)``."""
     scope, texts = scope_of(automaton), []
     for name in modes[:_MOST_LISTED]:
-        regions = start_regions(automaton, automaton.mode(name))
-        rows = [", ".join(short_text(h, scope) for h in region.half_spaces) or "everywhere" for region in regions]
+        mode = automaton.mode(name)
+        pins = [f"{automaton.coordinate_names[pin.coordinate]} = {short_number(pin.value)}" for pin in mode.pins]
+        regions = start_regions(automaton, mode)
+        rows = [", ".join([*pins, *(short_text(h, scope) for h in r.half_spaces)]) or "everywhere" for r in regions]
         texts.append(f"{name} ({' or '.join(rows) or 'nowhere'})")
     return f"allowed: {'; '.join(texts)}{'; ...' if len(modes) > _MOST_LISTED else ''}"
 

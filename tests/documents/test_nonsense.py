@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 from attempts import told
+from nonsense_corpus import CORPUS
 
+from micah_plan.checking import check_file
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
 
@@ -97,3 +99,45 @@ def test_a_problem_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> N
     line = told(load_problem, edited(tmp_path, "problems/drawer_open.yaml", before, after))
     assert line.startswith(f"{tmp_path}/drawer_open.yaml, line ")
     assert said in line
+
+
+# Why each of these is taken as it is.
+EXPLAINED = {
+    "negative gain": "a motor that is wired the other way around",
+    "travel of rounds": "a nut on a long screw",
+    "fingers through each other": "joints that are held are not compared with their limits",
+    "force of a rocket": "what a hand may exert is for its owner to say",
+}
+
+
+QUICK = [pytest.param(case, marks=() if i % 8 == 0 else pytest.mark.slow) for i, case in enumerate(CORPUS)]
+
+
+@pytest.mark.parametrize("case", QUICK)
+def test_check_refuses_nonsense_or_warns_with_the_place(tmp_path: Path, case: str) -> None:
+    name, before, after = CORPUS[case]
+    text = (ROOT / name).read_text()
+    assert before in text
+    folder = (ROOT / name).parent
+    text = text.replace(before, after, 1)
+    for beside in ("../../models", "../models", "../drawer_open"):
+        text = text.replace(beside, str((folder / beside).resolve()))
+    path = tmp_path / Path(name).name
+    path.write_text(text.replace("simulated: microwave", f"simulated: {folder}/microwave"))
+    found = check_file(path)
+    if case in EXPLAINED:
+        assert (found.faults, found.warnings) == ((), ())
+        return
+    assert found.faults or found.warnings
+    for fault in found.faults:
+        line = str(fault)
+        assert len(line.splitlines()) == 1
+        assert fault.source
+        assert line.startswith(fault.source)
+    for warning in found.warnings:
+        assert ":" in warning
+
+
+def test_the_corpus_is_large_and_nearly_all_of_it_is_told() -> None:
+    assert len(CORPUS) + len(MODELS) + len(PROBLEMS) >= 120
+    assert len(EXPLAINED) <= 4

@@ -173,7 +173,7 @@ def test_a_start_in_no_mode_lists_what_is_allowed(folder: Path) -> None:
     )
     assert line == (
         "p.yaml, line 4, column 3, key 'start.mean': the start door = -0.5 rad lies in no mode's invariant; "
-        "allowed: revolute (door >= 0, door < 1.2); rigid (door >= 1.2)"
+        "allowed: revolute (door >= 0, door < 1.2); rigid (door = 1.2, door >= 1.2)"
     )
 
 

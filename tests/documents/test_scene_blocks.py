@@ -132,7 +132,7 @@ def test_mistakes_are_told_with_line_and_key(folder: Path, old: str, new: str, e
     assert expected in told(load_problem, folder / "p.yaml")
 
 
-def solved(problem: Problem, change: dict[str, object] | None = None) -> Plan:
+def planned(problem: Problem, change: dict[str, object] | None = None) -> Plan:
     trajectory = Trajectory(
         modes=("revolute", "revolute"),
         means=np.array([[0.0], [0.1]]),
@@ -151,12 +151,12 @@ def solved(problem: Problem, change: dict[str, object] | None = None) -> Plan:
         closest_knot=1,
         deviation=1e-3,
     )
-    return Plan("solved", "found", trajectory, seed=problem.automaton.n, arm=replace(arm, **(change or {})))
+    return Plan("not_verified", "found", trajectory, seed=problem.automaton.n, arm=replace(arm, **(change or {})))
 
 
 def test_a_plan_carries_scene_robot_and_arm_without_further_files(folder: Path, tmp_path: Path) -> None:
     problem = load_problem(folder / "p.yaml")
-    plan = solved(problem)
+    plan = planned(problem)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     write_plan(plan, problem, elsewhere / "plan.json")
@@ -176,7 +176,7 @@ def test_a_plan_carries_scene_robot_and_arm_without_further_files(folder: Path, 
 def test_a_plan_without_a_robot_says_nothing_of_one(folder: Path) -> None:
     (folder / "p.yaml").write_text(TEXT[: TEXT.index("scene:")])
     problem = load_problem(folder / "p.yaml")
-    data = json.loads(plan_text(replace(solved(problem), arm=None), problem))
+    data = json.loads(plan_text(replace(planned(problem), arm=None), problem))
     assert {"scene", "robot", "grasp"}.isdisjoint(data["problem"])
     assert "arm" not in data
 
@@ -194,4 +194,4 @@ def test_a_plan_without_a_robot_says_nothing_of_one(folder: Path) -> None:
 def test_an_arm_that_does_not_agree_with_its_plan_is_not_written(folder: Path, change: dict, expected: str) -> None:
     problem = load_problem(folder / "p.yaml")
     with pytest.raises(InputError, match=expected):
-        plan_text(solved(problem, change), problem)
+        plan_text(planned(problem, change), problem)

@@ -74,7 +74,8 @@ class PathBeliefs:
         moves = mode == self.mode_of[end]
         u = np.abs(np.einsum("pmn,pn->pm", self._inverse[mode], delta)) / self.limits.max_step
         least = np.where(moves, u.max(axis=1, initial=0.0), 0.0)
-        count = np.ceil(least / PACE - 1e-9).astype(np.int64)
+        # What takes more steps than a plan may have is no way, however certain: so no more of them are followed.
+        count = np.minimum(np.ceil(least / PACE - 1e-9), self.problem.settings.max_knots).astype(np.int64)
         variance = variance.copy()
         for step in range(int(count.max(initial=0))):
             on = step < count

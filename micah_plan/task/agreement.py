@@ -1,0 +1,64 @@
+"""Whether a plan that says it is solved can be the solution of its problem: what its numbers alone contradict.
+
+A file may have been written by anything, so a digest that fits says little. Nothing is simulated here: a share of
+successes below the confidence, a last state that is not where the plan says, a step that the model does not make.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from micah_plan.task.acceptance import least_share
+from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
+
+# Of coordinates [rad or m]: optimised steps keep the model to 1e-11.
+_ROUNDING = 1e-6
+
+
+def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
+    """The key of a plan file and what contradicts there; None where a plan is not solved, or agrees."""
+    if plan.outcome != "solved" or plan.trajectory is None:
+        return None
+    share, confidence = plan.success_probability, problem.settings.confidence
+    if share is not None and share < (least := least_share(confidence, plan.verification_trials)):
+        said = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
+        return "success_probability", f"{said} the confidence {confidence:g} asks for"
+    return _step_amiss(plan.trajectory, problem) or _end_amiss(plan, plan.trajectory, problem)
+
+
+def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
+    """The last knot against the goal; what is let go comes to rest elsewhere."""
+    goal, last = problem.goal, trajectory.modes[-1]
+    if problem.release is not None:
+        return None
+    error = goal.error(trajectory.means[-1])
+    if plan.goal_error is not None and abs(error - plan.goal_error) > _ROUNDING:
+        return (
+            "goal_error",
+            f"expected the distance {error:g} of the last knot from the goal, found {plan.goal_error:g}",
+        )
+    if not goal.contains(last, trajectory.means[-1]):
+        return "trajectory", f"outcome solved, but its last knot, in mode '{last}', is not in the goal"
+    return None
+
+
+def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
+    """The first step that the model does not make."""
+    automaton, largest = problem.automaton, problem.settings.max_step
+    edges = {(edge.source, edge.target) for edge in automaton.edges}
+    for k, u in enumerate(trajectory.inputs):
+        before, after = trajectory.modes[k : k + 2]
+        if trajectory.is_transition[k]:
+            if (before, after) not in edges:
+                return "trajectory", f"knot {k}: the model has no transition from '{before}' to '{after}'"
+            continue
+        if before != after:
+            return "trajectory", f"knot {k}: the mode changes from '{before}' to '{after}' without a transition"
+        if largest is not None and (np.abs(u) > np.array(largest) + _ROUNDING).any():
+            return "trajectory", f"knot {k}: an input of {np.abs(u).max():g} is more than the largest step"
+        moved = trajectory.means[k + 1] - trajectory.means[k]
+        # Effects and memories change what an input does; the verification's roll-outs have them, this has not.
+        if not automaton.effects and not np.allclose(moved, automaton.mode(before).B @ u, rtol=0, atol=_ROUNDING):
+            return "trajectory", f"knot {k}: the model's step in mode '{before}' does not lead to the next knot"
+    return None
