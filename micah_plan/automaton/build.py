@@ -17,6 +17,7 @@ transitions, resets are the identity. Where it differs, and why:
   measurement does not distinguish from it: ``local_models.RESOLUTION`` std around its configuration.
 - **Thresholds have a std** (`Edge.threshold_std`) where learning gave a posterior of the changepoint's row. A rigid
   model that is entered at such a threshold is pinned no better than that.
+- **Numbers have six digits** (`rounding`), far more than learning knows, so that people can read the file.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
 An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part that is fixed
@@ -40,6 +41,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link,
 from micah_plan.automaton.joint import UNITS, Joint
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
+from micah_plan.automaton.rounding import rounded
 from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
 
@@ -108,6 +110,7 @@ def build_automaton(
         provenance=dict(provenance or {}),
         learned=tuple(_learned_edges(graph)),
     )
+    automaton = rounded(automaton)
     check_automaton(automaton)
     return automaton
 

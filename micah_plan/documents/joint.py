@@ -75,7 +75,7 @@ class JointDocument(Document):
     center: Vector3 = doc("Point on the axis closest to `position` [m]; revolute and screw.", ZERO)
     pitch: Place = doc("Translation along the axis per angle [m/rad]; only for screw.", 0.0)
     held: Place = doc("Configuration that a rigid joint stands for [rad or m].", 0.0)
-    covariance: CovarianceDocument | None = doc("Covariance of the parameters, if estimated.", None)
+    covariance: CovarianceDocument | None = doc("Covariance of the parameters, as older files have it.", None)
     knots: Annotated[tuple[Row, ...], Listed()] = doc(
         "Poses along a path: rows of c [m], position (3) [m] and quaternion (4).", ()
     )

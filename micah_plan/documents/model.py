@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +13,8 @@ from micah_plan.automaton.check import checks
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link, Mode
+from micah_plan.automaton.joint import ParameterCovariance
 from micah_plan.automaton.region import Region
 from micah_plan.documents.expressions import RegionEntries
 from micah_plan.documents.fields import (
@@ -28,7 +30,7 @@ from micah_plan.documents.fields import (
     Unit,
     named,
 )
-from micah_plan.documents.joint import joint_remark
+from micah_plan.documents.joint import CovarianceDocument, joint_remark
 from micah_plan.documents.layout import Document, Mark, Scope, doc, plain, unique
 from micah_plan.documents.learned import LearnedEdgeDocument, learned_remarks
 from micah_plan.documents.located import KeyPath, Located
@@ -99,8 +101,8 @@ class EffectDocument(Document):
 class ModelDocument(Document):
     """The hybrid automaton of an articulated object."""
 
+    # What people look for comes first: how parts move, and when that changes.
     format: Literal["micah-plan/model/1"] = doc("Format and version of this file.")
-    provenance: dict[Name, Line] = doc("Where the model came from: recording digest, method, seed, versions.", dict)
     coordinates: Annotated[dict[Name, Unit], Field(min_length=1), _COORDINATES] = doc(
         "The continuous states and their units (rad or m), in order."
     )
@@ -108,18 +110,22 @@ class ModelDocument(Document):
         "The inputs (displacements per step) and their units, in order."
     )
     links: list[LinkDocument] = doc("Which coordinate moves which part, parents first.")
-    parts: Annotated[dict[PartName, PartDocument], BY_NAME] = doc("Shapes and handles of the parts.", dict)
-    noise: NoiseDocument = doc("Process and observation noise.")
     modes: Annotated[dict[Name, ModeDocument], Field(min_length=1), BY_NAME] = doc("The discrete states.")
     transitions: list[TransitionDocument] = doc(
         "Edges between modes; of several whose guards hold at once the first listed is taken."
     )
     init: list[InitialDocument] = doc("Initial states; empty: wherever an invariant holds.", list)
-    learned: list[LearnedEdgeDocument] = doc("How certain learning was, by edge of the kinematic graph.", list)
     effects: list[EffectDocument] = doc(
         "What calibration added. Those on guards and joints are already in modes and transitions; the others act in "
         "every step.",
         list,
+    )
+    noise: NoiseDocument = doc("Process and observation noise.")
+    parts: Annotated[dict[PartName, PartDocument], BY_NAME] = doc("Shapes and handles of the parts.", dict)
+    provenance: dict[Name, Line] = doc("Where the model came from: recording digest, method, seed, versions.", dict)
+    learned: list[LearnedEdgeDocument] = doc("How certain learning was, by edge of the kinematic graph.", list)
+    covariances: dict[ModeName, dict[Name, CovarianceDocument]] = doc(
+        "Covariances of the joints' parameters, if estimated, by mode and child part.", dict
     )
 
     def check(self, at: Located) -> None:
@@ -140,6 +146,8 @@ class ModelDocument(Document):
         }
         own = self.meanings(at, scope)
         edges = own.pop("transitions")
+        own["modes"] = tuple(self._with_covariances(mode, own["covariances"], at, scope) for mode in own["modes"])
+        del own["covariances"]
         links = [(link.parent, link.child) for link in self.links]
         for i, edge in enumerate(self.learned):
             if (edge.parent, edge.child) not in links:
@@ -148,9 +156,30 @@ class ModelDocument(Document):
                 raise at.at("learned", i).error(problem, f"links: {names}")
         return HybridAutomaton(**own, edges=edges)
 
+    def _with_covariances(
+        self, mode: Mode, given: Mapping[str, Mapping[str, ParameterCovariance]], at: Located, scope: Scope
+    ) -> Mode:
+        """The mode with the covariances of its joints, which older files have at the joints."""
+        own, joints = given.get(mode.name, {}), list(mode.joints)
+        for part, covariance in own.items():
+            place = at.at("covariances", mode.name, part)
+            number = place.number(part, scope["linked part"], "linked part")
+            if joints[number].covariance is not None:
+                raise place.error("its joint has a covariance already", "keep one of them")
+            joints[number] = replace(joints[number], covariance=covariance)
+        return replace(mode, joints=tuple(joints)) if own else mode
+
     @classmethod
     def written(cls, value: HybridAutomaton, scope: Scope) -> Mapping[str, Any]:
-        return {**vars(value), "format": MODEL_FORMAT, "transitions": value.edges}
+        bare, found = [], dict[str, dict[str, ParameterCovariance]]()
+        for mode in value.modes:
+            bare.append(replace(mode, joints=tuple(replace(joint, covariance=None) for joint in mode.joints)))
+            named = zip(scope["linked part"], mode.joints, strict=False)
+            own = {part: joint.covariance for part, joint in named if joint.covariance is not None}
+            found |= {mode.name: own} if own else {}
+        return {
+            **vars(value), "format": MODEL_FORMAT, "transitions": value.edges, "modes": bare, "covariances": found,
+        }  # fmt: skip
 
 
 def load_model(path: str | Path) -> HybridAutomaton:
@@ -252,7 +281,7 @@ def _remarks(automaton: HybridAutomaton) -> dict[KeyPath, str]:
         for link, joint in zip(automaton.links, mode.joints, strict=True):
             remark = joint_remark(joint)
             if remark is not None:
-                remarks["modes", mode.name, "joints", link.child, "covariance", "names"] = remark
+                remarks["covariances", mode.name, link.child, "names"] = remark
     return remarks
 
 

@@ -217,8 +217,8 @@ class TestArguments:
             segment(SLIDE, (40, 49), 0.2, 0.4, process_std=0.003, observation_std=0.02),
         )
         noise = build_automaton(KinematicGraph((edge_of(*segments),))).noise
-        assert noise.process_std == pytest.approx([np.sqrt((30 * 1e-6 + 10 * 9e-6) / 40)])
-        assert noise.observation_std == pytest.approx([np.sqrt((30 * 1e-4 + 10 * 4e-4) / 40)])
+        assert noise.process_std == pytest.approx([np.sqrt((30 * 1e-6 + 10 * 9e-6) / 40)], rel=1e-5)
+        assert noise.observation_std == pytest.approx([np.sqrt((30 * 1e-4 + 10 * 4e-4) / 40)], rel=1e-5)
 
     def test_given_noise_limits_parts_and_provenance_are_used(self) -> None:
         graph = KinematicGraph((chain("drawer", [0, END], ["prismatic"]),))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from hypothesis import strategies as st
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Noise, Reset
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.documents.model import dump_model, load_model, model_text
+from micah_plan.documents.located import Located
+from micah_plan.documents.model import automaton_of, dump_model, load_model, model_data, model_text
 from micah_plan.errors import InputError
 
 
@@ -87,13 +89,13 @@ def test_a_person_can_edit_it(door: HybridAutomaton) -> None:
         (
             "kind: revolute",
             "kind: revolut",
-            "line 37, column 9, key 'modes.revolute.joints.door.kind': expected 'rigid', ",
+            "line 17, column 9, key 'modes.revolute.joints.door.kind': expected 'rigid', ",
         ),
         ("kind: revolute", "kind: revolut", "did you mean 'revolute'?"),
         (
             "axis:",
             "axsi:",
-            "line 39, column 9, key 'modes.revolute.joints.door.axsi': unknown key 'axsi'; did you mean 'axis'? ",
+            "line 19, column 9, key 'modes.revolute.joints.door.axsi': unknown key 'axsi'; did you mean 'axis'? ",
         ),
         ("axis: [0.0, 0.0, 1.0]", "axis: [0.0, 0.0, 2.0]", "expected unit length, found length 2; normalise it"),
         ("held: 1.2", "pitch: 1.2", "a rigid joint has no pitch; remove it"),
@@ -146,7 +148,7 @@ def test_line_numbers_are_those_of_the_file(door: HybridAutomaton) -> None:
 def test_several_mistakes_are_counted_and_the_first_is_told(door: HybridAutomaton) -> None:
     text = model_text(door).replace("std: 0.005", "std: -1").replace("kind: box", "kind: bx")
     line = message(text)
-    assert "parts.door.shapes.0.kind" in line
+    assert "modes.rigid.pins.door.std" in line
     assert "(and 1 more error)" in line
 
 
@@ -244,3 +246,17 @@ def test_a_model_that_cannot_be_used_is_refused_with_its_line(
     if expected.startswith(("key 'modes.rigid.", "key 'transitions.0.guard")):
         number = int(line.removeprefix(f"{file}, line ").split(",")[0])
         assert new in file.read_text().splitlines()[number - 1]
+
+
+def test_covariances_come_last_and_may_be_at_the_joints_as_in_older_files(door: HybridAutomaton) -> None:
+    text = model_text(door)
+    keys = [line.split(":")[0] for line in text.splitlines() if line and line[0].isalpha()]
+    assert keys[:6] == ["format", "coordinates", "inputs", "links", "modes", "transitions"]
+    assert keys[-1] == "covariances"
+    data = model_data(door)
+    older = json.loads(json.dumps(data))
+    own = older.pop("covariances")["revolute"]["door"]
+    older["modes"]["revolute"]["joints"]["door"]["covariance"] = own
+    assert automaton_of(Located(older, "older")) == automaton_of(Located(data, "newer")) == door
+    twice = data | {"modes": older["modes"]}
+    assert "its joint has a covariance already; keep one of them" in told(automaton_of, Located(twice, "twice"))

@@ -33,7 +33,7 @@ MODELS = {
     "indefinite joint": (
         "- [3.0876053",
         "- [-3.0876053",
-        "covariance.matrix': expected a symmetric positive semi-de",
+        "covariances.rigid.door.matrix': expected a symmetric positive semi-de",
     ),
     "unit of a joint": (
         "door: rad\ninputs",
