@@ -99,11 +99,11 @@ def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list
     missing = np.zeros(max(amounts) + 1)
     np.maximum.at(missing, amounts, np.maximum(lower - rows, rows - upper)[loose])
     e, g, free = ca.MX.sym("e", len(missing)), programme.rows, np.full(len(loose), np.inf)
-    missed = ca.vec(e[amounts])  # a scalar's entries come as a row
+    missed, kept, soft = (ca.vec(part) for part in (e[amounts], g[fixed], g[loose]))  # a scalar's entries come as a row
     return Programme(
         w=ca.vertcat(programme.w, e),
         cost=ca.sum1(e) + _ELASTIC_COST * programme.cost,
-        rows=ca.vertcat(g[fixed], g[loose] + missed, g[loose] - missed),
+        rows=ca.vertcat(kept, soft + missed, soft - missed),
         start=np.concatenate([programme.start, missing]),
         bounds=(
             np.concatenate([programme.bounds[0], np.zeros(len(missing))]),
