@@ -7,6 +7,7 @@ the help texts are what the commands print. Nothing of it is stored, so it canno
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import sys
@@ -98,11 +99,55 @@ def pages() -> dict[str, str]:
 
 def on_files(files: Any, config: Any) -> Any:
     """MkDocs calls this when it has listed the files of the site."""
-    from mkdocs.structure.files import File
+    from mkdocs.structure.files import File, InclusionLevel
 
     for place, text in pages().items():
         files.append(File.generated(config, place, content=text))
+    for place, text in module_pages().items():
+        files.append(File.generated(config, place, content=text, inclusion=InclusionLevel.NOT_IN_NAV))
     return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """MkDocs calls this for every page: in the reference, a package is the list of its modules, each with a page."""
+    if not page.file.src_uri.startswith("reference/"):
+        return markdown
+    return re.sub(r"^::: (micah_plan\S*)$", lambda match: _package(match[1]), markdown, flags=re.MULTILINE)
+
+
+def modules_of(package: str) -> dict[str, str]:
+    """Modules of a package, those of its packages too, each with the first sentence of its docstring; empty: it is
+    none."""
+    folder = ROOT / package.replace(".", "/")
+    files = sorted(folder.rglob("*.py")) if folder.is_dir() else []
+    names = {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in files}
+    docstrings = {
+        name: ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+        for name, file in names.items()
+        if file.name != "__init__.py"
+    }
+    return {name: " ".join(text.split("\n\n")[0].split()) for name, text in docstrings.items()}
+
+
+def module_pages() -> dict[str, str]:
+    """A page for every module of every package, so that none is longer than a file."""
+    packages = [file.parent.name for file in sorted((ROOT / "micah_plan").glob("*/__init__.py"))]
+    return {
+        f"reference/modules/{name}.md": f"# `{name}`\n\n::: {name}\n    options:\n      show_root_heading: false\n"
+        for package in packages
+        for name in modules_of(f"micah_plan.{package}")
+    }
+
+
+def _package(name: str) -> str:
+    found = modules_of(name)
+    if not found:
+        return f"::: {name}"
+    rows = [
+        f"| [`{module.removeprefix(name + '.')}`](modules/{module}.md) | {said} |" for module, said in found.items()
+    ]
+    own = f"::: {name}\n    options:\n      show_submodules: false\n"
+    return "\n".join([own, "", "| module | content |", "| --- | --- |", *rows])
 
 
 def _file_page(kind: str) -> str:
@@ -139,7 +184,10 @@ def _shortened(text: str) -> str:
         if depth >= 0 and indent > depth:
             continue
         depth = -1
-        if line.strip().startswith("covariance:"):
+        if line.strip() == "covariances:":
+            depth = indent
+            line = "covariances: # names and matrix of each joint, left out on this page"
+        elif line.strip().startswith("covariance:"):
             depth = indent
             line = " " * indent + "covariance: # names and matrix, left out on this page"
         kept.append(line)

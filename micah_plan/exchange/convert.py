@@ -30,7 +30,7 @@ TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]
 RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
 TARGETS = {
-    **dict.fromkeys(RECORDINGS, RECORDINGS),
+    **dict.fromkeys((*RECORDINGS, ".db3", ".bag"), RECORDINGS),
     ".json": (".json", ".mcap"),
     **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml")),
     ".urdf": (".yaml", ".yml"),
@@ -46,7 +46,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in TARGETS:
-        remedy = "give a recording (.csv, .npz, .tum, .txt, .mcap), plan (.json), model (.yaml) or .urdf"
+        remedy = "give a recording (.csv, .npz, .tum, .txt, .mcap, .db3, .bag), plan (.json), model (.yaml) or .urdf"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
     return TARGETS[suffix]
 
@@ -82,7 +82,7 @@ def convert(
         remedy = f"choose one that ends in {' or '.join(targets(source))}"
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
     given = Path(source).suffix.lower()
-    if given in RECORDINGS:
+    if TARGETS[given] == RECORDINGS:
         recording, notes = _chosen(read_recording(source, topics=topics), part, run, poses_only)
         write_recording(recording, target)
         return "recording", notes

@@ -1,4 +1,4 @@
-"""Recordings as MCAP files with ROS 2 messages.
+"""Recordings as MCAP files with ROS 2 messages; bags of ROS 1 and rosbag2 are read, not written.
 
 Written are, for every part, ``geometry_msgs/PoseStamped`` on ``/PART/pose`` in the frame ``base``, and, where there are
 any, actions and forces as ``Vector3Stamped`` on ``/PART/action`` and ``/PART/force``. Columns ``joint NAME`` become
@@ -22,6 +22,7 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked, row_and_column
 from micah_plan.recording.value import DEFAULT_PART, Recording
+from micah_plan.ros.bags import read_bag
 from micah_plan.ros.log import NANOSECONDS, Logged, MessageType, header_at, read_log, stamp_ns, write_log
 
 _POSE: MessageType = "geometry_msgs/msg/PoseStamped"
@@ -41,6 +42,17 @@ def read_mcap(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str
     """
     with located_in(path):
         return checked(_recording(read_log(read_bytes(path)), topics), minimum_rows=minimum_rows)
+
+
+def read_ros_bag(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
+    """`read_recording` of a bag of ROS 1 (.bag) or rosbag2 (.db3), with the same messages as in MCAP files.
+
+    Raises:
+        InputError: as `read_mcap` does.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    with located_in(path):
+        return checked(_recording(read_bag(path), topics), minimum_rows=minimum_rows)
 
 
 def write_mcap(recording: Recording, path: str | Path) -> None:

@@ -8,18 +8,19 @@ from pathlib import Path
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.csv_file import csv_bytes, read_csv
-from micah_plan.recording.mcap_file import mcap_bytes, read_mcap
+from micah_plan.recording.mcap_file import mcap_bytes, read_mcap, read_ros_bag
 from micah_plan.recording.npz_file import npz_bytes, read_npz
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 
 _READERS = {".csv": read_csv, ".npz": read_npz, ".tum": read_tum}
 _CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
-_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays) or .mcap (ROS 2 messages)"
+BAGS = (".mcap", ".db3", ".bag")
+_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays), .mcap, .db3 or .bag (ROS messages)"
 
 
 def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
-    """Read a recording from a .csv, .tum, .txt, .npz or .mcap file.
+    """Read a recording from a .csv, .tum, .txt, .npz, .mcap, .db3 or .bag file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
     TUM trajectory. Quaternions whose norm is within 1 % of one are normalised.
@@ -27,17 +28,18 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
     Args:
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
-        topics: of an .mcap file, which to read; empty: all.
+        topics: of a file of ROS messages, which to read; empty: all.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
-        MissingDependencyError: for .mcap files without the extra ``ros``.
+        MissingDependencyError: for ROS messages without the extra ``ros``.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".mcap":
-        return read_mcap(path, minimum_rows=minimum_rows, topics=topics)
+    if suffix in BAGS:
+        reader = read_mcap if suffix == ".mcap" else read_ros_bag
+        return reader(path, minimum_rows=minimum_rows, topics=topics)
     if topics:
-        raise InputError("only .mcap files have topics", source=path, remedy="leave out the topics")
+        raise InputError("only .mcap, .bag and .db3 files have topics", source=path, remedy="leave out the topics")
     if suffix == ".txt":
         suffix = ".csv" if _has_commas(path) else ".tum"
     if suffix not in _READERS:

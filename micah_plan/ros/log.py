@@ -10,7 +10,7 @@ concatenated as MCAP's ``ros2msg`` encoding asks for.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -150,27 +150,38 @@ def _require() -> None:
         raise MissingDependencyError("MCAP files need an extra: pip install 'micah-plan[ros]'") from None
 
 
-def _messages(content: bytes) -> Iterator[Logged]:
-    from mcap.records import Channel, Message, Schema
+def decoders() -> dict[str, Callable[[bytes], Any]]:
+    """What reads the bytes (CDR) of each known message.
+
+    Raises:
+        MissingDependencyError: without the extra ``ros``.
+    """
+    _require()
+    from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
-    factory = DecoderFactory()
+    factory, found = DecoderFactory(), {}
+    for number, kind in enumerate(MESSAGE_TYPES, start=1):
+        found[str(kind)] = factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
+    return found
+
+
+def _messages(content: bytes) -> Iterator[Logged]:
+    from mcap.records import Channel, Message, Schema
+
     kinds: dict[int, MessageType] = {}
     channels: dict[int, tuple[str, MessageType]] = {}
-    decoders = {
-        kind: factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
-        for number, kind in enumerate(MESSAGE_TYPES, start=1)
-    }
+    known = decoders()
     for record in _records(content):
         if isinstance(record, Schema):
-            if record.name in decoders:
+            if record.name in known:
                 kinds[record.id] = record.name
         elif isinstance(record, Channel):
             if record.schema_id in kinds and record.message_encoding == "cdr":
                 channels[record.id] = record.topic, kinds[record.schema_id]
         elif isinstance(record, Message) and record.channel_id in channels:
             topic, kind = channels[record.channel_id]
-            yield Logged(topic, kind, record.log_time, decoders[kind](record.data))
+            yield Logged(topic, kind, record.log_time, known[kind](record.data))
 
 
 def _records(content: bytes) -> Iterator[Any]:
@@ -189,6 +200,13 @@ def _records(content: bytes) -> Iterator[Any]:
         yield from breakup_chunk(plain)
 
 
+def unpacked_lz4(data: bytes, most: int) -> bytes:
+    """The content of an LZ4 frame, of which at most so many bytes."""
+    import lz4.frame
+
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most))
+
+
 def _unpacked(chunk: Any, room: int) -> bytes:
     """The content of a chunk, of at most `room` bytes."""
     if chunk.compression == "zstd":
@@ -197,9 +215,7 @@ def _unpacked(chunk: Any, room: int) -> bytes:
         with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
             data = reader.read(room + 1)
     elif chunk.compression == "lz4":
-        import lz4.frame
-
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=room + 1)
+        data = unpacked_lz4(chunk.data, room + 1)
     elif chunk.compression == "":
         data = chunk.data
     else:

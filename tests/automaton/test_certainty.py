@@ -71,7 +71,11 @@ class TestThresholds:
         second = replace(second, certainty=SegmentCertainty(posterior, (("prismatic", 1.0),)))
         stds = guard_stds(KinematicGraph((replace(edge, segments=(first, second)),)))
         expected = np.hypot(SPLIT / 19 * np.sqrt(0.5), OBSERVATION_STD)
-        assert stds["prismatic_1 -> prismatic_2"] == stds["prismatic_2 -> prismatic_1"] == pytest.approx(expected, rel=1e-5)
+        assert (
+            stds["prismatic_1 -> prismatic_2"]
+            == stds["prismatic_2 -> prismatic_1"]
+            == pytest.approx(expected, rel=1e-5)
+        )
 
     def test_switches_average_but_the_tracker_stays(self) -> None:
         slide, stop = prismatic([1, 0, 0], [0, 0, 0]), rigid([0.4, 0, 0], fixed_at=0.4)

@@ -139,7 +139,7 @@ def test_transforms_are_chosen_by_their_child_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.position[:, 0], [0.1, 0.2, 0.3])
     with pytest.raises(InputError, match=r"expected poses .* found none"):
         read_recording(path, topics=["no"])
-    with pytest.raises(InputError, match=r"only \.mcap files have topics"):
+    with pytest.raises(InputError, match=r"only \.mcap, \.bag and \.db3 files have topics"):
         read_recording(ROOT / "examples" / "demonstrations" / "box.csv", topics=["no"])
 
 
