@@ -59,6 +59,7 @@ LIBRARIES = (
     Library("mcap", "mcap.reader", "read and write MCAP", "ros"),
     Library("mcap-ros2-support", "mcap_ros2.decoder", "read and write MCAP", "ros"),
     Library("rosbags", "rosbags.rosbag1", "read bags of ROS 1", "ros"),
+    Library("rerun-sdk", "rerun", "write .rrd for Rerun", "rerun"),
     Library("distributed", "distributed", "sweep on a Dask cluster", "cluster"),
     Library("pyarrow", "pyarrow.parquet", "write tables as Parquet", "parquet"),
     Library("example-robot-data", "", "arms with meshes", "robots"),

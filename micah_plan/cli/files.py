@@ -42,7 +42,7 @@ def convert(
     ] = 500.0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Convert recordings (CSV, NPZ, TUM, MCAP), plans (to JointTrajectory) and models (to and from URDF; to MJCF)."""
+    """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF; to MJCF and SDF)."""
     from micah_plan.exchange.convert import convert as converted
     from micah_plan.exchange.convert import targets
 

@@ -18,6 +18,8 @@ from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, left_out
 from micah_plan.exchange.mjcf_write import mjcf_text
+from micah_plan.exchange.rerun_write import write_rrd
+from micah_plan.exchange.sdf_write import sdf_text
 from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
@@ -30,12 +32,13 @@ TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]
 RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
 TARGETS = {
-    **dict.fromkeys((*RECORDINGS, ".db3", ".bag"), RECORDINGS),
+    **dict.fromkeys((*RECORDINGS, ".db3", ".bag"), (*RECORDINGS, ".rrd")),
     ".json": (".json", ".mcap"),
-    **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml")),
+    **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml", ".sdf")),
     ".urdf": (".yaml", ".yml"),
 }
 """What a file may be converted to, by its ending."""
+_BODIES = {".urdf": urdf_text, ".sdf": sdf_text}
 
 
 def targets(path: str | Path) -> tuple[str, ...]:
@@ -75,15 +78,18 @@ def convert(
 
     Raises:
         InputError: if the one cannot be read, or the other cannot hold it.
-        MissingDependencyError: for .mcap files without the extra ``ros``.
+        MissingDependencyError: for ROS messages without the extra ``ros``, for .rrd without ``rerun``.
     """
     wanted = Path(target).suffix.lower()
     if wanted not in targets(source):
         remedy = f"choose one that ends in {' or '.join(targets(source))}"
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
     given = Path(source).suffix.lower()
-    if TARGETS[given] == RECORDINGS:
+    if ".rrd" in TARGETS[given]:
         recording, notes = _chosen(read_recording(source, topics=topics), part, run, poses_only)
+        if wanted == ".rrd":
+            lost = write_rrd(recording, target)
+            return "recording", notes + ((f"left out: {', '.join(lost)}, no numbers",) if lost else ())
         write_recording(recording, target)
         return "recording", notes
     if given == ".json":
@@ -98,10 +104,10 @@ def convert(
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):
-        automaton, is_urdf = load_model(source), wanted == ".urdf"
-        text = (urdf_text if is_urdf else mjcf_text)(automaton, Path(source).stem, density)
+        automaton = load_model(source)
+        text = _BODIES.get(wanted, mjcf_text)(automaton, Path(source).stem, density)
     replace_file(target, text.encode())
-    return "model", left_out(automaton, density, handles=not is_urdf)
+    return "model", left_out(automaton, density, handles=wanted not in _BODIES)
 
 
 def _chosen(

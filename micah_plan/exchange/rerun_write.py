@@ -1,0 +1,63 @@
+"""Recordings as `.rrd` files of the viewer Rerun (extra `rerun`). The only importer of `rerun`.
+
+Every part of every run is an entity ``run_R/PART`` with its pose over the time line ``time`` [s]; actions, forces and
+columns of numbers are scalars below it. Rerun stamps files with the time of writing, so bytes differ from run to run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.recording.value import Recording
+
+
+def write_rrd(recording: Recording, path: str | Path) -> tuple[str, ...]:
+    """Write a recording; returns the columns that it cannot hold, being no numbers.
+
+    Raises:
+        InputError: if the file cannot be written.
+        MissingDependencyError: without the extra ``rerun``.
+    """
+    try:
+        import rerun as rr
+    except ImportError:
+        raise MissingDependencyError(".rrd files need an extra: pip install 'micah-plan[rerun]'") from None
+    folder = Path(path).absolute().parent
+    if not folder.is_dir():
+        raise InputError("the folder does not exist", source=path, remedy="create it")
+    stream = rr.RecordingStream("micah_plan", recording_id=recording.digest()[:32])
+    stream.save(str(path))
+    lost: dict[str, None] = {}
+    for run in recording.runs:
+        for part in recording.parts:
+            of_part = (recording.run == run) & (np.array(recording.part) == part)
+            if not of_part.any():
+                continue
+            rows = recording.rows(of_part)
+            times, place = [rr.TimeColumn("time", duration=rows.time)], f"run_{run}/{part}"
+            turned = {} if rows.quaternion is None else {"quaternion": rows.quaternion}
+            moved = rr.Transform3D.columns(translation=rows.position, **turned)
+            stream.send_columns(place, indexes=times, columns=moved)
+            for name, values in _scalars(rows, lost).items():
+                stream.send_columns(f"{place}/{name}", indexes=times, columns=rr.Scalars.columns(scalars=values))
+    stream.flush()
+    stream.disconnect()
+    return tuple(lost)
+
+
+def _scalars(rows: Recording, lost: dict[str, None]) -> dict[str, Floats]:
+    """Columns of numbers by name; empty entries are NaN. What is none is added to `lost`."""
+    found: dict[str, Floats] = {}
+    for name, array in (("action", rows.action), ("force", rows.force)):
+        if array is not None:
+            found |= {f"{name}/{axis}": array[:, i] for i, axis in enumerate("xyz")}
+    for name, column in rows.extra.items():
+        try:
+            found[name.replace(" ", "_")] = np.array([float(text) if text.strip() else np.nan for text in column])
+        except ValueError:
+            lost[name] = None
+    return found

@@ -1,0 +1,40 @@
+"""A recording as .rrd: the library's own reader finds its poses, actions and times."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from micah_plan.exchange.convert import convert
+from micah_plan.recording.read import read_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+MICROWAVE = ROOT / "examples" / "demonstrations" / "microwave.csv"
+
+
+def test_rerun_finds_poses_and_actions(tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun", reason="needs the extra 'rerun'")
+    assert rerun.RecordingStream
+    kind, notes = convert(MICROWAVE, tmp_path / "door.rrd")
+    assert (kind, notes) == ("recording", ())
+    # `rerun rrd` is what comes with the viewer.
+    command = [sys.executable, "-m", "rerun", "rrd", "print", "-vv", str(tmp_path / "door.rrd")]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    rows = len(read_recording(MICROWAVE))
+    chunks = {
+        words[-2]: int(words[2])
+        for words in map(str.split, printed.splitlines())
+        if words[0:1] and "Chunk(" in words[0]
+    }
+    assert {chunks[f"/run_0/door{name}"] for name in ("", "/action/x", "/action/z", "/force/y")} == {rows}
+
+
+def test_text_is_said_to_be_left_out(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs the extra 'rerun'")
+    text = MICROWAVE.read_text().splitlines()
+    lines = [f"{text[0]},mood", *(f"{line},good" for line in text[1:])]
+    (tmp_path / "with.csv").write_text("\n".join(lines) + "\n")
+    assert convert(tmp_path / "with.csv", tmp_path / "with.rrd")[1] == ("left out: mood, no numbers",)
