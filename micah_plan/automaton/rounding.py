@@ -1,8 +1,9 @@
 """Numbers of an automaton with as many digits as they are worth, rounded once, when it is made of what was learned.
 
 Six significant digits are a thousandth of the standard deviation that the best tracker leaves of a joint. Rounding
-keeps the order of numbers and what is equal, so guards still end where ranges and pins do. Unit vectors are units to
-1e-6. What files say is then what the model is: `load_model` returns the very same values.
+keeps the order of numbers and what is equal, so guards still end where ranges and pins do. Unit vectors have ten
+decimals, as a length other than 1 would scale all motion. What files say is then what the model is: `load_model`
+returns the very same values.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 
 DIGITS = 6
+UNIT_DECIMALS = 10
 
 
 def rounded(automaton: HybridAutomaton) -> HybridAutomaton:
@@ -35,4 +37,7 @@ def _rounded(value: Any) -> Any:
     else:
         return value
     own = {field.name: _rounded(getattr(value, field.name)) for field in fields(value) if field.name not in kept}
+    if isinstance(value, Joint):
+        units = {key: tuple(round(v, UNIT_DECIMALS) for v in getattr(value, key)) for key in ("axis", "quaternion")}
+        own |= {key: unit for key, unit in units.items() if key not in kept}
     return replace(value, **own)

@@ -21,7 +21,7 @@ def test_rounding_twice_changes_nothing_and_keeps_boundaries_in_order(repository
                 low, high = mode.invariant.interval(pin.coordinate)
                 assert low <= pin.value <= high
             for joint in mode.joints:
-                assert np.linalg.norm(joint.quaternion) == pytest.approx(1.0, abs=2e-6)
+                assert np.linalg.norm(joint.quaternion) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_nothing_moves_by_more_than_its_last_digit(repository) -> None:
