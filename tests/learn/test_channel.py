@@ -155,6 +155,13 @@ def test_rows_that_do_not_count_do_no_harm(script):
     assert kept.delay == pytest.approx(estimated(truth).delay, abs=0.05)
 
 
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_without_a_row_that_counts_there_is_no_channel(script, kind):
+    truth = script.planted(script.Case(kind), np.random.default_rng(6))
+    none = np.zeros(len(truth.track), dtype=bool)
+    assert estimate_channel(truth.joint, [(0, 20)], truth.track, truth.white_std, none) is None
+
+
 def test_predictors_are_the_inverse_jacobian_of_turned_actions(script):
     steps, command = steps_and_command(script, script.Case("revolute"))
     rotation, gain, delay = Rotation.from_rotvec([0.3, -0.8, 0.5]), 0.7, 0.013

@@ -54,6 +54,8 @@ def with_anchored_actions(
         return track
     found = configurations(joint, pieces, track, inlier)
     rows, error = np.concatenate([r for r, _, _ in found]), np.concatenate([c - calm for _, c, calm in found])
+    if not len(rows):
+        return track
     world = None if track.quaternion is None else Rotation.from_quat(track.quaternion[rows])
     action = track.action[rows] if world is None else world.apply(track.action[rows])
     axis, (first, second) = np.array(joint.axis), axis_basis(joint.axis)
