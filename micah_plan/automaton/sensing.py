@@ -56,3 +56,9 @@ class Sensing:
         index = [i for i, _ in self.at]
         away = np.linalg.norm(x[..., index] - np.array([value for _, value in self.at]), axis=-1)
         return np.asarray(np.hypot(base, away[..., None] * np.array(self.growth)))
+
+    def std_over(self, mean: Floats, covariance: Floats) -> Floats:
+        """(n,) root of the mean variance of a measurement, at a place that is known by its mean and covariance."""
+        index = [i for i, _ in self.at]
+        spread = float(np.trace(np.asarray(covariance)[np.ix_(index, index)]))
+        return np.asarray(np.hypot(self.std_at(mean), np.sqrt(spread) * np.array(self.growth)))

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.search import Scored, Search, gated
-from micah_plan.residual.simulation import Kind, Term
+from micah_plan.residual.search import Errors, Scored, Search, gated
+from micah_plan.residual.simulation import Term
 
 Progress = Callable[[str, float], None]
-_Errors = Kind | Literal["whole"]  # of steps, of roll-outs of stretches, and of whole runs
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
 LEAST_EVIDENCE = 8.0
@@ -103,9 +101,8 @@ def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Sc
     while (first := _plainest(left, search.nominal)) is not None and is_worth(first, search.nominal, search.lane):
         if improves(search, first, search.nominal):
             return first, blocked
-        if blocked is None and _errors(search, first, "one_step") < _SHORTER * _errors(
-            search, search.nominal, "one_step"
-        ):
+        steps, before = (search.squares(one, "one_step") for one in (first, search.nominal))
+        if blocked is None and steps < _SHORTER * before:
             blocked = first
         left = [one for one in left if one is not first]
     return None, blocked
@@ -214,11 +211,6 @@ def improves(search: Search, better: Scored, base: Scored) -> bool:
 
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
     """Whether held-out one-step errors get smaller and roll-out errors, of stretches and of whole runs, no larger."""
-    kinds: tuple[_Errors, ...] = ("one_step", "rollout", "whole")
-    steps, *rolls = ([_errors(search, one, kind) for one in (better, base)] for kind in kinds)
+    kinds: tuple[Errors, ...] = ("one_step", "rollout", "whole")
+    steps, *rolls = ([search.squares(one, kind) for one in (better, base)] for kind in kinds)
     return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
-
-
-def _errors(search: Search, scored: Scored, kind: _Errors) -> float:
-    errors = search.rollout_errors(scored) if kind == "whole" else search.errors(scored, kind)
-    return float(np.sum(errors**2))

@@ -18,7 +18,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
-from micah_plan.residual.row_ends import row_ends, run_modes
+from micah_plan.residual.row_ends import RowsSeen, row_ends, rows_as_seen
 from micah_plan.residual.seen import sections
 
 # Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
@@ -61,6 +61,7 @@ class Lane:
         rows: of the recording, before stretches were chosen.
         modes: names of the automaton's modes.
         motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
+        noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count.
         is_outside: whether commands lead from what was believed, and something else measured the part.
         effects: on the motion, that the model has already.
         whole: the same rows in uncut runs, for roll-outs of their full length.
@@ -88,6 +89,7 @@ class Lane:
     period: float
     rows: int
     modes: tuple[str, ...]
+    noise: Floats
     row_ends: Floats | None = None
     motion_noise: float = 0.0
     is_outside: bool = False
@@ -100,6 +102,12 @@ class Lane:
         """(S, T) variance of the process noise of the step that starts at each row, relative to its mean."""
         return (1.0 - self.motion_noise) + self.motion_noise * (self.u / self.command_size) ** 2
 
+    def with_noise(self, motion: float, *, is_alike: bool = False) -> Lane:
+        """The lane, and its whole runs, with a share of noise that commands make, and all rows measured alike."""
+        whole = None if self.whole is None else self.whole.with_noise(motion, is_alike=is_alike)
+        noise = np.ones_like(self.noise) if is_alike else self.noise
+        return replace(self, motion_noise=motion, noise=noise, whole=whole)
+
     @property
     def clings(self) -> tuple[bool, bool]:
         """Whether the part may cling to its lower and upper end: where modes hold it or, if none does, at any end."""
@@ -107,11 +115,12 @@ class Lane:
 
     @cached_property
     def blur(self) -> float:
-        """Std of a measurement, if the part did as it was told in most steps [rad or m]."""
+        """Std of a measurement whose `noise` is 1, if the part did as it was told in most steps [rad or m]."""
         starts = self.counted_starts
-        error = (np.roll(self.z, -1, axis=1) - self.z - self.u)[starts]
         # An error from one measured row to the next has the noise of two.
-        return float(_NORMAL_MAD * np.median(np.abs(error - np.median(error))) / np.sqrt(2.0))
+        both = np.sqrt(self.noise + np.roll(self.noise, -1, axis=1))
+        error = ((np.roll(self.z, -1, axis=1) - self.z - self.u) / both)[starts]
+        return float(_NORMAL_MAD * np.median(np.abs(error - np.median(error))))
 
     def visits_end(self) -> bool:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
@@ -154,13 +163,13 @@ def lanes(
     """
     stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
     kept, found = _thinned(stretches), []
-    modes = [run_modes(automaton, track) for track in tracks]
+    seen = [rows_as_seen(automaton, track) for track in tracks]
     of_rows = [np.full(len(track.time), -1) for track in tracks]
     for s, piece in enumerate(kept):
         of_rows[piece.track][piece.start + 1 : piece.end] = s
     for number, link in measuring_links(automaton):
         if any(mode.driven[link.coordinate] for mode in automaton.modes):
-            lane, whole = (_lane(automaton, tracks, modes, (number, link.coordinate), own) for own in (kept, runs))
+            lane, whole = (_lane(automaton, tracks, seen, (number, link.coordinate), own) for own in (kept, runs))
             stretch = np.full(whole.z.shape, -1)
             for s, piece in enumerate(runs):
                 stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
@@ -196,7 +205,7 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
 def _lane(
     automaton: HybridAutomaton,
     tracks: tuple[Track, ...],
-    modes: list[Ints],
+    seen: list[RowsSeen],
     measuring: tuple[int, int],
     kept: list[_Piece],
 ) -> Lane:
@@ -204,6 +213,7 @@ def _lane(
     total = sum(len(track.time) for track in tracks)
     shape = (len(kept), max(piece.end - piece.first for piece in kept))
     z, u, place, time, order = (np.zeros(shape) for _ in range(5))
+    noise = np.ones(shape)
     ends = np.zeros((2, *shape)) if automaton.n > 1 else None
     mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
@@ -213,14 +223,16 @@ def _lane(
         track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
-        mode[s, :count] = modes[piece.track][rows]
+        mode[s, :count] = seen[piece.track].modes[rows]
+        noise[s, :count] = seen[piece.track].stds[rows, i] ** 2
         if track.u is not None:
             u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
         place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
         place[s] += u[s] if track.action is None else _aimed(automaton, i, path, z[s], track.action[rows, link])
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
-        counted[s, start - first + 1 : count] = True
+        # Where a sensor sees nothing there is nothing to compare with.
+        counted[s, start - first + 1 : count] = np.isfinite(noise[s, start - first + 1 : count])
         if ends is not None:
             own = row_ends(automaton, track.x[rows], mode[s, :count], i)
             ends[0, s, :count], ends[1, s, :count] = own.low, own.high
@@ -245,10 +257,18 @@ def _lane(
         period=float(np.median(np.concatenate([np.diff(track.time) for track in tracks]))),
         rows=total,
         modes=automaton.mode_names,
+        noise=_relative(noise, counted),
         row_ends=ends,
         is_outside=all(track.is_outside for track in tracks),
         effects=_on_motion(automaton, automaton.coordinates[i].name),
     )
+
+
+def _relative(variance: Floats, counted: Booleans) -> Floats:
+    """(S, T) variances over their mean; 1 where nothing is measured."""
+    known = np.isfinite(variance)
+    mean = float(np.mean(variance[counted])) if counted.any() else 0.0
+    return np.where(known, variance, mean) / mean if mean > 0 else np.ones_like(variance)
 
 
 def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:

@@ -25,6 +25,7 @@ _PLACES = 8
 _ROWS_PER_FUNCTION = 4
 FEWEST_ROWS = 12
 _FIRST = ("a constant", "the command", "earlier commands")  # of what few rows are asked for
+_ERRORS = "earlier errors"
 # Probabilities: below the first a residual is not noise, above the second it is (an effect with one parameter and the
 # evidence that it needs has 4e-4 among seven groups).
 UNLIKELY, _SUSPECT = 1e-4, 3e-3
@@ -80,6 +81,7 @@ class Circumstances:
         order: (N,) place in the recording, 0 to 1.
         errors: (N, k) of the steps before; None where they cannot be independent.
         away: (N, k) of each end that a part is at, the command that leads away from it; 0 elsewhere.
+        spread: (N,) by which residuals were divided to make them equally precise; None: by nothing.
     """
 
     place: Floats
@@ -88,6 +90,7 @@ class Circumstances:
     order: Floats
     errors: Floats | None = None
     away: Floats | None = None
+    spread: Floats | None = None
 
 
 def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
@@ -134,7 +137,7 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
         "the command": v / speed,
         "the size or direction of the command": np.hstack([np.abs(v), v * np.abs(v) / speed]) / speed,
         "earlier commands": under.command[:, 1:] / speed,
-        **({} if under.errors is None else {"earlier errors": _unit(under.errors)}),
+        **({} if under.errors is None else {_ERRORS: _unit(under.errors)}),
         **({} if under.away is None else {"the ends": under.away / speed}),
         "time": np.hstack([clocks, clocks * v / speed]),
         "the configuration": np.hstack([bumps[:, 1:], bumps[:, 1:] * v / speed]),
@@ -146,7 +149,9 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
         if name not in kept and name in groups and groups[name].shape[1] <= room:
             kept.add(name)
             room -= groups[name].shape[1]
-    return {name: groups[name] for name in groups if name in kept}
+    # What acts on the part was divided as the residuals were; earlier errors were already.
+    per = np.ones((rows, 1)) if under.spread is None else under.spread[:, None]
+    return {name: own if name == _ERRORS else own / per for name, own in groups.items() if name in kept}
 
 
 def _unit(values: Floats) -> Floats:

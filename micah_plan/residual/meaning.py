@@ -55,7 +55,7 @@ _PAYS = 0.95
 def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
     """Whether commands that are places predict better than the best model of displacements."""
     if search.lane.is_outside:
-        rolled, other = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (place, displaced))
+        rolled, other = (search.squares(one, "whole") for one in (place, displaced))
         return rolled < other
     if not is_worth(place, search.nominal, search.lane):
         return False
@@ -101,7 +101,7 @@ def followed(search: Search) -> Scored:
     while left:
         grown = {column: search.score((_freed(best.parts[0], column, lane),)) for column in sorted(left)}
         found = ranked(list(grown.values()))[0]
-        rolled, other = (float(np.sum(search.rollout_errors(one) ** 2)) for one in (found, best))
+        rolled, other = (search.squares(one, "whole") for one in (found, best))
         # No one-step errors here: from two measured rows a velocity is mostly noise, whoever is right.
         if not (is_worth(found, best, lane) and rolled < _PAYS * other):
             break

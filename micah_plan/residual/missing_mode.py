@@ -74,32 +74,34 @@ class MissingMode:
 
 
 def missing_modes(
-    lane: Lane, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = ()
+    lane: Lane, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = (), spread: Floats | None = None
 ) -> tuple[MissingMode, ...]:
     """Ranges in which a lane moves otherwise, where changepoints say more than anything gradual.
 
     Args:
         innovations: (S, T) of the model as it is; fold: (S,) that each stretch is held out with.
         rivals: (S, T) held-out innovations of other explanations.
+        spread: (S, T) relative std of each innovation; None: they are equally precise.
     """
     starts = lane.counted_starts
+    per = np.ones(int(starts.sum())) if spread is None else np.roll(spread, -1, axis=1)[starts]
     place = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)[starts]
-    v, e = lane.u[starts], np.roll(innovations, -1, axis=1)[starts]
+    v, e = lane.u[starts], np.roll(innovations, -1, axis=1)[starts] / per
     held = np.repeat(fold[:, None], lane.z.shape[1], axis=1)[starts]
     low, high = float(place.min()), float(place.max())
     if len(e) < _FEWEST_ROWS or high - low < 1e-9:
         return ()
-    smooth = _smooth(place, v, low, high)
+    smooth = _smooth(place, v, low, high) / per[:, None]
     gradual = smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0]
     noise = _scatter(e - gradual)
     # Bad rows are those far from what changes gradually, not those that the model as it is misses by much.
     e = gradual / noise + np.clip((e - gradual) / noise, -_OUTLIER, _OUTLIER)
-    scaled = v / lane.command_size
-    cuts, otherwise = _pieces(place, scaled, e, low, high)
+    line = np.stack([1.0 / per, v / lane.command_size / per], axis=1)
+    cuts, otherwise = _pieces(place, line, e, low, high)
     if not 0 < cuts.size <= _MOST_CUTS or not any(otherwise):
         return ()
-    piecewise = _by_piece(place, scaled, cuts, otherwise)
-    others = [np.roll(rival, -1, axis=1)[starts] / noise for rival in rivals]
+    piecewise = _by_piece(place, line, cuts, otherwise)
+    others = [np.roll(rival, -1, axis=1)[starts] / per / noise for rival in rivals]
     best = max(_log_density(left) for left in (e, _held_out(e, smooth, held), *others))
     left = _held_out(e, piecewise, held)
     evidence = independent_share(_correlation(left)) * (_log_density(left) - best)
@@ -136,11 +138,11 @@ def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
     return np.hstack([bumps, bumps * v[:, None] / max(float(np.std(v)), 1e-12)])
 
 
-def _pieces(place: Floats, v: Floats, e: Floats, low: float, high: float) -> tuple[Floats, list[bool]]:
+def _pieces(place: Floats, line: Floats, e: Floats, low: float, high: float) -> tuple[Floats, list[bool]]:
     """Configurations between pieces, and whether each piece moves otherwise than the model says."""
     order = np.argsort(place, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, _MOST_ROWS).astype(int))]
-    stream = _Lines(v[order], e[order])
+    stream = _Lines(line[order], e[order])
     prior = LengthPrior(0.5 * len(order), 2.0)
     found = most_probable(stream, prior, np.random.default_rng(0), _STARTS).pieces
     c = place[order]
@@ -157,11 +159,11 @@ def _pieces(place: Floats, v: Floats, e: Floats, low: float, high: float) -> tup
     return np.array([end for end, _ in kept[:-1]]), [differs for _, differs in kept]
 
 
-def _by_piece(place: Floats, v: Floats, cuts: Floats, otherwise: list[bool]) -> Floats:
+def _by_piece(place: Floats, line: Floats, cuts: Floats, otherwise: list[bool]) -> Floats:
     """(N, k) a constant and the command, in each piece that moves otherwise."""
     number = np.searchsorted(cuts, place)
     inside = [(number == k).astype(float) for k, differs in enumerate(otherwise) if differs]
-    return np.stack([column for own in inside for column in (own, own * v)], axis=1)
+    return np.hstack([own[:, None] * line for own in inside])
 
 
 def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
@@ -186,8 +188,9 @@ def _log_density(left: Floats) -> float:
 class _Lines:
     """Stream of evidence: each row is noise, or noise about a line in the command whose coefficients are unknown."""
 
-    def __init__(self, v: Floats, e: Floats) -> None:
-        self._rows = np.stack([np.ones_like(v), v, v * v, e, v * e, e * e], axis=1)
+    def __init__(self, line: Floats, e: Floats) -> None:
+        one, v = line.T
+        self._rows = np.stack([one * one, one * v, v * v, one * e, v * e, e * e], axis=1)
         self._at = 0
         self._starts: Ints = np.zeros(0, dtype=np.int64)
         self._sums: Floats = np.zeros((0, 6))

@@ -273,6 +273,7 @@ def _imagined(lane: Lane, start: float, commands: Floats) -> Lane:
         run=np.arange(count),
         action=None,
         row_ends=None,
+        noise=np.ones(shape),
         whole=None,
     )
     vars(made)["blur"] = lane.blur  # that of the recording: what is imagined has no noise

@@ -176,9 +176,13 @@ def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     std = np.array(automaton.noise.observation_std)
     for spread in (std, np.maximum(std, noise_of(track.x))):
         try:
-            return initial_belief(automaton, track.x[0], spread)
+            found = initial_belief(automaton, track.x[0], spread)
         except InputError:
             continue
+        mode = automaton.modes[found.most_likely]
+        seen = automaton.sensing(mode).std_at(track.x[0])
+        own = np.maximum(spread, np.where(np.isfinite(seen), seen, 0.0))
+        return initial_belief(automaton, track.x[0], own, mode.name)
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
         ranges = automaton.ranges(index)

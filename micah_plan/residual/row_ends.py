@@ -66,23 +66,38 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
     return np.asarray(np.argmin(np.stack(misfits), axis=0))
 
 
-def run_modes(automaton: HybridAutomaton, track: Track) -> Ints:
-    """(T,) index of the mode of each row of a run: of a single coordinate by its place, else as a filter believes.
+@dataclass(frozen=True, eq=False)
+class RowsSeen:
+    """How a model sees T rows: (T,) index of the mode of each, and (T, n) stds of its measurement [rad or m]."""
 
-    Where several coordinates move, a place beside a guard may be in either mode, and what came before tells.
+    modes: Ints
+    stds: Floats
+
+
+def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
+    """Modes and noise of the rows of a run: of a single coordinate by its place, else as a filter believes.
+
+    Where several coordinates move, a place beside a guard may be in either mode, and what came before tells. How
+    precise a measurement is depends on where the part is, not on what is read: so on the place that is predicted.
     """
-    if automaton.n == 1:
-        return row_modes(automaton, track.x)
+    sensing = [automaton.sensing(mode) for mode in automaton.modes]
+    is_known = automaton.n == 1 and all(own.is_uniform for own in sensing)
     plain = replace(automaton, effects=())
     try:
-        belief = first_belief(plain, track)
+        belief = None if is_known else first_belief(plain, track)
     except InputError:  # it starts where no mode is
-        return row_modes(automaton, track.x)
-    modes = [belief.most_likely]
+        belief = None
+    if belief is None:
+        modes = row_modes(automaton, track.x)
+        return RowsSeen(modes, np.stack([own.std_at(track.x) for own in sensing])[modes, np.arange(len(modes))])
+    found = [belief.most_likely]
+    stds = [sensing[belief.most_likely].std_over(belief.mean, belief.covariance)]
     for u, x in zip(inputs_of(track), track.x[1:], strict=True):
-        belief = update(plain, predict(plain, belief, u), x)
-        modes.append(belief.most_likely)
-    return np.array(modes)
+        ahead = predict(plain, belief, u)
+        belief = update(plain, ahead, x)
+        found.append(belief.most_likely)
+        stds.append(sensing[belief.most_likely].std_over(ahead.mean, ahead.covariance))
+    return RowsSeen(np.array(found), np.array(stds))
 
 
 def row_ends(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> RowEnds:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,11 +13,13 @@ from scipy.stats import chi2
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import NEVER_GATED, UNNAMED, Candidate, smooth
-from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise
+from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise, process_share
 from micah_plan.residual.interval import independent_share, intervals
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import LAGS, Circumstances, Leftover, lagged, leftover
-from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns
+from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
+
+Errors = Kind | Literal["whole"]  # of steps, of roll-outs of stretches, and of whole runs
 
 FOLDS = 5
 _ROUNDS = 12
@@ -43,7 +47,7 @@ class Scored:
         parts: its candidates; the starts of each are what was fitted to all stretches, (1, size).
         fit: to all stretches; folds: (K fits) to all but one fold's.
         density: (S,) log predictive density of each stretch, held out [nats].
-        squared: sum of squared innovations, held out.
+        squared: sum of squared innovations, held out, each by its precision under the model as it is.
         is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
 
@@ -86,7 +90,17 @@ class Search:
         number = np.array([runs[run] for run in lane.run.tolist()]) if by_run else np.arange(count)
         self.fold: Ints = number % self.folds
         self.lane, self.freedom = self._suited_noise()
+        self._spread, self._spread_whole = self._precision()
         self.nominal = self.score(())
+
+    def _precision(self) -> tuple[Floats, Floats]:
+        """Relative stds of innovations under the model as it is: (S, T) of the lane, and (N,) of its whole runs."""
+        problem = self.problem(())
+        fit = optimise(problem, self._starts(()), np.full(1, _START_SHARES[0]), self._all(1), _ROUNDS)
+        whole = self.lane.whole
+        if whole is None or whole.stretch is None:
+            return (own := _spread(problem, fit)), own[self.lane.counted]
+        return _spread(problem, fit), _spread(replace(problem, lane=whole), fit)[whole.counted]
 
     def leads_to_places(self, scored: Scored) -> bool:
         """Whether commands are places to the model."""
@@ -137,6 +151,16 @@ class Search:
     def innovations(self, scored: Scored) -> Floats:
         """(S, T) innovations, held out as in `errors`."""
         return self.errors(scored, "filter")
+
+    def spread(self, scored: Scored) -> Floats:
+        """(S, T) std of an innovation over that of all rows that count: what makes innovations equally precise."""
+        return _spread(self.problem(scored.parts), scored.fit)
+
+    def squares(self, scored: Scored, kind: Errors) -> float:
+        """Sum of squared errors, held out, each by its row's precision under the model as it is."""
+        if kind != "whole":
+            return float(np.sum((self.errors(scored, kind) / self._spread) ** 2))
+        return float(np.sum((self.rollout_errors(scored) / self._spread_whole) ** 2))
 
     def noise_floor(self, scored: Scored) -> float:
         """Root mean square of a one-step error that noise alone would leave, if this model were true.
@@ -204,7 +228,7 @@ class Search:
     def _correlations(self, scored: Scored) -> list[tuple[float, int]]:
         """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
         counted = self.lane.counted
-        error = self.innovations(scored) * counted
+        error = self.innovations(scored) / self.spread(scored) * counted
         mean_square = float((error**2).sum()) / counted.sum()
         found = []
         for lag in range(1, 5):
@@ -220,7 +244,8 @@ class Search:
         # A place that the innovation's own measurements have no part in: from the row before.
         before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
         starts = lane.counted_starts
-        own = self.innovations(scored)
+        spread = self.spread(scored)
+        own = self.innovations(scored) / spread
         past = np.stack([np.roll(own, k, axis=1) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
         under = Circumstances(
@@ -230,6 +255,7 @@ class Search:
             order=lane.order[starts],
             errors=past[starts],
             away=_away(lane, before)[starts],
+            spread=np.roll(spread, -1, axis=1)[starts],
         )
         return leftover(np.roll(own, -1, axis=1)[starts][:, None], under)
 
@@ -246,7 +272,7 @@ class Search:
         folds = optimise(problem, start, np.repeat(fit.share, self.folds), trained, _FOLD_ROUNDS)
         density, errors = held_out(problem, folds)
         rows = np.arange(len(self.fold))
-        squared = float((errors[self.fold, rows] ** 2).sum())
+        squared = float(((errors[self.fold, rows] / self._spread) ** 2).sum())
         return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, rows], squared)
 
     def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
@@ -262,22 +288,26 @@ class Search:
         part = smooth(self.lane)
         problem = self.problem((part,))
         share = np.zeros(1)
-        for motion_noise in _MOTION_NOISES:
-            lane = replace(self.lane, motion_noise=motion_noise)
-            for freedom in _FREEDOMS:
-                suited = replace(problem, lane=lane, freedom=freedom)
-                fit = optimise(suited, self._starts((part,)), share, self._all(1), 4)
-                share = fit.share
-                if best is None or fit.loss[0] < best[0] - _CLEARLY:
-                    best = float(fit.loss[0]), lane, freedom
-        if best is None:
-            return self.lane, self.freedom
-        return best[1], best[2]
+        lanes = [self.lane.with_noise(motion) for motion in _MOTION_NOISES]
+        if np.ptp(self.lane.noise):  # something else than the model's sensor may have measured
+            lanes.append(self.lane.with_noise(0.0, is_alike=True))
+        for lane, freedom in product(lanes, _FREEDOMS):
+            suited = replace(problem, lane=lane, freedom=freedom)
+            fit = optimise(suited, self._starts((part,)), share, self._all(1), 4)
+            share = fit.share
+            if best is None or fit.loss[0] < best[0] - _CLEARLY:
+                best = float(fit.loss[0]), lane, freedom
+        return (self.lane, self.freedom) if best is None else best[1:]
+
+
+def _spread(problem: Problem, fit: Fit) -> Floats:
+    variance = simulate(problem.lane, problem.model, fit.parameters, process_share(fit.share)).variance[0]
+    return np.asarray(np.sqrt(variance / np.mean(variance[problem.lane.counted])))
 
 
 def _away(lane: Lane, place: Floats) -> Floats:
     """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
-    reach = _NEAR * lane.blur
+    reach = _NEAR * lane.blur * np.sqrt(lane.noise)
     at_low, at_high = place < lane.lower + reach, place > lane.upper - reach
     return np.stack([at_low * np.maximum(lane.u, 0.0), at_high * np.minimum(lane.u, 0.0)], axis=-1)
 

@@ -107,8 +107,9 @@ class _Run:
     def __init__(self, lane: Lane, model: Model, parameters: Floats, process_share: Floats) -> None:
         self.lane, self.model = lane, model
         self.p = _split(model, parameters)
-        self.q, self.r = process_share[:, None], 1.0 - process_share[:, None]
+        self.q = process_share[:, None]
         self.process = np.moveaxis(self.q[:, :, None] * lane.process_profile, 2, 0)
+        self.blurred = np.moveaxis((1.0 - self.q[:, :, None]) * lane.noise, 2, 0)
         self.layers: dict[str, list[int]] = {}
         for number, term in enumerate(model):
             self.layers.setdefault(term.form.layer, []).append(number)
@@ -122,7 +123,7 @@ class _Run:
         offset, slope = self._sensor(0, ones)
         low, high = self._ends_at(0)
         self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, low), high) * ones
-        self.variance = self.r / slope**2 * ones
+        self.variance = self.blurred[0] / slope**2 * ones
         self.memory = [term.form.at_rest_in(self.c, p) for term, p in zip(model, self.p, strict=True)]
         self.at_ends, self.ends_before = (self.c <= low, self.c >= high), (low, high)
 
@@ -175,7 +176,7 @@ class _Run:
         """Compare with row t and take the measurement in."""
         offset, slope = self._sensor(t, self.c) if "sensor" in self.layers else (0.0, 1.0)
         error = self.lane.z[:, t] - (offset + slope * self.c)
-        spread = slope**2 * self.variance + self.r
+        spread = slope**2 * self.variance + self.blurred[t]
         if kind == "rollout":
             return error, spread
         gone = self._let_go(t, error, slope) if self.is_held else None
@@ -190,7 +191,7 @@ class _Run:
             low, high = self._ends_at(t - 1)
             self.c = np.minimum(np.maximum(self.c, low), high)
         left = self.variance * (1.0 - gain * slope)
-        self.variance = left if gone is None else np.where(gone, self.r / slope**2, left)
+        self.variance = left if gone is None else np.where(gone, self.blurred[t] / slope**2, left)
         return error, spread
 
     def _let_go(self, t: int, error: Floats, slope: Any) -> Any:
@@ -199,7 +200,8 @@ class _Run:
         Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
         measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
         """
-        noise, changed = _CLEARLY_AWAY * self.lane.blur, np.zeros_like(error, dtype=bool)
+        noise = _CLEARLY_AWAY * self.lane.blur * np.sqrt(self.lane.noise[:, t])
+        changed = np.zeros_like(error, dtype=bool)
         low, high = self._ends_at(t - 1)
         ends = []
         for end, side, at, release in zip((low, high), (1.0, -1.0), self.at_ends, self.release, strict=True):

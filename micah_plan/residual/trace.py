@@ -158,7 +158,8 @@ def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, floa
 def _modes(search: Search, chosen: Scored, loose: Scored) -> tuple[MissingMode, ...]:
     """Modes that the automaton lacks. An idle correction predicts as the model without it, which is a rival anyway."""
     rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
-    return missing_modes(search.lane, search.innovations(search.nominal), search.fold, rivals)
+    nominal = search.nominal
+    return missing_modes(search.lane, search.innovations(nominal), search.fold, rivals, search.spread(nominal))
 
 
 def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
