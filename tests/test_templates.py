@@ -14,7 +14,6 @@ import jsonschema
 import pytest
 
 from micah_plan import workflow
-from micah_plan.automaton.effects.form import check_form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
 from micah_plan.cli.console import title_of
@@ -24,6 +23,7 @@ from micah_plan.documents.sweep import load_sweep
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 from micah_plan.sweep.run import run_sweep
+from micah_plan.symbolic.form_check import check_form
 from micah_plan.templates.effect import SpeedDrag
 from micah_plan.templates.first_problem import first_problem
 from micah_plan.templates.write import write_template

@@ -35,26 +35,6 @@ _SHORTER = 0.999
 _NOT_LONGER = 1.02
 _WIDE = 3
 _TRIED = 5
-# Of forms that the data cannot tell apart the plainest is named first.
-PLAINEST = (
-    "gain",
-    "bias",
-    "spring",
-    "gravity",
-    "dead_zone",
-    "saturation",
-    "delay",
-    "lag",
-    "backlash",
-    "stick_slip",
-    "guard_shift",
-    "limit",
-    "latch",
-    "guard_hysteresis",
-    "drift",
-    "sensor_scale",
-    "frame_rotation",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +107,7 @@ def _plainest_first(options: Sequence[Scored]) -> list[Scored]:
     """Best first, but of those that are as good as the best the plainest effects first."""
     order = ranked(options)
     close = [one for one in order if order[0].over(one)[0] <= TIE]
-    plainest = sorted(close, key=lambda one: sum(_plainness(name) for name in one.names))
+    plainest = sorted(close, key=lambda one: sum(part.term.form.plainness for part in one.parts))
     return [*plainest, *order[len(close) :]]
 
 
@@ -186,10 +166,6 @@ def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
     if not options:
         return None
     return _plainest_first(options)[0]
-
-
-def _plainness(name: str) -> int:
-    return PLAINEST.index(name) if name in PLAINEST else len(PLAINEST)
 
 
 def is_worth(better: Scored, base: Scored, lane: Lane) -> bool:

@@ -11,11 +11,12 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values, check_form
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.registry import register
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate
 from micah_plan.documents.model import load_model
+from micah_plan.symbolic.form_check import check_form
 
 
 @final
@@ -23,8 +24,6 @@ class SpeedDrag(EffectForm):
     """v -> v / (1 + drag |v|)."""
 
     name = "speed_drag"
-    # Which hook below is used: frame, memory, command, force, guard, sensor or geometry.
-    layer = "command"
     sentence = "Large commands fall short by a share that grows with their size."
     source = "a guess of mine"
     # Name, unit ("coordinate" stands for rad or m), value at which nothing changes, smallest and largest value.

@@ -9,7 +9,7 @@ import pytest
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.form import EffectForm, Parameter, check_form
+from micah_plan.automaton.effects.form import EffectForm, Parameter
 from micah_plan.automaton.effects.registry import form, forms, register, unregister
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
@@ -23,6 +23,7 @@ from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import compiled_mode
 from micah_plan.symbolic.effects import CasadiOperations
+from micah_plan.symbolic.form_check import check_form
 
 SHUT = 1.0
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
@@ -165,7 +166,7 @@ def test_effects_that_do_not_fit_are_refused(door) -> None:
 class Creep(EffectForm):
     """v -> v + creep, a user's own."""
 
-    name, layer = "creep", "command"
+    name = "creep"
     sentence = "It creeps."
     source = "this test"
     parameters = (Parameter("creep", "coordinate", 0.0),)
@@ -199,7 +200,7 @@ def test_conformance_refuses_a_form_that_acts_when_neutral() -> None:
 
 
 class Stretching(EffectForm):
-    """Has the hooks of two layers."""
+    """Has a hook, and with others below the hooks of two layers."""
 
     name, sentence, source = "stretching", "It does something.", "a test"
     parameters = (Parameter("share", "1", 0.0),)
@@ -208,8 +209,18 @@ class Stretching(EffectForm):
         return (1.0 + p[0]) * v
 
 
+class Reading(Stretching):
+    def measured(self, ops, c, time, p):
+        return (1.0 + p[0]) * c
+
+
+class Moving(Stretching):
+    def rebuilt(self, automaton, coordinate, p):
+        return automaton
+
+
 class Bent(EffectForm):
-    name, layer, sentence, source = "bent", "sensor", "It reads a curve.", "a test"
+    name, sentence, source = "bent", "It reads a curve.", "a test"
     parameters = (Parameter("share", "1", 0.0),)
 
     def measured(self, ops, c, time, p):
@@ -217,15 +228,56 @@ class Bent(EffectForm):
 
 
 class Idle(EffectForm):
-    name, layer, sentence, source = "idle", "force", "It does nothing.", "a test"
+    name, sentence, source = "idle", "It does nothing.", "a test"
     parameters = (Parameter("share", "1", 0.0),)
+
+
+class Twisting(EffectForm):
+    name, sentence, source = "twisting", "It changes the joint.", "a test"
+    parameters = (Parameter("share", "1", 0.0),)
+
+    def rebuilt(self, automaton, coordinate, p):
+        return automaton
+
+
+class OfNumpy(Stretching):
+    """NumPy's own function cannot read an expression."""
+
+    def command(self, ops, v, p):
+        return v * (1.0 + p[0] * np.tanh(v))
+
+
+class Deciding(Stretching):
+    """An `if` on a value works for numbers alone."""
+
+    def command(self, ops, v, p):
+        return v * (1.0 + p[0]) if v > 0 or v < 0 else 0.0 * v
+
+
+class Apart(Stretching):
+    """Means another thing in plans than in predictions, away from its neutral value only."""
+
+    def command(self, ops, v, p):
+        return (1.0 + p[0]) * v if ops is np else (1.0 + 2.0 * p[0]) * v
+
+
+class Growing(Stretching):
+    """Gives no number once it acts."""
+
+    def command(self, ops, v, p):
+        return v * ops.exp(5000.0 * p[0])
 
 
 @pytest.mark.parametrize(
     ("own", "words"),
     [
-        (type("Sensing", (Stretching,), {"layer": "sensor"}), "its layer sensor never calls"),
-        (type("Pushing", (Stretching,), {"layer": "force"}), "its layer force never calls"),
+        (Reading, "hooks of the layers command and sensor"),
+        (Moving, "hooks of the layers command and geometry"),
+        (Twisting, "calibrate tries no forms of the layer geometry but its own"),
+        (OfNumpy, "CasADi, which plans with it, cannot read"),
+        (Deciding, "its formula fails: The truth value"),
+        (Apart, "must mean the same to CasADi"),
+        (Growing, "one finite value per state and command"),
         (Bent, "this one is curved"),
         (Idle, "overrides no hook"),
     ],
@@ -233,3 +285,19 @@ class Idle(EffectForm):
 def test_conformance_refuses_a_form_that_would_do_nothing_or_something_else(own, words) -> None:
     with pytest.raises(InputError, match=words):
         check_form(own())
+
+
+def test_the_layer_of_a_form_is_that_of_its_hook() -> None:
+    """Whatever its class says: a layer whose hooks it has not would be called, and would do nothing."""
+    told = type("Told", (Stretching,), {"layer": "sensor"})
+    assert told().layer == "command"
+    check_form(told())
+    check_form(type("ByHand", (Twisting,), {"is_sought": False})())
+
+
+def test_forms_say_all_that_calibration_needs_of_them() -> None:
+    """Places in the order of plainness differ, and experiments tell a form from others that there are."""
+    named = [own for own in forms() if own.is_sought]
+    assert sorted(own.plainness for own in named) == list(range(len(named)))
+    for own in forms():
+        assert {name for name, _ in own.experiments} <= {other.name for other in forms()} - {own.name}

@@ -187,7 +187,7 @@ def test_a_channel_of_many_runs_is_many_channels(door) -> None:
 
 def test_a_users_effect_with_a_memory_becomes_states(door) -> None:
     class Mean(EffectForm):
-        name, layer = "mean", "memory"
+        name = "mean"
         sentence = "The mean of the last two commands arrives."
         source = "a filter"
         parameters = (Parameter("share", "1", 0.0),)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from micah_plan.automaton.effects.formulas import LONGEST_DELAY
+from micah_plan.automaton.effects.memories import LONGEST_DELAY
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton

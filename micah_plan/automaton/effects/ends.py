@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import final
 
+import numpy as np
+
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.geometry import rigid_at
+from micah_plan.automaton.effects.shown import Shown, Start, command_sizes
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.lifted import mapped
 from micah_plan.automaton.region import HalfSpace, Region, above, below
@@ -17,16 +20,26 @@ from micah_plan.errors import InputError
 _SAME = 1e-6
 # Standard deviations of a measurement within which a part may be where it is held.
 _NEAR = 3.0
+# A threshold that lies further away than this share of the range is no shifted one but another stop.
+_LARGEST_SHIFT = 0.15
 
 
 @final
 class Limit(EffectForm):
     """A stop inside of the model's range, at its upper (side 1) or lower (side -1) end."""
 
-    name, layer = "limit", "guard"
+    name = "limit"
     sentence = "The motion is stopped inside of the range that the model knows."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: an invariant that is smaller than modelled"
     parameters = (Parameter("at", "coordinate"), Parameter("side", "1", None, -1.0, 1.0))
+    plainness = 11
+    experiments = (
+        (
+            "guard_shift",
+            "push the part against the end and look whether it latches: a shifted threshold changes "
+            "the mode, a stop not",
+        ),
+    )
 
     def stops(self, ops: Operations, lower: Value, upper: Value, p: Values) -> tuple[Value, Value]:
         low = ops.where(p[1] < 0, ops.maximum(lower, p[0]), lower)
@@ -40,15 +53,22 @@ class Limit(EffectForm):
             return with_end_moved(automaton, coordinate, end, p[0])
         return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
+    def begun(self, seen: Shown) -> Start | None:
+        low, high = seen.visited
+        starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95)]
+        starts += [[low + share * (high - low), -1.0] for share in (0.05, 0.2, 0.4, 0.6)]
+        return Start(starts, (0,), [0.1 * (high - low) + 1e-6])
+
 
 @final
 class GuardShift(EffectForm):
     """The threshold at one end of the range, upper (side 1) or lower (side -1), lies elsewhere."""
 
-    name, layer = "guard_shift", "guard"
+    name = "guard_shift"
     sentence = "The threshold at which the motion changes lies elsewhere than in the model."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: guards"
     parameters = (Parameter("shift", "coordinate", 0.0), Parameter("side", "1", None, -1.0, 1.0))
+    plainness = 10
 
     def stops(self, ops: Operations, lower: Value, upper: Value, p: Values) -> tuple[Value, Value]:
         return ops.where(p[1] < 0, lower + p[0], lower), ops.where(p[1] > 0, upper + p[0], upper)
@@ -60,6 +80,15 @@ class GuardShift(EffectForm):
             raise InputError(f"the range of {name} has no {side} end to shift")
         return with_end_moved(automaton, coordinate, end, end + p[0])
 
+    def begun(self, seen: Shown) -> Start | None:
+        low, high = seen.visited
+        width, starts = high - low + 1e-6, []
+        for end, side, reached in ((seen.lower, -1.0, low), (seen.upper, 1.0, high)):
+            if np.isfinite(end):
+                starts += [[reached - end, side], [0.05 * width, side], [-0.05 * width, side]]
+        bounds = {0: (-_LARGEST_SHIFT * width, _LARGEST_SHIFT * width)}
+        return Start(starts, (0,), [0.05 * width], bounds) if starts else None
+
 
 @final
 class GuardHysteresis(EffectForm):
@@ -69,10 +98,12 @@ class GuardHysteresis(EffectForm):
     a mode that holds it there.
     """
 
-    name, layer = "guard_hysteresis", "guard"
+    name = "guard_hysteresis"
     sentence = "A threshold that was crossed in one direction takes more to be crossed in the other."
     source = "Goebel, Sanfelice and Teel, Hybrid dynamical systems, 2009: hysteresis"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0),)
+    plainness = 13
+    experiments = (("guard_shift", "go through the threshold in both directions"),)
 
     def release(self, p: Values) -> Value:
         return p[0]
@@ -89,6 +120,14 @@ class GuardHysteresis(EffectForm):
             return replace(own, guard=own.guard.mapped(half_space)) if pinned else own
 
         return mapped(automaton, edge=edge)
+
+    def begun(self, seen: Shown) -> Start | None:
+        """Only where the part may cling to an end, and the recording gets there."""
+        low, high = seen.visited
+        reach = 0.05 * (high - low)
+        clings = (seen.clings[0] and low < seen.lower + reach) or (seen.clings[1] and high > seen.upper - reach)
+        at = command_sizes(seen, 0.3, 0.7, 0.95) if clings else []
+        return Start([[q] for q in at], (0,), [0.3 * seen.command_size]) if at else None
 
 
 def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:

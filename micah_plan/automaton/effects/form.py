@@ -6,7 +6,8 @@ CasADi expressions. So the identification, the transition of the automaton and t
 
 A step of a coordinate c with command v = (B u) of its mode runs through the hooks of `EffectForm` in their order; each
 form changes one of them and leaves the others as they are. What moves guards or joints is taken into the automaton
-itself, once, when the effect is added (`rebuilt`).
+itself, once, when the effect is added (`rebuilt`). A form also says where calibration begins to fit it, how plain it is
+beside others, and what would tell it from them: all that there is of an effect is in one class.
 """
 
 from __future__ import annotations
@@ -15,10 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
-import numpy as np
-
+from micah_plan.automaton.effects.shown import Same, Shown, Start
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.errors import InputError
 
 Layer = Literal["frame", "place", "memory", "command", "force", "guard", "sensor", "geometry"]
 LAYERS: tuple[Layer, ...] = ("frame", "place", "memory", "command", "force", "guard", "sensor", "geometry")
@@ -29,21 +28,20 @@ Value = Any
 Values = Sequence[Value]
 Memory = tuple[Value, ...]
 
-# Layers by the hook that they use; what changes the automaton itself is of ends or joints.
-_HOOKS: dict[str, tuple[Layer, ...]] = {
-    "frame_command": ("frame",),
-    "respond": ("place",),
-    "remember": ("memory",),
-    "command": ("command",),
-    "force": ("force",),
-    "stops": ("guard",),
-    "release": ("guard",),
-    "measured": ("sensor",),
-    "rebuilt": ("guard", "geometry"),
+# The layer that each hook is of. A form that only changes the automaton itself (`rebuilt`) is of geometry.
+_HOOKS: dict[str, Layer] = {
+    "frame_command": "frame",
+    "respond": "place",
+    "remember": "memory",
+    "command": "command",
+    "force": "force",
+    "stops": "guard",
+    "release": "guard",
+    "measured": "sensor",
 }
-# What `check_form` tries a form at: commands, and places of the coordinate.
-_COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
-_PLACES = np.array([-0.7, 0.0, 0.1, 0.4, 1.1, 2.0])
+_LEAST_PLAIN = 17
+# What is large for a parameter that is no displacement.
+_LARGE = 0.3
 
 
 class Operations(Protocol):
@@ -86,17 +84,50 @@ class EffectForm:
 
     Class attributes:
         name: unique in the registry.
-        layer: which hook it uses.
         sentence: what it does, in plain words.
         source: where the formula comes from.
         parameters: in order.
+        layers: of the hooks that it overrides; one, for a form that can be used, and that is its `layer`.
+        plainness: place among the forms where a recording cannot tell them apart: the smallest is named first.
+        experiments: (name of another effect, what would tell it from this one).
+        is_sought: whether `calibrate` tries it as it tries any: not what it seeks in another way, nor what is added by
+            hand only.
     """
 
     name: ClassVar[str]
-    layer: ClassVar[Layer]
     sentence: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    layers: ClassVar[tuple[Layer, ...]] = ()
+    layer: ClassVar[Layer]
+    plainness: ClassVar[int] = _LEAST_PLAIN
+    experiments: ClassVar[tuple[tuple[str, str], ...]] = ()
+    is_sought: ClassVar[bool] = True
+
+    def __init_subclass__(cls) -> None:
+        own = {layer: None for hook, layer in _HOOKS.items() if getattr(cls, hook) is not getattr(EffectForm, hook)}
+        changes = cls.rebuilt is not EffectForm.rebuilt and "guard" not in own
+        cls.layers = (*own, "geometry") if changes else tuple(own)
+        if cls.layers:
+            cls.layer = cls.layers[0]
+
+    def begun(self, seen: Shown) -> Start | None:
+        """Where its fit begins on a recording; None if that cannot show it."""
+        return self.from_neutral(seen)
+
+    def from_neutral(self, seen: Shown) -> Start:
+        """Start at the neutral values, or in the middle of the bounds; what is large is a command, or 0.3."""
+        values, scale = [], []
+        for parameter in self.parameters:
+            large = seen.command_size if parameter.unit.startswith("coordinate") else _LARGE
+            low, high = max(parameter.lower, -large), min(parameter.upper, large)
+            values.append(parameter.neutral if parameter.neutral is not None else 0.5 * (low + high))
+            scale.append(large)
+        return Start([values], tuple(range(len(values))), scale)
+
+    def same_as(self, seen: Shown) -> Same | None:
+        """Another effect that does exactly the same on such a recording, and is tried in its place."""
+        return None
 
     def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
         """Command of an action (3 components) along a direction (3 components, divided by its squared length)."""
@@ -141,75 +172,3 @@ class EffectForm:
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
         """The automaton with what the effect changes in its guards and joints; itself if that is nothing."""
         return automaton
-
-
-def check_form(form: EffectForm) -> None:
-    """Refuse a form whose description is incomplete or whose formulas do not behave.
-
-    Checked: layer, sentence and source; that the hooks which it overrides are those of its layer; that the formulas
-    give one finite value per state and command, for arrays as for numbers; that a memory keeps its shape; that with all
-    neutral values nothing changes; that a reading is a straight line in the configuration, as it is taken out of logs.
-
-    Raises:
-        InputError: says what is wrong with the form.
-    """
-    if form.layer not in LAYERS or not form.parameters or not form.sentence.endswith(".") or not form.source:
-        raise InputError(f"effect {form.name}: must have a known layer, parameters, a sentence and a source")
-    _check_hooks(form)
-    p = [_sensible(q.lower, q.upper) if q.neutral is None else q.neutral for q in form.parameters]
-    outputs = _outputs(form, p, _PLACES, _COMMANDS)
-    for name, (values, unchanged) in outputs.items():
-        if values.shape != _COMMANDS.shape or not np.isfinite(values).all():
-            raise InputError(f"effect {form.name}: {name} must give one finite value per state and command")
-        is_neutral = any(q.neutral is not None for q in form.parameters)
-        if is_neutral and not np.allclose(values, unchanged, atol=1e-12):
-            raise InputError(f"effect {form.name}: {name} must change nothing at the neutral parameters")
-    single = [_outputs(form, p, float(c), float(v)) for c, v in zip(_PLACES, _COMMANDS, strict=True)]
-    for name, (values, _) in outputs.items():
-        alone = np.array([np.ravel(one[name][0])[0] for one in single])
-        if not np.allclose(alone, values, atol=1e-12):
-            raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
-
-
-def _check_hooks(form: EffectForm) -> None:
-    own = [hook for hook in _HOOKS if getattr(type(form), hook) is not getattr(EffectForm, hook)]
-    for hook in own:
-        if form.layer not in _HOOKS[hook]:
-            wanted = " or ".join(_HOOKS[hook])
-            raise InputError(
-                f"effect {form.name}: it overrides {hook}, which its layer {form.layer} never calls",
-                remedy=f"make its layer {wanted}, or use the hook of {form.layer}",
-            )
-    if not own:
-        raise InputError(f"effect {form.name}: it overrides no hook, so it does nothing")
-    if form.layer == "sensor":
-        p = [_sensible(q.lower, q.upper) for q in form.parameters]
-        at = [form.measured(np, c, 1.0, p) for c in (0.0, 1.0, 3.0)]
-        if abs((at[2] - at[0]) - 3.0 * (at[1] - at[0])) > 1e-9 * max(map(abs, at)):
-            raise InputError(
-                f"effect {form.name}: a reading must be a straight line in the configuration, and this one is curved",
-                remedy="a sensor's curve is taken out of the recording before, not by an effect",
-            )
-
-
-def _sensible(lower: float, upper: float) -> float:
-    low, high = max(lower, 0.5), min(upper, 1.0)
-    return low if low <= high else high
-
-
-def _outputs(
-    form: EffectForm, p: list[float], c: float | np.ndarray, v: float | np.ndarray
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """(value, what it is without the effect) of every hook that maps states and commands."""
-    memory = form.at_rest_in(c, p)
-    out, after = form.respond(np, c, v, memory, p)
-    if len(after) != len(memory):
-        raise InputError(f"effect {form.name}: remember must keep {len(memory)} values. Got {len(after)}")
-    nothing = 0.0 * np.asarray(v)
-    pairs = {
-        "remember": (out, v),
-        "command": (form.command(np, v, p), v),
-        "force": (form.force(np, c, v, p) + nothing, nothing),
-        "measured": (form.measured(np, c, 1.0, p) + nothing, c + nothing),
-    }
-    return {name: (np.asarray(a, dtype=float), np.asarray(b, dtype=float)) for name, (a, b) in pairs.items()}

@@ -9,19 +9,32 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.shown import Same, Shown, Start
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, turning
 from micah_plan.automaton.lifted import mapped
+
+# Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
+_ACROSS = 0.1
+# A turn may make commands as long as the actions, give or take what a gain is uncertain by.
+_AS_LONG = 1.02
 
 
 @final
 class FrameRotation(EffectForm):
     """The action was given in a frame that is turned by the rotation vector relative to the base frame."""
 
-    name, layer = "frame_rotation", "frame"
+    name = "frame_rotation"
     sentence = "Actions are given in a frame that is turned against the base frame."
     source = "Murray, Li and Sastry, ch. 2: exponential coordinates of rotations"
     parameters = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
+    plainness = 16
+    experiments = (
+        (
+            "gain",
+            "command a displacement across the joint: in a turned frame it moves the part, with a gain it does not",
+        ),
+    )
 
     def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
         squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + 1e-18
@@ -32,15 +45,44 @@ class FrameRotation(EffectForm):
         turned = [a + along * b + bent * c for a, b, c in zip(action, once, twice, strict=True)]
         return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
 
+    def begun(self, seen: Shown) -> Start | None:
+        """Only where actions across the joint have a life of their own.
+
+        A small turn adds to each command a share of the action across the joint. Where that follows the command along
+        it (a hand that always pushes at one angle, the chord of a long step) it adds what a gain or a saturation would.
+        """
+        if seen.action is None:
+            return None
+        rows = seen.counted_starts
+        tangent, u = seen.path.tangents(seen.z[rows])[:, 3:], seen.u[rows]
+        squared = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
+        across = np.cross(seen.action[rows], tangent) / squared
+        along = np.stack([np.ones_like(u), u, u * np.abs(u), u * u], axis=1)
+        own = across - along @ np.linalg.lstsq(along, across, rcond=1e-9)[0]
+        if np.sqrt(np.mean(own**2, axis=0)).max() < _ACROSS * seen.command_size:
+            return None
+        return Start(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
+
+    def same_as(self, seen: Shown) -> Same | None:
+        """A gain, if nothing is told across the joint: turned along it, actions can say no more than they are long."""
+        if seen.action is None or self.begun(seen) is not None:
+            return None
+        rows = seen.counted_starts
+        arm2 = (seen.path.tangents(seen.z[rows])[:, 3:] ** 2).sum(axis=1)
+        longest2 = float((seen.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
+        told2 = max(float((seen.u[rows] ** 2).sum()), 1e-300)
+        return Same("gain", _AS_LONG * float(np.sqrt(longest2 / told2)))
+
 
 @final
 class ScrewPitch(EffectForm):
     """The part also moves along the axis of rotation, by `pitch` more per rad than the model says."""
 
-    name, layer = "screw_pitch", "geometry"
+    name = "screw_pitch"
     sentence = "The part moves along its axis of rotation while it turns."
     source = "Murray, Li and Sastry, ch. 2: screws"
     parameters = (Parameter("pitch", "m/rad", 0.0),)
+    is_sought = False
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
         return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, pitch=p[0]))
@@ -50,10 +92,11 @@ class ScrewPitch(EffectForm):
 class AxisOffset(EffectForm):
     """The axis of rotation lies elsewhere: `offset_1`, `offset_2` along the directions of `joint.axis_basis`."""
 
-    name, layer = "axis_offset", "geometry"
+    name = "axis_offset"
     sentence = "The axis of rotation lies beside the one of the model."
     source = "Sturm et al., JAIR 2011: parameters of articulated objects"
     parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
+    is_sought = False
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
         return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, p))

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from micah_plan.automaton.effects import ends, formulas, geometry
-from micah_plan.automaton.effects.form import LAYERS, EffectForm
+from micah_plan.automaton.effects import commands, ends, forces, geometry, memories, sensors
+from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.errors import InputError, shown
 
 # In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
-    *(formulas.Gain(), formulas.Bias(), formulas.Follow(), geometry.FrameRotation(), formulas.Delay(), formulas.Lag()),
-    *(formulas.Saturation(), formulas.DeadZone(), formulas.Backlash(), formulas.StickSlip()),
-    *(formulas.Spring(), formulas.Gravity(), formulas.Latch(), ends.Limit()),
+    *(commands.Gain(), commands.Bias(), memories.Follow(), geometry.FrameRotation(), memories.Delay(), memories.Lag()),
+    *(commands.Saturation(), commands.DeadZone(), memories.Backlash(), memories.StickSlip()),
+    *(forces.Spring(), forces.Gravity(), forces.Latch(), ends.Limit()),
     *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
-    *(formulas.SensorScale(), formulas.SensorOffset(), formulas.Drift(), formulas.Unexplained()),
+    *(sensors.SensorScale(), sensors.SensorOffset(), sensors.Drift(), forces.Unexplained()),
 )
 _FORMS: dict[str, EffectForm] = {form.name: form for form in _LIBRARY}
 
@@ -41,8 +41,8 @@ def register(new: EffectForm) -> EffectForm:
     """
     if new.name in _FORMS:
         raise InputError(f"an effect {shown(new.name)} exists already", remedy="choose another name")
-    if new.layer not in LAYERS or not new.parameters or not new.sentence or not new.source:
-        raise InputError(f"effect {shown(new.name)} must have a layer, parameters, a sentence and a source")
+    if len(new.layers) != 1 or not new.parameters or not new.sentence or not new.source:
+        raise InputError(f"effect {shown(new.name)} must have hooks of one layer, parameters, a sentence and a source")
     _FORMS[new.name] = new
     return new
 

@@ -1,0 +1,74 @@
+"""Effects on a command, without a memory."""
+
+from __future__ import annotations
+
+from typing import final
+
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.shown import Shown, Start, command_sizes
+
+
+@final
+class Gain(EffectForm):
+    """v -> gain v."""
+
+    name = "gain"
+    sentence = "Every commanded displacement is carried out by a constant factor too far or too short."
+    source = "Siciliano et al., Robotics, ch. 6: calibration of drives"
+    parameters = (Parameter("gain", "1", 1.0),)
+    plainness = 0
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        return p[0] * v
+
+
+@final
+class Bias(EffectForm):
+    """v -> v + bias."""
+
+    name = "bias"
+    sentence = "Every step moves by the same amount more, whatever is commanded."
+    source = "Siciliano et al., Robotics, ch. 6: offset of a drive"
+    parameters = (Parameter("bias", "coordinate", 0.0),)
+    plainness = 1
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        return v + p[0]
+
+
+@final
+class Saturation(EffectForm):
+    """v -> v, at most `largest` in size."""
+
+    name = "saturation"
+    sentence = "No step is larger than a limit, however large the command."
+    source = "Khalil, Nonlinear Systems, 3rd ed., section 1.2.7"
+    parameters = (Parameter("largest", "coordinate", None, 0.0),)
+    plainness = 5
+    experiments = (("gain", "command small and large steps: a limit only cuts the large ones"),)
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        return ops.maximum(ops.minimum(v, p[0]), -p[0])
+
+    def begun(self, seen: Shown) -> Start | None:
+        at = command_sizes(seen, 0.3, 0.6, 0.85)
+        return Start([[q] for q in at], (0,), [0.3 * seen.command_size]) if at else None
+
+
+@final
+class DeadZone(EffectForm):
+    """v -> 0 for |v| <= width, else v less `lost` times the width."""
+
+    name = "dead_zone"
+    sentence = "Commands smaller than a threshold move nothing (dry friction); larger ones may lose as much."
+    source = "Khalil, Nonlinear Systems, 3rd ed., sections 1.2.3 and 1.2.7; Armstrong-Helouvry et al., Automatica 1994"
+    parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("lost", "1", None, 0.0, 1.0))
+    plainness = 4
+    experiments = (("gain", "command steps of very different sizes: friction takes as much off each"),)
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        return ops.where(ops.abs(v) <= p[0], 0.0 * v, v - ops.sign(v) * p[0] * p[1])
+
+    def begun(self, seen: Shown) -> Start | None:
+        at = command_sizes(seen, 0.03, 0.1, 0.25, 0.45, 0.7)
+        return Start([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * seen.command_size]) if at else None

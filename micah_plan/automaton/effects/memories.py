@@ -1,0 +1,164 @@
+"""Effects on a command that remember earlier ones, and commands that are places."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.shown import Shown, Start
+
+LONGEST_DELAY = 12
+"""The longest delay [steps]."""
+
+
+@final
+class Delay(EffectForm):
+    """v_t -> v_(t-delay), linear between whole steps."""
+
+    name = "delay"
+    sentence = "Commands take effect later than they were given."
+    source = "Laakso et al., Splitting the unit delay, IEEE Signal Processing Magazine 1996 (linear interpolation)"
+    parameters = (Parameter("steps", "step", 0.0, 0.0, float(LONGEST_DELAY)),)
+    plainness = 6
+
+    def at_rest(self, p: Values) -> Memory:
+        # Many delays at once share a line for the longest.
+        return (0.0,) * (LONGEST_DELAY if np.ndim(p[0]) else math.ceil(p[0]))
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        sent = (v, *memory)
+        # Of one delay only the whole steps before and after it count; many at once share the line.
+        ages = range(len(sent)) if np.ndim(p[0]) else range(int(p[0]), min(int(p[0]) + 2, len(sent)))
+        late = 0.0 * v
+        for age in ages:
+            late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
+        return late, sent[:-1]
+
+    def begun(self, seen: Shown) -> Start | None:
+        return Start([[0.4], [1.0], [2.0], [3.5], [6.0]], (0,), [1.0])
+
+
+@final
+class Lag(EffectForm):
+    """First-order lag with a time constant tau in steps: out_t = out_(t-1) + (1 - exp(-1 / tau)) (v_t - out_(t-1))."""
+
+    name = "lag"
+    sentence = "The motion follows the command only gradually."
+    source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3: sampled first-order system"
+    parameters = (Parameter("steps", "step", 0.0, 0.0, 30.0),)
+    plainness = 7
+    experiments = (
+        ("gain", "command one long step and then none: a lag goes on moving, a gain does not"),
+        ("delay", "command one large step after a rest: a delay moves all at once, a lag gradually"),
+    )
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.0,)
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        out = memory[0] + (1.0 - ops.exp(-1.0 / ops.maximum(p[0], 1e-3))) * (v - memory[0])
+        return out, (out,)
+
+    def begun(self, seen: Shown) -> Start | None:
+        return Start([[0.3], [0.8], [2.0], [5.0]], (0,), [1.0])
+
+
+@final
+class Backlash(EffectForm):
+    """Play of a width between drive and part; the memory is where the drive is within it.
+
+    `side` says where it is at first: -1 and 1 at the ends (1: a positive command moves the part at once), 0 in the
+    middle.
+    """
+
+    name = "backlash"
+    sentence = "When the direction reverses, a part of the motion is lost before the part follows."
+    source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002 (play model)"
+    parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("side", "1", None, -1.0, 1.0))
+    plainness = 8
+    experiments = (
+        ("delay", "reverse slowly: play loses the same distance at any speed, a delay less"),
+        ("lag", "reverse slowly: play loses the same distance at any speed, a lag less"),
+    )
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.5 * p[0] * p[1],)
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        ahead = memory[0] + v
+        kept = ops.maximum(ops.minimum(ahead, 0.5 * p[0]), -0.5 * p[0])
+        return ahead - kept, (kept,)
+
+    def begun(self, seen: Shown) -> Start | None:
+        size = seen.command_size
+        return Start([[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)], (0,), [0.5 * size])
+
+
+@final
+class StickSlip(EffectForm):
+    """What is commanded adds up while the part sticks, and arrives at once when it is more than a grip."""
+
+    name = "stick_slip"
+    sentence = "The part sticks until what was commanded has added up, and then makes up for it at once."
+    source = (
+        "Karnopp, Computer simulation of stick-slip friction, ASME J. Dynamic Systems 1985 (without the slip's time)"
+    )
+    parameters = (Parameter("grip", "coordinate", 0.0, 0.0),)
+    plainness = 9
+    experiments = (("backlash", "command many small steps one way: with play all but the first arrive"),)
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.0 * p[0],)
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        wound = memory[0] + v
+        gone = ops.where(ops.abs(wound) < p[0], 0.0 * wound, wound)
+        return gone, (wound - gone,)
+
+    def begun(self, seen: Shown) -> Start | None:
+        """The best of many grips: with a wrong one the part lets go in other rows, and nothing leads to the right."""
+        grip = np.geomspace(0.2, 10.0, 200)[:, None] * seen.command_size
+        memory, missed = self.at_rest((grip,)), np.zeros(len(grip))
+        for t in range(seen.z.shape[1] - 1):
+            arrived, memory = self.remember(np, seen.u[:, t], memory, (grip,))
+            missed += (np.abs(seen.z[:, t + 1] - seen.z[:, t] - arrived) * seen.counted[:, t + 1]).sum(axis=1)
+        return Start(grip[np.argsort(missed, kind="stable")[:5]], (0,), [0.1 * seen.command_size])
+
+
+@final
+class Follow(EffectForm):
+    """Commands are places r_t = c_t + v_t, and the part goes after them, wherever it is:
+
+    c_(t+1) - c_t = momentum (c_t - c_(t-1)) + share z(gain r_(t-delay) + offset - c_t), with
+    z(e) = sign(e) max(|e| - width, 0).
+
+    First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
+    missed before is made up for. With all parameters neutral the part is at the place after each step.
+    """
+
+    name = "follow"
+    sentence = "Commands are places: the part goes a share of the way to the commanded place in each step."
+    source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., ch. 2; Hogan, Impedance control, 1985"
+    parameters = (
+        Parameter("share", "1", 1.0, 0.0, 2.0),
+        Parameter("offset", "coordinate", 0.0),
+        Parameter("gain", "1", 1.0, 0.0, 3.0),
+        Parameter("delay", "step", 0.0, 0.0, float(LONGEST_DELAY)),
+        Parameter("momentum", "1", 0.0, -0.5, 0.995),
+        Parameter("width", "coordinate", 0.0, 0.0),
+    )
+    experiments = (("gain", "command places that stay where they are for many rows, and not displacements"),)
+    is_sought = False
+
+    def at_rest_in(self, c: Value, p: Values) -> Memory:
+        count = LONGEST_DELAY if np.ndim(p[3]) else math.ceil(p[3])
+        return (c, *(c,) * count)
+
+    def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        late, line = Delay().remember(ops, c + v, memory[1:], p[3:4])
+        away = p[2] * late + p[1] - c
+        beyond = ops.maximum(away - p[5], 0.0) + ops.minimum(away + p[5], 0.0)
+        return p[4] * (c - memory[0]) + p[0] * beyond, (c, *line)

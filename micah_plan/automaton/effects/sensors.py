@@ -1,0 +1,73 @@
+"""Effects on what is read of a configuration: straight lines in it, so that they can be taken out of logs."""
+
+from __future__ import annotations
+
+from typing import final
+
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.shown import Same, Shown, Start
+
+
+@final
+class SensorScale(EffectForm):
+    """z = scale c."""
+
+    name = "sensor_scale"
+    sentence = "The sensor's unit is off by a factor."
+    source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
+    parameters = (Parameter("scale", "1", 1.0, 0.2, 5.0),)
+    plainness = 15
+    experiments = (
+        (
+            "gain",
+            "drive the part against a stop whose place is known: a sensor's scale moves the stop's "
+            "reading, a gain does not",
+        ),
+        ("guard_shift", "compare readings with a ruler in the middle of the range"),
+    )
+
+    def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
+        return p[0] * c
+
+    def same_as(self, seen: Shown) -> Same | None:
+        """Only at an end of the range can sensor and motion be told apart."""
+        return None if seen.visits_end() else Same("gain")
+
+
+@final
+class SensorOffset(EffectForm):
+    """z = c + offset."""
+
+    name = "sensor_offset"
+    sentence = "The sensor reads the same amount too much everywhere."
+    source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
+    parameters = (Parameter("offset", "coordinate", 0.0),)
+    is_sought = False
+
+    def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
+        return c + p[0]
+
+
+@final
+class Drift(EffectForm):
+    """z = c + rate t, with t from the start of the run."""
+
+    name = "drift"
+    sentence = "The reading wanders away at a constant rate while the part may rest."
+    source = "Titterton and Weston, Strapdown inertial navigation, ch. 4"
+    parameters = (Parameter("rate", "coordinate/s", 0.0),)
+    plainness = 14
+    experiments = (
+        ("bias", "let the part rest against a stop: a sensor that drifts goes on, a bias does not"),
+        ("guard_shift", "rest at the end for a while: a drifting reading goes on"),
+    )
+
+    def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
+        return c + p[0] * time
+
+    def begun(self, seen: Shown) -> Start | None:
+        return Start([[0.0]], (0,), [0.3 * seen.command_size / seen.period])
+
+    def same_as(self, seen: Shown) -> Same | None:
+        """Only at an end of the range can sensor and motion be told apart."""
+        return None if seen.visits_end() else Same("bias")

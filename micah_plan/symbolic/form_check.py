@@ -1,0 +1,131 @@
+"""Whether a form of effect behaves: the conformance check for effects of one's own, by NumPy and by CasADi."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.form import EffectForm, Operations, Value, Values
+from micah_plan.errors import InputError
+from micah_plan.symbolic.effects import CasadiOperations
+
+# What a form is tried at: commands, and places of the coordinate.
+_COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
+_PLACES = np.array([-0.7, 0.0, 0.1, 0.4, 1.1, 2.0])
+_ENDS, _TIME = (-0.2, 1.3), 1.0
+# Components of an action beside the command, and of the direction that it is projected on.
+_ACROSS, _DIRECTION = (0.03, -0.07), (0.6, 0.5, -0.3)
+_EXACT = 1e-12
+
+
+def check_form(form: EffectForm) -> None:
+    """Refuse a form whose description is incomplete or whose formulas do not behave.
+
+    Checked: sentence and source; that the hooks which it overrides are those of one layer, and that `calibrate` tries
+    that layer; that the formulas give one finite value per state and command, for arrays as for numbers, and the same
+    when CasADi evaluates them; that a memory keeps its shape; that with all neutral values nothing changes; that a
+    reading is a straight line in the configuration, as it is taken out of logs.
+
+    Raises:
+        InputError: says what is wrong with the form.
+    """
+    if not form.parameters or not form.sentence.endswith(".") or not form.source:
+        raise InputError(f"effect {form.name}: must have parameters, a sentence and a source")
+    _check_layer(form)
+    neutral = [_sensible(q.lower, q.upper) if q.neutral is None else q.neutral for q in form.parameters]
+    acting = [_sensible(q.lower, q.upper) for q in form.parameters]
+    if any(q.neutral is not None for q in form.parameters):
+        unchanged = _outputs(EffectForm(), np, neutral, _PLACES, _COMMANDS)
+        for name, values in _checked(form, neutral).items():
+            if not np.allclose(values, unchanged[name], atol=_EXACT):
+                raise InputError(f"effect {form.name}: {name} must change nothing at the neutral parameters")
+    _checked(form, acting)
+    if form.layer == "sensor":
+        at = [form.measured(np, c, _TIME, acting) for c in (0.0, 1.0, 3.0)]
+        if abs((at[2] - at[0]) - 3.0 * (at[1] - at[0])) > 1e-9 * max(map(abs, at)):
+            raise InputError(
+                f"effect {form.name}: a reading must be a straight line in the configuration, and this one is curved",
+                remedy="a sensor's curve is taken out of the recording before, not by an effect",
+            )
+
+
+def _check_layer(form: EffectForm) -> None:
+    if not form.layers:
+        raise InputError(f"effect {form.name}: it overrides no hook, so it does nothing")
+    if len(form.layers) > 1:
+        raise InputError(
+            f"effect {form.name}: it overrides hooks of the layers {' and '.join(form.layers)}, and only one is called",
+            remedy="write one effect for each",
+        )
+    if form.layer in ("geometry", "place") and form.is_sought:
+        raise InputError(
+            f"effect {form.name}: calibrate tries no forms of the layer {form.layer} but its own",
+            remedy="set is_sought = False: it is then added by hand, with with_effect",
+        )
+
+
+def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
+    """Values of all hooks at the places and commands; refused where numbers or CasADi give others than arrays."""
+    try:
+        with np.errstate(all="ignore"):
+            found = _outputs(form, np, p, _PLACES, _COMMANDS)
+            single = [_outputs(form, np, p, float(c), float(v)) for c, v in zip(_PLACES, _COMMANDS, strict=True)]
+    except (TypeError, ValueError, IndexError, ArithmeticError) as error:
+        raise InputError(f"effect {form.name}: its formula fails: {error}") from error
+    symbolic = _by_casadi(form, p)
+    for name, values in found.items():
+        if values.shape != _COMMANDS.shape or not np.isfinite(values).all():
+            raise InputError(f"effect {form.name}: {name} must give one finite value per state and command")
+        alone = np.array([np.ravel(one[name])[0] for one in single])
+        if not np.allclose(alone, values, atol=_EXACT):
+            raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
+        if not np.allclose(symbolic[name], values, atol=_EXACT):
+            raise InputError(
+                f"effect {form.name}: {name} must mean the same to CasADi, which plans with it, as to NumPy",
+                remedy="write it with the functions of ops",
+            )
+    return found
+
+
+def _by_casadi(form: EffectForm, p: list[float]) -> dict[str, Floats]:
+    c, v = ca.SX.sym("c"), ca.SX.sym("v")
+    try:
+        read = _outputs(form, CasadiOperations(), p, c, v)
+        function = ca.Function("read", [c, v], [ca.SX(value) for value in read.values()])
+    # NumPy's functions refuse expressions in many ways, as does an `if` on one.
+    except Exception as error:
+        raise InputError(
+            f"effect {form.name}: CasADi, which plans with it, cannot read its formula: {error}",
+            remedy="write it with the functions of ops, and without an if on values",
+        ) from error
+    rows = [[float(value) for value in function(*at)] for at in zip(_PLACES, _COMMANDS, strict=True)]
+    return dict(zip(read, np.array(rows).T, strict=True))
+
+
+def _sensible(lower: float, upper: float) -> float:
+    low, high = max(lower, 0.5), min(upper, 1.0)
+    return low if low <= high else high
+
+
+def _outputs(form: EffectForm, ops: Operations, p: Sequence[float], c: Value, v: Value) -> dict[str, Value]:
+    """What every hook makes of a configuration and a command; arrays for NumPy."""
+    memory = form.at_rest_in(c, p)
+    out, after = form.respond(ops, c, v, memory, p)
+    if len(after) != len(memory):
+        raise InputError(f"effect {form.name}: remember must keep {len(memory)} values. Got {len(after)}")
+    action: Values = (v, *_ACROSS)
+    low, high = form.stops(ops, *_ENDS, p)
+    nothing = 0.0 * c + 0.0 * v
+    found = {
+        "frame_command": form.frame_command(ops, action, _DIRECTION, p),
+        "remember": out,
+        "command": form.command(ops, v, p),
+        "force": form.force(ops, c, v, p) + nothing,
+        "stops": low + 2.0 * high + nothing,
+        "release": form.release(p) + nothing,
+        "measured": form.measured(ops, c, _TIME, p) + nothing,
+    }
+    return found if ops is not np else {name: np.asarray(value, dtype=float) for name, value in found.items()}
