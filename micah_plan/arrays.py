@@ -1,4 +1,4 @@
-"""Names for the arrays of all signatures, whose docstrings give shapes and units; equal numbers in them."""
+"""Names for the arrays of all signatures, whose docstrings give shapes and units; what equals and spreads in them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,15 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+
+
+# Standard deviations of a normal distribution per median absolute deviation.
+_STDS_PER_MAD = 1.4826
+
+
+def robust_std(values: Floats) -> Floats:
+    """(...) std of values (N, ...) as their median deviation from the median tells it: few outliers do not count."""
+    return np.asarray(_STDS_PER_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
 def alike(numbers: Ints) -> list[tuple[int, Ints]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import Booleans, Floats, Ints, robust_std
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -33,7 +33,6 @@ ENOUGH_RUNS = 4
 _SHORTEST = 5
 # Correlation of place and time from which on they say the same.
 _ALIKE = 0.95
-_NORMAL_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +119,7 @@ class Lane:
         # An error from one measured row to the next has the noise of two.
         both = np.sqrt(self.noise + np.roll(self.noise, -1, axis=1))
         error = ((np.roll(self.z, -1, axis=1) - self.z - self.u) / both)[starts]
-        return float(_NORMAL_MAD * np.median(np.abs(error - np.median(error))))
+        return float(robust_std(error))
 
     def visits_end(self) -> bool:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""

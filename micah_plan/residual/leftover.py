@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Floats, robust_std
 
 # Earlier commands that may still act, and places over the range.
 LAGS = 4
@@ -176,7 +176,7 @@ def _left(residual: Floats, functions: Floats) -> tuple[Floats, int]:
 
 def _without_outliers(residual: Floats) -> Floats:
     """Residuals cut off where single bad rows would decide the test: at five robust standard deviations."""
-    spread = 1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0)
+    spread = robust_std(residual)
     reach = np.where(spread > 0, 5.0 * spread, np.inf)
     return np.asarray(np.clip(residual, -reach, reach))
 

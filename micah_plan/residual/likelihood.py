@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln
+from scipy.stats import t as student_t
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.residual.simulation import Prediction
 
-_ROUNDS = 12
+_ROUNDS, _REGRESSION_ROUNDS = 12, 30
 SMALLEST_SCALE = 1e-9
 
 
@@ -59,3 +60,19 @@ def log_density(prediction: Prediction, scale: Floats, freedom: float) -> Floats
     constant = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) - 0.5 * np.log(freedom * np.pi)
     tail = np.log1p(prediction.error**2 / (freedom * spread))
     return np.asarray(constant - 0.5 * np.log(spread) - 0.5 * (freedom + 1) * tail)
+
+
+def robust_log_density(design: Floats, now: Floats, freedom: float, least: float) -> float:
+    """Log density of values (N,) about the best linear prediction from a design (N, k), with a scale of its own [nats].
+
+    Args:
+        least: the smallest scale.
+    """
+    weight, left, scale = np.ones(len(now)), now, least
+    for _ in range(_REGRESSION_ROUNDS):
+        root = np.sqrt(weight)
+        if design.shape[1]:
+            left = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
+        scale = max(float(np.sqrt(np.mean(weight * left**2))), least)
+        weight = (freedom + 1.0) / (freedom + (left / scale) ** 2)
+    return float(student_t.logpdf(left / scale, freedom).sum() - len(left) * np.log(scale))

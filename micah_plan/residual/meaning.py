@@ -20,14 +20,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import t as student_t
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.growth import LEAST_EVIDENCE, is_worth, ranked
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.likelihood import SMALLEST_SCALE
+from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES, Term
 
@@ -42,8 +41,8 @@ _STARTS = {_GAIN: (0.9, 1.1), _DELAY: (0.5, 1.5, 3.0, 6.0), _MOMENTUM: (0.3, 0.7
 CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
 # Commands before one that its regularity is judged by.
 _MEMORY = 2
-# Degrees of freedom of what is not foretold, rounds of the fit, and the least that counts, as a share of the spread.
-_FREEDOM, _ROUNDS, _FINEST = 2.0, 30, 1e-3
+# Degrees of freedom of what is not foretold (a few jumps decide nothing), and the least of it, as a share of all.
+_FREEDOM, _FINEST = 2.0, 1e-3
 
 # Share of what a sequence of commands says by being irregular that counts: its rows are no independent witnesses.
 _HEARD = 0.25
@@ -76,20 +75,10 @@ def _regularity(lane: Lane) -> float:
     found = []
     for series in (whole.u, whole.place):
         before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
-        found.append(_foretold(np.stack([np.ones(int(starts.sum())), *before], axis=1), series[starts]))
+        now = series[starts]
+        design = np.stack([np.ones(len(now)), *before], axis=1)
+        found.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + SMALLEST_SCALE))
     return found[1] - found[0]
-
-
-def _foretold(design: Floats, now: Floats) -> float:
-    """Log likelihood of a linear prediction with Student's t, which a few jumps do not decide [nats]."""
-    weight, least = np.ones(len(now)), _FINEST * float(np.std(now)) + SMALLEST_SCALE
-    left, scale = now, 1.0
-    for _ in range(_ROUNDS):
-        root = np.sqrt(weight)
-        left = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
-        scale = max(float(np.sqrt(np.mean(weight * left**2))), least)
-        weight = (_FREEDOM + 1.0) / (_FREEDOM + (left / scale) ** 2)
-    return float(student_t.logpdf(left / scale, _FREEDOM).sum() - len(left) * np.log(scale))
 
 
 def followed(search: Search) -> Scored:

@@ -15,15 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student_t
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import Floats, Ints, robust_std
 from micah_plan.learn.segmenting.changepoints import most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import Lane
+from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration; starts that it keeps.
 _MOST_ROWS = 800
@@ -37,8 +37,8 @@ _MOST_CUTS = 4
 _FEWEST_IN_PIECE = 8
 _NARROWEST = 0.05
 _OUTLIER = 12.0
-# Degrees of freedom of a residual's distribution, and rounds for its scale.
-_FREEDOM, _ROUNDS = 4.0, 20
+# Degrees of freedom of a residual's distribution.
+_FREEDOM = 4.0
 _AS_THE_MODEL, _OTHERWISE = 0, 1
 
 
@@ -93,7 +93,7 @@ def missing_modes(
         return ()
     smooth = _smooth(place, v, low, high) / per[:, None]
     gradual = smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0]
-    noise = _scatter(e - gradual)
+    noise = max(float(robust_std(e - gradual)), SMALLEST_SCALE)
     # Bad rows are those far from what changes gradually, not those that the model as it is misses by much.
     e = gradual / noise + np.clip((e - gradual) / noise, -_OUTLIER, _OUTLIER)
     line = np.stack([1.0 / per, v / lane.command_size / per], axis=1)
@@ -124,10 +124,6 @@ def _correlation(left: Floats) -> float:
     """Of rows (N,) in time order, each with the next."""
     left = left - left.mean()
     return float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-
-
-def _scatter(values: Floats) -> float:
-    return max(1.4826 * float(np.median(np.abs(values - np.median(values)))), 1e-9)
 
 
 def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
@@ -178,11 +174,7 @@ def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
 
 def _log_density(left: Floats) -> float:
     """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
-    scale2 = max(float(np.mean(left**2)), 1e-18)
-    for _ in range(_ROUNDS):
-        weight = (_FREEDOM + 1.0) / (_FREEDOM + left**2 / scale2)
-        scale2 = max(float(np.mean(weight * left**2)), 1e-18)
-    return float(student_t.logpdf(left / np.sqrt(scale2), _FREEDOM).sum() - 0.5 * len(left) * np.log(scale2))
+    return robust_log_density(np.zeros((len(left), 0)), left, _FREEDOM, SMALLEST_SCALE)
 
 
 class _Lines:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Floats, robust_std
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -29,7 +29,6 @@ _ROWS_BEYOND, _STDS_BEYOND = 3, 5.0
 _ONWARD = 0.5
 # A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
 _LONGER, _STDS_LONGER = 1.5, 6.0
-_NORMAL_MAD = 1.4826
 _STOP, _SHIFT = "limit", "guard_shift"
 
 
@@ -137,7 +136,8 @@ def noise_of(x: Floats) -> Floats:
         return np.zeros(x.shape[1])
     third = np.diff(x, 3, axis=0)
     # Third differences of white noise have 1 + 9 + 9 + 1 times its variance.
-    return np.asarray(_NORMAL_MAD * np.median(np.abs(third), axis=0) / np.sqrt(20.0))
+    # They lie about 0.
+    return np.asarray(robust_std(np.concatenate([third, -third])) / np.sqrt(20.0))
 
 
 def sections(time: Floats) -> list[tuple[int, int]]:
@@ -146,8 +146,7 @@ def sections(time: Floats) -> list[tuple[int, int]]:
         return [(0, len(time))]
     pause = np.diff(time)
     usual = float(np.median(pause))
-    spread = _NORMAL_MAD * float(np.median(np.abs(pause - usual)))
-    missing = pause > max(_LONGER * usual, usual + _STDS_LONGER * spread)
+    missing = pause > max(_LONGER * usual, usual + _STDS_LONGER * float(robust_std(pause)))
     edges = [0, *(np.flatnonzero(missing) + 1).tolist(), len(time)]
     return list(pairwise(edges))
 
