@@ -95,6 +95,7 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged
         ],
         "per_run": [_of_run(number, runs) for number in dict.fromkeys(run.run for run in runs)],
         "per_mode": _per_mode(runs),
+        "per_coordinate": _per_coordinate(automaton, runs, judged),
         "beyond_range": [
             {"coordinate": one.name, "end": one.end, "measured": one.reached, "sentence": str(one)}
             for one in beyond_range(automaton, [run.x for run in runs])
@@ -115,6 +116,21 @@ def _estimate(errors: tuple[float, float] | None) -> dict[str, Any]:
 
 def _errors(position: float, rotation: float | None, configuration: float) -> dict[str, float | None]:
     return {"position_rmse_m": position, "rotation_rmse_rad": rotation, "configuration_rmse": configuration}
+
+
+def _per_coordinate(
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement
+) -> list[dict[str, Any]]:
+    """Errors of each coordinate in its own unit, and what noise alone would leave of them."""
+    from micah_plan.residual.prediction import rmse_of_coordinates
+
+    sizes = [rmse_of_coordinates([getattr(run, kind) for run in runs]) for kind in ("one_step", "rollout")]
+    floors = [None if floor is None else floor.coordinates for floor in (judged.one_step, judged.rollout)]
+    return [
+        {"name": c.name, "unit": c.unit, "one_step_rmse": sizes[0][i], "rollout_rmse": sizes[1][i]}
+        | {"noise_floor": [None if floor is None else floor[i] for floor in floors]}
+        for i, c in enumerate(automaton.coordinates)
+    ]
 
 
 def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
@@ -141,11 +157,13 @@ def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
 
 def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
     """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
-    shown = table("root mean square error", "position", "rotation", "configuration")
-    for name, text in (("one_step", "one step"), ("rollout", "roll-out")):
-        floor, unit = summary["noise_floor"][name], summary["configuration_unit"]
-        shown.add_row(text, *_three(summary[name], unit))
-        shown.add_row("  noise alone", *(_three(floor, unit) if floor else ("unknown",) * 3))
+    own = summary["per_coordinate"]
+    shown = table("root mean square error", "position", "rotation", *(c["name"] for c in own))
+    for k, (name, text) in enumerate((("one_step", "one step"), ("rollout", "roll-out"))):
+        floor, sizes = summary["noise_floor"][name], [(c[f"{name}_rmse"], c["unit"]) for c in own]
+        shown.add_row(text, *_amounts(summary[name], sizes))
+        floors = [(c["noise_floor"][k], c["unit"]) for c in own]
+        shown.add_row("  noise alone", *(_amounts(floor, floors) if floor else ("unknown",) * (2 + len(own))))
     out.print(shown)
     out.print(summary["whiteness"]["verdict"], markup=False)
     if "estimate" in summary:
@@ -169,8 +187,9 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
     print_files((html,))
 
 
-def _three(values: dict[str, float | None], unit: str) -> tuple[str, ...]:
-    found = zip(values.values(), ("m", "rad", unit), strict=True)
+def _amounts(values: dict[str, float | None], coordinates: list[tuple[float, str]]) -> tuple[str, ...]:
+    """Position, rotation, and each coordinate, in their units."""
+    found = [(values["position_rmse_m"], "m"), (values["rotation_rmse_rad"], "rad"), *coordinates]
     return tuple("not measured" if value is None else quantity(value, own, degrees=False) for value, own in found)
 
 
@@ -239,6 +258,7 @@ def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
             "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
             "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
             "noise_floor": found.noise_floor,
+            "rollout_noise_floor": found.rollout_floor,
         },
         "unexplained_fraction": found.unexplained_fraction,
         "missing_modes": [_missing_mode(mode) for one in found.traces for mode in one.missing_modes],
@@ -281,6 +301,11 @@ def _missing_mode(mode: MissingMode) -> dict[str, Any]:
     }
 
 
+def _correlation(one: LaneTrace) -> dict[str, Any] | None:
+    names, matrix = one.search.correlations_of(one.chosen)
+    return {"parameters": list(names), "matrix": matrix.tolist()} if len(names) > 1 else None
+
+
 def _coordinate(one: LaneTrace) -> dict[str, Any]:
     return {
         "name": one.lane.coordinate,
@@ -294,6 +319,7 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
         ],
         "autocorrelation": one.whiteness[0],
         "whiteness_p": one.whiteness[1],
+        "parameter_correlation": _correlation(one),
     }
 
 

@@ -145,7 +145,8 @@ def error_lines(found: Calibration) -> list[str]:
         for name in ("one_step", "rollout"):
             before, after = (quantity(getattr(size, name), own.unit) for size in (own.before, own.after))
             lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
-        lines.append(f"  noise     {quantity(own.noise_floor, own.unit)} (one step)")
+        floors = (quantity(floor, own.unit) for floor in (own.noise_floor, own.rollout_floor))
+        lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
     return lines
 
 

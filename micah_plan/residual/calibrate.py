@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import norm
@@ -38,6 +39,8 @@ _STDS_WIDE = 2.0 * float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25
+# Rows whose poses are predicted for the report.
+_POSE_ROWS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +83,14 @@ class ResidualSize:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers."""
+    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers, floors included."""
 
     of: str
     unit: str
     before: ResidualSize
     after: ResidualSize
     noise_floor: float
+    rollout_floor: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +101,12 @@ class Calibration:
         automaton: the new one; the old one if nothing was found.
         effects: strongest first.
         before, after: errors on runs or stretches that the parameters were not fitted to.
-        noise_floor: one-step error that noise alone would leave [rad or m].
+        noise_floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
         unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
         traces: per coordinate.
         notes: what can and cannot be concluded, one sentence each.
         experiment: the next one worth making.
+        told, recording: what was calibrated.
     """
 
     automaton: HybridAutomaton
@@ -110,24 +115,34 @@ class Calibration:
     before: ResidualSize
     after: ResidualSize
     noise_floor: float
+    rollout_floor: float
     unexplained_fraction: float
     traces: tuple[LaneTrace, ...]
     notes: tuple[str, ...]
     experiment: str
+    told: HybridAutomaton
+    recording: Recording
 
     @property
     def errors(self) -> tuple[Errors, ...]:
         """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
         units = {one.lane.unit for one in self.traces}
         if any(form(found.effect.name).layer == "geometry" for found in self.effects):
-            return (Errors("positions", "m", self.before, self.after, self.noise_floor),)
+            return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
         if len(units) == 1:
-            return (Errors("", units.pop(), self.before, self.after, self.noise_floor),)
+            return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
         sizes = [(_size([one], is_final=False), _size([one], is_final=True)) for one in self.traces]
         return tuple(
-            Errors(one.lane.coordinate, one.lane.unit, before, after, one.floor)
+            Errors(one.lane.coordinate, one.lane.unit, before, after, one.floor, one.rollout_floor)
             for one, (before, after) in zip(self.traces, sizes, strict=True)
         )
+
+    @cached_property
+    def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
+        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of some runs."""
+        sizes = [_pose_sizes(model, self.recording, _POSE_ROWS) for model in (self.told, self.automaton)]
+        names = ("positions", "m"), ("orientations", "rad")
+        return tuple((*name, *both) for name, both in zip(names, zip(*sizes, strict=True), strict=False))
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
@@ -154,11 +169,11 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     added = with_shifts(_to_add(traces), beyond)
     improved = with_effect(closed(corrected, beyond, added), *without_old_ends(added, beyond))
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
-    floor = _together([one.floor for one in traces], traces)
+    floors = [_together(own, traces) for own in zip(*((one.floor, one.rollout_floor) for one in traces), strict=True)]
     if known.geometry:
-        before, after = _pose_size(automaton, recording), _pose_size(improved, recording)
+        before, after = (_pose_sizes(model, recording, MOST_ROWS)[0] for model in (automaton, improved))
         across, arm = scatter_across(corrected, measured)
-        floor = float(np.hypot(across, arm * floor))
+        floors = [float(np.hypot(across, arm * floor)) for floor in floors]
     verdicts: list[Verdict] = [one.outcome.verdict for one in traces]
     verdicts += ["explained"] if known.direct else []
     verdicts += ["unexplained"] if known.beside else []
@@ -168,7 +183,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         effects=tuple(found),
         before=before,
         after=after,
-        noise_floor=floor,
+        noise_floor=floors[0],
+        rollout_floor=floors[1],
         unexplained_fraction=max(_left_beside(known), *(one.unexplained_fraction for one in traces)),
         traces=traces,
         notes=(
@@ -178,6 +194,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             *told_of_beliefs(corrected, known.seen, measured),
         ),
         experiment=_next_experiment(found, traces),
+        told=automaton,
+        recording=recording,
     )
 
 
@@ -295,15 +313,18 @@ def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
     return ResidualSize(one_step, rollout)
 
 
-def _pose_size(automaton: HybridAutomaton, recording: Recording) -> ResidualSize:
-    """Position errors [m]: what a change of geometry does is not seen in configurations."""
+def _pose_sizes(automaton: HybridAutomaton, recording: Recording, most: int) -> list[ResidualSize]:
+    """Errors of positions [m] and, where they were measured, orientations [rad], over runs of about so many rows."""
     chosen = recording.runs
-    if len(recording.time) > MOST_ROWS:
-        count = max(1, len(chosen) * MOST_ROWS // len(recording.time))
+    if len(recording.time) > most:
+        count = max(1, len(chosen) * most // len(recording.time))
         chosen = tuple(chosen[k] for k in np.linspace(0, len(chosen) - 1, count).astype(int).tolist())
     able = [rows for rows in (recording.select(run=run) for run in chosen) if len(np.unique(rows.time)) > 1]
     runs = [predicted for rows in able for predicted in predict_recording(automaton, rows)]
-    return ResidualSize(rmse([run.one_step.position for run in runs]), rmse([run.rollout.position for run in runs]))
+    kinds = [[run.one_step for run in runs], [run.rollout for run in runs]]
+    sizes = [ResidualSize(*(rmse([one.position for one in own]) for own in kinds))]
+    turns = [[one.rotation for one in own if one.rotation is not None] for own in kinds]
+    return [*sizes, ResidualSize(*map(rmse, turns))] if all(turns) else sizes
 
 
 def _together(sizes: Sequence[float], traces: Sequence[LaneTrace]) -> float:

@@ -18,11 +18,15 @@ from micah_plan.residual.prediction import RunPrediction
 
 @dataclass(frozen=True)
 class Floor:
-    """Root mean square errors that noise alone would leave: position [m], rotation [rad], configuration [rad or m]."""
+    """Root mean square errors that noise alone would leave: position [m], rotation [rad], configuration [rad or m].
+
+    `coordinates` has those of each coordinate in its own unit; `configuration` puts them together.
+    """
 
     position: float
     rotation: float | None
     configuration: float
+    coordinates: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -128,8 +132,10 @@ def _floors(
     rotation = _across(automaton, runs, one2, roll2, 0, turns) if len(turns) == len(runs) else None
     if position is None:
         return None, None
-    sizes = float(np.sqrt(one2.mean())), float(np.sqrt(roll2.mean()))
-    floors = [Floor(position[k], None if rotation is None else rotation[k], sizes[k]) for k in (0, 1)]
+    floors = []
+    for k, own2 in enumerate((one2, roll2)):
+        turned, sizes = None if rotation is None else rotation[k], tuple(np.sqrt(own2).tolist())
+        floors.append(Floor(position[k], turned, float(np.sqrt(own2.mean())), sizes))
     return floors[0], floors[1]
 
 

@@ -107,6 +107,11 @@ def rmse(errors: list[Floats]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
+def rmse_of_coordinates(errors: Sequence[PredictionError]) -> tuple[float, ...]:
+    """(n,) root mean square errors of the coordinates, each in its unit."""
+    return tuple(np.sqrt(np.mean(np.concatenate([one.configuration for one in errors]) ** 2, axis=0)).tolist())
+
+
 def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
     """Root mean square of what was believed minus what was measured, and mean size of the last of each run.
 

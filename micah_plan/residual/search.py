@@ -35,6 +35,8 @@ _MOTION_NOISES = (0.0, 0.6, 0.97)
 _CLEARLY = 3.0
 # Standard deviations of a measurement within which a part may be at an end.
 _NEAR = 3.0
+# Half of a difference quotient, as a share of what is large for a parameter.
+_SLOPE_STEP = 0.01
 # The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
 _LOOSE = 20.0
 
@@ -176,6 +178,34 @@ class Search:
         # Steady state of the scalar Riccati equation: prior variance p with p = p r / (p + r) + q.
         p = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
         return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
+
+    def rollout_floor(self, scored: Scored, one_step: float) -> float:
+        """Root mean square of a roll-out's error that noise alone would leave, given that of one step.
+
+        What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
+        """
+        problem, lane = self.problem(scored.parts), self.lane.whole or self.lane
+        found = simulate(lane, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
+        share = process_share(scored.fit.share)[0]
+        step = 2.0 * (1.0 - share) + share * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
+        return one_step * float(np.sqrt(np.mean(found.variance[0][lane.counted]) / step))
+
+    def correlations_of(self, scored: Scored) -> tuple[tuple[str, ...], Floats]:
+        """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors.
+
+        From the slopes of the innovations, each in units of its std; the priors count as they do in the fit.
+        """
+        problem, k = self.problem(scored.parts), len(self.problem(scored.parts).free)
+        names = [f"{part.term.form.parameters[j].name} of {part.name}" for part in scored.parts for j in part.free]
+        rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)
+        for j, column in enumerate(problem.free):
+            rows[2 * j : 2 * j + 2, column] += _SLOPE_STEP * problem.scale[j] * np.array([1.0, -1.0])
+        found = simulate(self.lane, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
+        errors = (found.error / np.sqrt(found.variance) / float(scored.fit.scale[0])).reshape(k, 2, self.lane.z.size)
+        slopes = (errors[:, 0] - errors[:, 1]) / (2.0 * _SLOPE_STEP)
+        covariance = np.linalg.inv(slopes @ slopes.T + np.eye(k) / problem.looseness**2)
+        std = np.sqrt(np.diag(covariance))
+        return tuple(names), np.asarray(covariance / np.outer(std, std))
 
     def intervals(self, scored: Scored) -> Floats:
         """(k, 3) interval and median of each free parameter, in the order of the parts; see `interval.intervals`."""

@@ -74,7 +74,7 @@ class LaneTrace:
         facts, outcome: what is known, and what is concluded from it.
         whiteness: largest autocorrelation of the innovations that remain, and how probable it were if they were white.
         left: what the innovations that remain follow; None where rows are too few.
-        floor: one-step error that noise alone would leave [rad or m].
+        floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `added_mode`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
         alternatives: the models of one effect that were considered.
@@ -92,6 +92,7 @@ class LaneTrace:
     whiteness: tuple[float, float]
     left: Leftover | None
     floor: float
+    rollout_floor: float
     missing_modes: tuple[MissingMode, ...] = ()
     closest: tuple[str, ...] = ()
     alternatives: tuple[Scored, ...] = ()
@@ -132,6 +133,8 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         is_corrected=any(effect.name == UNNAMED for effect in lane.effects),
     )
     final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
+    models = list({id(one): one for one in (final, chosen, named)}.values())
+    floor, number = min((search.noise_floor(one), number) for number, one in enumerate(models))
     return LaneTrace(
         lane=lane,
         search=search,
@@ -145,7 +148,8 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         outcome=outcome_of(facts),
         whiteness=search.whiteness(chosen),
         left=left,
-        floor=min(map(search.noise_floor, {id(one): one for one in (final, chosen, named)}.values())),
+        floor=floor,
+        rollout_floor=search.rollout_floor(models[number], floor),
         closest=closest,
         alternatives=growth.alternatives,
     )
@@ -262,5 +266,11 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
 
 
 def _is_tied(best: Scored, other: Scored) -> bool:
+    """Whether another model would do as well.
+
+    It predicts as well; or no effect's evidence is between them, and with no more parameters it fits all rows better:
+    where one run alone shows an effect, what is held out says how well the other runs happen to tell its parameters.
+    """
     gap, error = best.over(other)
-    return gap < max(TIE, min(_ERRORS * error, _SLACK * other.density.size))
+    fits = other.fit.loss[0] <= best.fit.loss[0] and len(other.parts[-1].free) <= len(best.parts[-1].free)
+    return gap < max(TIE, min(_ERRORS * error, _SLACK * other.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)

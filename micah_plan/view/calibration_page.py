@@ -45,6 +45,7 @@ def calibration_page(found: Calibration, title: str) -> str:
         "parameters": _parameters(found),
         "effects": [_effect(one) for one in found.effects],
         "errors": _errors(found),
+        "poses": _poses(found),
         "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
         "explained.",
         "coordinates": [_coordinate(one) for one in found.traces],
@@ -91,10 +92,26 @@ def _errors(found: Calibration) -> Table:
     head, rows = "root mean square on rows held out from the fit", list[tuple[str, ...]]()
     for own in found.errors:
         name, steps = f"{own.of}: " if own.of else "", (own.before.one_step, own.after.one_step, own.noise_floor)
-        rolls = own.before.rollout, own.after.rollout
+        rolls = own.before.rollout, own.after.rollout, own.rollout_floor
         rows.append((f"{name}one step ahead", *(quantity(e, own.unit) for e in steps)))
-        rows.append((f"{name}roll-out from the first row", *(quantity(e, own.unit) for e in rolls), ""))
+        rows.append((f"{name}roll-out from the first row", *(quantity(e, own.unit) for e in rolls)))
     return Table((head, "before", "after", "noise alone"), tuple(rows), (1, 2, 3))
+
+
+def _poses(found: Calibration) -> Table:
+    head, rows = "root mean square over all rows, fitted ones included", list[tuple[str, ...]]()
+    for what, unit, *sizes in found.pose_errors:
+        rows.append((f"{what}: one step ahead", *(quantity(size.one_step, unit) for size in sizes)))
+        rows.append((f"{what}: roll-out from the first row", *(quantity(size.rollout, unit) for size in sizes)))
+    return Table((head, "before", "after"), tuple(rows), (1, 2))
+
+
+def _correlation(one: LaneTrace) -> Table:
+    """How the errors of fitted parameters go together; empty for a single one."""
+    names, matrix = one.search.correlations_of(one.chosen)
+    shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
+    rows = tuple((name, *(f"{value:.2f}" for value in row)) for name, row in shown)
+    return Table(("correlation of errors", *names), rows, tuple(range(1, len(names) + 1)))
 
 
 def _coordinate(one: LaneTrace) -> dict[str, Any]:
@@ -113,7 +130,13 @@ def _coordinate(one: LaneTrace) -> dict[str, Any]:
         Bar(name, with_spread(gain, error, "nats"), gain / best[0][1], BLUE, faint=name not in chosen)
         for name, gain, error in best
     ]
-    charts = {"motion": _motion(one), "pairs": _residuals(one), "ranking": Bars("", tuple(bars)), "runs": _runs(one)}
+    charts = {
+        "motion": _motion(one),
+        "correlation": _correlation(one),
+        "pairs": _residuals(one),
+        "ranking": Bars("", tuple(bars)),
+        "runs": _runs(one),
+    }
     return {"name": lane.coordinate, "summary": summary, **charts}
 
 

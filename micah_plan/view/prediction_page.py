@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.quantities import common_unit, count, quantity
+from micah_plan.quantities import count, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.judgement import Floor, Judgement
-from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse
+from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse, rmse_of_coordinates
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
 from micah_plan.view.executed import poses_of_run
@@ -51,7 +51,7 @@ def prediction_page(
         runs: its predictions, of the same recording.
         judged: what their errors are worth.
     """
-    worst = sorted(runs, key=lambda run: -rmse([run.rollout.configuration]))[:_MOST_RUNS]
+    worst = sorted(runs, key=lambda run: -rmse([run.rollout.position]))[:_MOST_RUNS]
     scene, size = Scene(), object_size(automaton)
     longest = max(float(run.time[-1]) for run in worst)
     scale = min(max(longest, _SHORTEST_S), _LONGEST_S) / max(longest, 1e-9)
@@ -106,11 +106,8 @@ def _draw_run(
             for i in range(0, len(poses), max(1, len(poses) // 6)):
                 scene.reserve(shape_corners(shapes, poses[i]))
         seen.append(np.asarray(measured[link.child].apply(handle_in_part(automaton, link.child))))
-    unit = common_unit(coordinate.unit for coordinate in automaton.coordinates)
-    words = (
-        f"One step ahead {quantity(rmse([run.one_step.configuration]), unit)} off, from the first row on "
-        f"{quantity(rmse([run.rollout.configuration]), unit)} (root mean square).",
-    )
+    steps, rolled_on = (_sizes(automaton, rmse_of_coordinates([one])) for one in (run.one_step, run.rollout))
+    words = (f"One step ahead {steps} off, from the first row on {rolled_on} (root mean square).",)
     readouts = _readouts(automaton, run, rolled, modes, scale)
     return RunEntry(f"run {run.run}", words, layer, run.run, readouts), seen
 
@@ -128,16 +125,23 @@ def _readouts(
     return tuple(found)
 
 
+def _sizes(automaton: HybridAutomaton, sizes: Sequence[float]) -> str:
+    """Root mean squares (n,) of coordinates: together where they have one unit, else each with its name."""
+    own = automaton.coordinates
+    if len({coordinate.unit for coordinate in own}) == 1:
+        return quantity(float(np.sqrt(np.mean(np.square(sizes)))), own[0].unit)
+    return ", ".join(f"{c.name} {quantity(size, c.unit)}" for c, size in zip(own, sizes, strict=True))
+
+
 def _facts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement) -> list[tuple[str, str]]:
-    unit = common_unit(coordinate.unit for coordinate in automaton.coordinates)
     facts = [("Runs", str(len(runs)))]
     rows: tuple[tuple[str, list[PredictionError], Floor | None], ...] = (
         ("One step ahead", [run.one_step for run in runs], judged.one_step),
         ("Roll-out from the first row", [run.rollout for run in runs], judged.rollout),
     )
     for name, errors, floor in rows:
-        facts.append((name, quantity(rmse([error.configuration for error in errors]), unit)))
-        noise = "unknown" if floor is None else quantity(floor.configuration, unit)
+        facts.append((name, _sizes(automaton, rmse_of_coordinates(errors))))
+        noise = "unknown" if floor is None else _sizes(automaton, floor.coordinates)
         facts.append(("… noise alone would leave", noise))
     return facts
 
