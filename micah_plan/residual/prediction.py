@@ -177,17 +177,16 @@ def _within(mode: Mode, x: Floats) -> Floats:
 
 
 def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
-    """The belief after the first measurement of a run, with the run's own noise if that is larger than the model's."""
-    std = np.array(automaton.noise.observation_std)
-    for spread in (std, np.maximum(std, noise_of(track.x))):
+    """The belief after the first measurement of a run: with the model's noise at that place, or the run's if larger."""
+    std, x = np.array(automaton.noise.observation_std), track.x[0]
+    seen = np.array([automaton.sensing(mode).std_at(x) for mode in automaton.modes])
+    seen = np.maximum(std, np.where(np.isfinite(seen), seen, 0.0))
+    for spread in (std, np.maximum(std, noise_of(track.x)), seen.max(axis=0)):
         try:
-            found = initial_belief(automaton, track.x[0], spread)
+            found = initial_belief(automaton, x, spread).most_likely
         except InputError:
             continue
-        mode = automaton.modes[found.most_likely]
-        seen = automaton.sensing(mode).std_at(track.x[0])
-        own = np.maximum(spread, np.where(np.isfinite(seen), seen, 0.0))
-        return initial_belief(automaton, track.x[0], own, mode.name)
+        return initial_belief(automaton, x, np.maximum(spread, seen[found]), automaton.modes[found].name)
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
         ranges = automaton.ranges(index)

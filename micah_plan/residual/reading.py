@@ -26,6 +26,8 @@ _FEWEST = 4
 # Steps smaller than this share of the largest are rest; the smallest error that counts [rad or m].
 _AT_REST = 0.05
 _EXACT = 1e-7
+# Variance of a median over that of a mean, of normal noise.
+_OF_MEDIANS = 0.5 * np.pi
 # Functions of (belief, time) that x - e may be, plainest first.
 _MODELS: tuple[tuple[str, ...], ...] = (
     ("sensor_scale",),
@@ -40,7 +42,7 @@ def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
     """Effects of sensors that predict held-out rests clearly better; in the order in which they are taken out."""
     found: list[DirectFinding] = []
     for i, coordinate in enumerate(automaton.coordinates):
-        rests = np.array([rest for track in tracks for rest in _rests(track, i, len(tracks))]).reshape(-1, 3)
+        rests = np.array([rest for track in tracks for rest in _rests(track, i, len(tracks))]).reshape(-1, 4)
         if len(rests) < _FEWEST:
             continue
         without = _density(rests, ())
@@ -51,8 +53,8 @@ def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
     return tuple(found)
 
 
-def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float]]:
-    """(measured, believed, time) at the rests of a run, one of each stretch."""
+def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, float]]:
+    """(measured, believed, time, variance of the first two's difference) at the rests of a run, one of each stretch."""
     if track.believed is None:
         return []
     x, e, time = track.x[:, i], track.believed[:, i], track.time - track.time[0]
@@ -63,14 +65,21 @@ def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float]]:
     rest = known & (steps <= _AT_REST * steps[known].max())
     count = 1 if runs >= ENOUGH_RUNS else int(np.ceil(2 * ENOUGH_RUNS / runs))
     pieces = [own[rest[own]] for own in np.array_split(np.arange(len(x)), count)]
-    return [
-        (float(np.median(x[own])), float(np.median(e[own])), float(np.median(time[own]))) for own in pieces if own.size
-    ]
+    found = []
+    for own in pieces:
+        if own.size:
+            middle = (float(np.median(values[own])) for values in (x, e, time))
+            found.append((*middle, _OF_MEDIANS * float(np.var((x - e)[own])) / own.size))
+    return found
 
 
 def _density(rests: Floats, names: tuple[str, ...]) -> float:
-    """Log density of each rest's error as the others predict it [nats]."""
+    """Log density of each rest's error as the others predict it [nats].
+
+    Few rests may agree by chance: none is taken for more certain than the scatter of its own rows lets it be.
+    """
     design, target = _regression(rests, names)
+    known = rests[:, 3].mean()
     total, free = 0.0, len(target) - 1 - design.shape[1]
     if free < 1:
         return -np.inf
@@ -78,13 +87,13 @@ def _density(rests: Floats, names: tuple[str, ...]) -> float:
         a, b = np.delete(design, k, axis=0), np.delete(target, k)
         beta = np.linalg.lstsq(a, b, rcond=None)[0]
         spread = design[k] @ np.linalg.pinv(a.T @ a) @ design[k]
-        scale = np.sqrt((((b - a @ beta) ** 2).sum() / free + _EXACT**2) * (1.0 + spread))
+        scale = np.sqrt((max(((b - a @ beta) ** 2).sum() / free, known) + _EXACT**2) * (1.0 + spread))
         total += float(student_t.logpdf((target[k] - design[k] @ beta) / scale, free) - np.log(scale))
     return total
 
 
 def _regression(rests: Floats, names: tuple[str, ...]) -> tuple[Floats, Floats]:
-    x, e, time = rests.T
+    x, e, time, _ = rests.T
     columns = np.stack([e, np.ones_like(e), time], axis=1)
     return columns[:, [_COLUMN[name] for name in names]], x - e
 

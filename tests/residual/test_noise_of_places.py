@@ -70,7 +70,8 @@ def test_the_noise_of_a_row_is_that_of_its_place_and_not_of_what_was_read() -> N
 
 def test_a_first_measurement_is_believed_as_far_as_its_place_allows() -> None:
     (track, *_) = tracks(slide(), recorded(0))
-    for place, std in ((AT, STD), (0.9, np.hypot(STD, 0.7 * GROWTH))):
+    # The last one lies outside of the range, by less than it is uncertain by.
+    for place, std in ((AT, STD), (0.9, np.hypot(STD, 0.7 * GROWTH)), (1.15, np.hypot(STD, 0.95 * GROWTH))):
         at = replace(track, x=np.full_like(track.x, place))
         assert np.sqrt(first_belief(slide(), at).covariance[0, 0]) == pytest.approx(std, rel=1e-6)
 

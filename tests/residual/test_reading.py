@@ -14,7 +14,9 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.prediction import estimate_errors, predict_recording
+from micah_plan.residual.reading import _density
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,13 @@ def vars_of(recording):
 
 def with_x(recording, texts):
     return {**recording.extra, "estimate_x": texts}
+
+
+def test_rests_of_a_noisy_measurement_that_agree_by_chance_show_no_sensor() -> None:
+    """Five rests are few: the scatter within each says how far their agreement can be meant."""
+    believed = np.array([-1.0, 0.2, 0.9, 1.6, 2.4])
+    measured = 1.5 * believed + 0.3 + 0.01 * np.array([1.0, -1.0, 1.0, -1.0, 1.0])
+    for scatter, is_told in ((0.01, True), (1.0, False)):
+        rests = np.stack([measured, believed, 0.0 * believed, np.full(5, scatter**2)], axis=1)
+        gain = _density(rests, ("sensor_scale", "sensor_offset")) - _density(rests, ())
+        assert (gain > LEAST_EVIDENCE) is is_told
