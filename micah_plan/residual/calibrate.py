@@ -203,6 +203,8 @@ def _check_usable(automaton: HybridAutomaton, known: Examined) -> None:
     if sum(len(track.time) for track in known.measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
     if not known.searches:
+        if known.is_readable:
+            raise InputError("in no recorded row does the model's sensor see anything", remedy="check its noise")
         remedy = "take a model with a joint that moves; runs of what a hand holds are for predict"
         raise InputError("the model has no coordinates that move by inputs of their own", remedy=remedy)
     across, arm = lasting_across(automaton, known.seen), scatter_across(automaton, known.seen)[1]

@@ -35,6 +35,7 @@ class Examined:
         seen, measured: tracks without and with them, of all runs and of those with two rows or more.
         searches: of every coordinate that moves; none for a model that is not one input per coordinate.
         beside: how poses lie beside the joints, whatever joints have been changed.
+        is_readable: whether each coordinate has an input of its own, and some move.
     """
 
     automaton: HybridAutomaton
@@ -45,6 +46,7 @@ class Examined:
     beyond: tuple[Beyond, ...]
     searches: tuple[Search, ...]
     beside: tuple[Beside, ...]
+    is_readable: bool
 
     @property
     def direct(self) -> tuple[DirectFinding, ...]:
@@ -89,6 +91,7 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         beyond=beyond,
         searches=tuple(Search(lane) for lane in able if lane.counted.any()),
         beside=lying_beside(corrected, measured) if measured else (),
+        is_readable=bool(able),
     )
 
 

@@ -73,12 +73,15 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
         with np.errstate(all="ignore"):
             found = _outputs(form, np, p, _PLACES, _COMMANDS)
             single = [_outputs(form, np, p, float(c), float(v)) for c, v in zip(_PLACES, _COMMANDS, strict=True)]
-    except (TypeError, ValueError, IndexError, ArithmeticError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # a formula of one's own may fail in any way
         raise InputError(f"effect {form.name}: its formula fails: {error}") from error
-    symbolic = _by_casadi(form, p)
     for name, values in found.items():
         if values.shape != _COMMANDS.shape or not np.isfinite(values).all():
             raise InputError(f"effect {form.name}: {name} must give one finite value per state and command")
+    symbolic = _by_casadi(form, p)
+    for name, values in found.items():
         alone = np.array([np.ravel(one[name])[0] for one in single])
         if not np.allclose(alone, values, atol=_EXACT):
             raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")

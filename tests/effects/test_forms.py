@@ -254,6 +254,18 @@ class Deciding(Stretching):
         return v * (1.0 + p[0]) if v > 0 or v < 0 else 0.0 * v
 
 
+class OfOneSize(Stretching):
+    """Gives three values, whatever it is given."""
+
+    def command(self, ops, v, p):
+        return np.zeros(3)
+
+
+class Broken(Stretching):
+    def command(self, ops, v, p):
+        raise RuntimeError("broken")
+
+
 class Apart(Stretching):
     """Means another thing in plans than in predictions, away from its neutral value only."""
 
@@ -276,6 +288,8 @@ class Growing(Stretching):
         (Twisting, "calibrate tries no forms of the layer geometry but its own"),
         (OfNumpy, "CasADi, which plans with it, cannot read"),
         (Deciding, "its formula fails: The truth value"),
+        (OfOneSize, "one finite value per state and command"),
+        (Broken, "its formula fails: broken"),
         (Apart, "must mean the same to CasADi"),
         (Growing, "one finite value per state and command"),
         (Bent, "this one is curved"),
