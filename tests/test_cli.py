@@ -184,7 +184,7 @@ def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path
 def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):
     model = (repository / "models" / "microwave.yaml").read_text()
     before, latch = model.split("  - source: rigid\n")
-    (tmp_path / "stuck.yaml").write_text(before)
+    (tmp_path / "stuck.yaml").write_text(before + latch[latch.index("noise:\n") :])
     assert "target: revolute" in latch
     done = micah("solve", repository / "problems" / "microwave_open.yaml", "--model", tmp_path / "stuck.yaml", "--json",
                  "-o", tmp_path / "plan.json", "--html", tmp_path / "plan.html")  # fmt: skip

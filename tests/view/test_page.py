@@ -71,12 +71,18 @@ def report(text: str) -> dict[str, object]:
     """What the template of a calibration takes."""
     table = Table((text,), ((text,),), (0,))
     effect = {"name": text, "sentences": text, "source": text, "ambiguity": text}
-    charts = {"motion": [Svg()], "pairs": [(Svg(), Svg())], "ranking": Bars("", ()), "runs": table}
+    charts = {
+        "correlation": table,
+        "motion": [Svg()],
+        "pairs": [(Svg(), Svg())],
+        "ranking": Bars("", ()),
+        "runs": table,
+    }
     coordinate = {"name": text, "summary": text, **charts}
     return {
         "title": text, "kind": text, "badge": (text, "good"), "message": text, "notes": [text], "modes": [text],
-        "parameters": table, "effects": [effect], "errors": table, "unexplained": text, "coordinates": [coordinate],
-        "experiment": text,
+        "parameters": table, "effects": [effect], "errors": table, "poses": table, "unexplained": text,
+        "coordinates": [coordinate], "experiment": text,
     }  # fmt: skip
 
 

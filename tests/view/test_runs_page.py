@@ -119,7 +119,7 @@ def test_a_prediction_has_a_page_with_its_worst_run_first(planned: PlanningResul
         result = predict(runs.planned, runs)
         data, page = data_of(result.page()), result.page()
         assert badge in page
-        sizes = [np.mean(run.rollout.configuration**2) for run in result.runs]
+        sizes = [np.mean(run.rollout.position**2) for run in result.runs]
         assert data["runs"][0]["drawn"] == int(np.argmax(sizes))
         assert "measured, " in data["runs"][0]["readouts"][3][1][1]
         assert page == result.page()

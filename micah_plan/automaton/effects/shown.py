@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.link_motion import LinkMotion
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.link_motion import LinkMotion  # SciPy takes long to load
 
 # Commands smaller than this share of the usual one are rest.
 _AT_REST = 1e-3
