@@ -67,3 +67,10 @@ def test_samples_and_nearest_lie_inside_and_emptiness_agrees_with_a_grid(rows, p
 def test_below_and_above_are_closed() -> None:
     middle = UNIT.intersect(Region((above(1, 0.5, 2, 1), below(1, 0.5, 2, 1, strict=True))), STEP)
     np.testing.assert_allclose(middle.nearest(np.zeros(2)), [0.0, 0.5])
+
+
+def test_of_an_empty_set_the_nearest_state_is_that_within_the_limits() -> None:
+    """A pin a rounding outside of an invariant leaves no state at all; `execute` ended there with an error."""
+    rows = np.array([[1.0, 1.0], [-1.0, -1.0]])
+    empty = Polytope(np.zeros(2), np.ones(2), rows, np.array([1.5, -1.4]))
+    np.testing.assert_array_equal(empty.nearest(np.array([2.0, 0.3])), [1.0, 0.3])

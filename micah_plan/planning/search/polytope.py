@@ -88,7 +88,11 @@ class Polytope:
         return np.asarray(inside & np.all(points @ self.A.T >= self.b - TOLERANCE, axis=-1))
 
     def nearest(self, point: Floats) -> Floats:
-        """(n,) the state of the (non-empty) set with the smallest sum of absolute differences to a point (n,)."""
+        """(n,) the state of the set with the smallest sum of absolute differences to a point (n,).
+
+        Of a set that is empty, as where a pin lies a rounding outside of an invariant, it is the nearest within the
+        limits: an optimisation that starts there says what is in the way.
+        """
         clipped = np.clip(point, self.lower, self.upper)
         if not len(self.b) or bool(self.contains(clipped)):
             return np.asarray(clipped)
@@ -98,7 +102,7 @@ class Polytope:
         limits = np.concatenate([point, -point, -self.b])
         bounds = [*zip(self.lower, self.upper, strict=True), *[(0.0, None)] * n]
         found = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
-        return np.asarray(found.x[:n])
+        return np.asarray(found.x[:n] if found.status == 0 else clipped)
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
         """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
