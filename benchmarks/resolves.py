@@ -24,10 +24,10 @@ from saving import add_json, save_json
 
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.attempt import NoWayError
 from micah_plan.planning.cost import cost_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.pomdp_hd import plan, trajectory_of, with_memory
 from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
 from micah_plan.planning.search.mode_search import search_modes

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from micah_plan.planning.findings import endpoint_findings, finding_of_reason
 from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
@@ -16,14 +17,6 @@ from micah_plan.task.release import carrying
 from micah_plan.task.start import start_mode
 
 Progress = Callable[[str, float], None]
-
-
-class NoWayError(Exception):
-    """A planner found nothing; `reason` says why and ends with the remedy."""
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
+from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.chains import with_chains
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe

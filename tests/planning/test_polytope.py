@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import Polytope
 
 NAMES = ["x", "y"]
@@ -69,8 +70,9 @@ def test_below_and_above_are_closed() -> None:
     np.testing.assert_allclose(middle.nearest(np.zeros(2)), [0.0, 0.5])
 
 
-def test_of_an_empty_set_the_nearest_state_is_that_within_the_limits() -> None:
-    """A pin a rounding outside of an invariant leaves no state at all; `execute` ended there with an error."""
+def test_of_an_empty_set_no_state_is_the_nearest() -> None:
+    """A belief may lie where its mode has no state: then there is no new plan; `execute` ended there with an error."""
     rows = np.array([[1.0, 1.0], [-1.0, -1.0]])
     empty = Polytope(np.zeros(2), np.ones(2), rows, np.array([1.5, -1.4]))
-    np.testing.assert_array_equal(empty.nearest(np.array([2.0, 0.3])), [1.0, 0.3])
+    with pytest.raises(NoWayError, match="no state of the mode lies within the limits"):
+        empty.nearest(np.array([2.0, 0.3]))

@@ -22,11 +22,12 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
+from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.baselines.open_loop import plan_along
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import PACE
 from micah_plan.planning.transcription.layout import pack, packed

@@ -16,9 +16,10 @@ from ompl import util as ou
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
-from micah_plan.planning.attempt import Attempt, NoWayError, Progress, attempted
+from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.baselines.open_loop import plan_along
 from micah_plan.planning.limits import Limits, limited_input
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import box
 from micah_plan.planning.search.samples import goal_states

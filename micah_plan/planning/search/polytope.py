@@ -16,6 +16,7 @@ from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.task.problem import Problem
 
 # Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
@@ -90,8 +91,8 @@ class Polytope:
     def nearest(self, point: Floats) -> Floats:
         """(n,) the state of the set with the smallest sum of absolute differences to a point (n,).
 
-        Of a set that is empty, as where a pin lies a rounding outside of an invariant, it is the nearest within the
-        limits: an optimisation that starts there says what is in the way.
+        Raises:
+            NoWayError: if the set is empty, as where a filter believes in a mode far from the mode's states.
         """
         clipped = np.clip(point, self.lower, self.upper)
         if not len(self.b) or bool(self.contains(clipped)):
@@ -102,7 +103,9 @@ class Polytope:
         limits = np.concatenate([point, -point, -self.b])
         bounds = [*zip(self.lower, self.upper, strict=True), *[(0.0, None)] * n]
         found = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
-        return np.asarray(found.x[:n] if found.status == 0 else clipped)
+        if found.status != 0:
+            raise NoWayError("no state of the mode lies within the limits; start in a mode that the state is in")
+        return np.asarray(found.x[:n])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
         """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
