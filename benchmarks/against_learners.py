@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -47,15 +48,8 @@ from micah_plan.residual.lane import lanes
 from micah_plan.residual.prediction import predict_recording
 
 REAL = ("joint_1", "joint_4", "ikea_cabinet", "lab_cabinet")
-PLANTED = (
-    "gain, one run",
-    "saturation",
-    "backlash",
-    "delay, two runs",
-    "spring",
-    "magnet half-way",
-    "places, second order, late",
-)
+PLANTED = ("gain, one run", "saturation", "backlash", "delay, two runs", "spring", "magnet half-way")
+PLANTED += ("places, second order, late",)
 LAGS = 3
 _FAR = 1e3
 
@@ -85,27 +79,33 @@ def runs_of(automaton: HybridAutomaton, recording: Recording) -> list[Run]:
     return found
 
 
-class Method:
-    """What predicts c+ - c; `command` says whether v is a displacement or leads to a place.
+class Method(ABC):
+    """What predicts configurations, with (T - 1,) errors: of every one, told from the rows before, and of a roll-out.
 
-    A method sees (B, 2 + 2 LAGS) rows: v now and before, and how c moved in the steps before, latest first, then c.
+    `is_place` says whether v leads to a place or is a displacement.
     """
 
     def __init__(self, *, is_place: bool) -> None:
         self.is_place = is_place
 
-    def fit(self, runs: list[Run]) -> None:
-        rows = [self._rows(run, run.z) for run in runs]
-        self.learn(np.concatenate(rows), np.concatenate([np.diff(run.z) for run in runs]))
+    @abstractmethod
+    def fit(self, runs: list[Run]) -> None: ...
 
-    def learn(self, x: Array, y: Array) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def one_step(self, run: Run) -> Array: ...
 
-    def moved(self, x: Array) -> Array:
-        raise NotImplementedError
+    @abstractmethod
+    def rollout(self, run: Run) -> Array: ...
 
     def _v(self, run: Run, k: int, c: float) -> float:
         return float(run.place[k] - c if self.is_place else run.u[k])
+
+
+class Stepwise(Method):
+    """What predicts c+ - c from (B, 2 + 2 LAGS) rows: v now and before, how c moved before, latest first, then c."""
+
+    @abstractmethod
+    def moved(self, x: Array) -> Array: ...
 
     def _row(self, run: Run, k: int, c: Array) -> Array:
         """Features at row k of configurations c (at least k + 1 of them)."""
@@ -114,11 +114,11 @@ class Method:
         moves = [c[i] - c[i - 1] if i >= 1 else 0.0 for i in ago[:-1]]
         return np.array([*commands, *moves, c[k]])
 
-    def _rows(self, run: Run, c: Array) -> Array:
-        return np.stack([self._row(run, k, c) for k in range(len(run.u))])
+    def rows(self, run: Run) -> Array:
+        return np.stack([self._row(run, k, run.z) for k in range(len(run.u))])
 
     def one_step(self, run: Run) -> Array:
-        return run.z[:-1] + self.moved(self._rows(run, run.z)) - run.z[1:]
+        return run.z[:-1] + self.moved(self.rows(run)) - run.z[1:]
 
     def rollout(self, run: Run) -> Array:
         c = np.full(len(run.z), run.z[0])
@@ -127,7 +127,15 @@ class Method:
         return c[1:] - run.z[1:]
 
 
-class GainBias(Method):
+class Regression(Stepwise):
+    def fit(self, runs: list[Run]) -> None:
+        self.learn(np.concatenate([*map(self.rows, runs)]), np.concatenate([np.diff(run.z) for run in runs]))
+
+    @abstractmethod
+    def learn(self, x: Array, y: Array) -> None: ...
+
+
+class GainBias(Stepwise):
     def fit(self, runs: list[Run]) -> None:
         def missed(numbers: Array) -> Array:
             self._numbers = numbers
@@ -140,7 +148,7 @@ class GainBias(Method):
         return np.asarray(self._numbers[0] * x[:, 0] + self._numbers[1])
 
 
-class Arx(Method):
+class Arx(Regression):
     def learn(self, x: Array, y: Array) -> None:
         self._beta = np.linalg.lstsq(self._design(x), y, rcond=1e-8)[0]
 
@@ -180,7 +188,7 @@ class Sindy(Arx):
         return np.asarray(np.where(kept, beta, 0.0) / self._scale)
 
 
-class Boosting(Method):
+class Boosting(Regression):
     def learn(self, x: Array, y: Array) -> None:
         from sklearn.ensemble import GradientBoostingRegressor
 
@@ -191,7 +199,7 @@ class Boosting(Method):
         return np.asarray(self._model.predict(x))
 
 
-class Gaussian(Method):
+class Gaussian(Regression):
     def learn(self, x: Array, y: Array) -> None:
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -352,8 +360,8 @@ def log(name: str, seed: int) -> tuple[HybridAutomaton, Recording, Recording]:
 def calibrated(model: HybridAutomaton, seen: Recording, unseen: Recording) -> tuple[tuple[float, float], str]:
     found = calibrate(model, seen)
     runs = predict_recording(found.automaton, unseen)
-    sizes = (rms([getattr(run, kind).configuration.ravel() for run in runs]) for kind in ("one_step", "rollout"))
-    one, rolled = sizes
+    one = rms([run.one_step.configuration.ravel() for run in runs])
+    rolled = rms([run.rollout.configuration.ravel() for run in runs])
     names = " + ".join(effect.effect.name for effect in found.effects) or "nothing"
     return (one, rolled), f"{found.verdict}: {names}"
 

@@ -1,7 +1,7 @@
 """Planning over all problems by all planners: times, cost, the true state at the end, success predicted and observed.
 
     python benchmarks/planning.py [PROBLEM.yaml ...] [--planners pomdp-hd direct rrt] [--trials 1000] [--executions 0]
-                                  [--seed 0] [--jobs 1] [--json FILE]
+                                  [--users 0] [--seed 0] [--jobs 1] [--json FILE]
 
 `cost` is what POMDP-HD minimises (goal error, final variance, effort), computed alike for all planners.
 
@@ -10,7 +10,11 @@ roll-outs with other seeds whose true state ends in the goal; goal error and std
 `believed` is the mean probability of the goal in the filters' last beliefs, which do not see the truth: if the belief
 is calibrated, it is what is observed. `executed` is the share in closed loop with poses, the stop rule and replanning
 on the nominal plant; it may exceed the others, because it goes on until the goal is believed reached. `at stop` is the
-mean probability of the goal that these executions believed in when they stopped. Held objects have no nominal plant.
+mean probability of the goal that these executions believed in when they stopped.
+
+With `--users N` a second table compares POMDP-HD with three programmes that a user would write (`user_code`) on N true
+objects each, POMCP on a tenth of them: `open loop`, `filter`, `POMCP`, and beside them the plan followed as it is
+(`plan`) and executed with new plans where it fails (`executed`).
 
 Times are seconds of the processor, so that they do not depend on what else the machine does; for the same reason the
 planners get more wall-clock time than they need. Jobs are processes; each solves a small problem first, so that loading
@@ -29,8 +33,10 @@ from time import process_time
 from typing import get_args
 
 import numpy as np
+from grid_search import searched
 from processor_clock import time_by_processor
 from saving import add_json, save_json
+from user_code import Reader, chances_for, filtered, open_loop, share_in_goal
 
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.kind import kind_of
@@ -49,6 +55,8 @@ from micah_plan.workflow import execute, solve
 ROOT = Path(__file__).resolve().parent.parent
 # Added to the seed for the observed roll-outs, so that none of the plan's own are counted again.
 FRESH = 10_000
+# Walks down the tree of POMCP before each step.
+SIMULATIONS = 500
 # Of solving [s]: far more than is needed.
 TIME_LIMIT_S = 3600.0
 
@@ -125,6 +133,50 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
     )
 
 
+@dataclass(frozen=True)
+class UserRow:
+    """Shares of true objects that end in the goal of a problem; None: not tried."""
+
+    problem: str
+    open_loop: float
+    filter: float
+    pomcp: float
+    plan: float | None
+    executed: float | None
+
+
+def measure_users(path: Path, trials: int, seed: int) -> UserRow | None:
+    """What users' programmes and the planner make of a problem; None if there is nothing to write."""
+    problem = load_problem(path)
+    reader = Reader(problem)
+    if not reader.can_move():
+        return None
+    chances = chances_for(reader, trials, FRESH + seed)
+    few = chances_for(reader, max(1, trials // 10), FRESH + seed)
+    plan = solve(problem, seed=seed, advise=False)
+    found = None
+    if plan.trajectory is not None:
+        ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
+        found = float(are_in_goal(problem, ends).mean())
+    return UserRow(
+        problem=path.stem,
+        open_loop=share_in_goal(problem, *open_loop(reader, chances)),
+        filter=share_in_goal(problem, *filtered(reader, chances)),
+        pomcp=share_in_goal(problem, *searched(reader, few, SIMULATIONS, seed)),
+        plan=found,
+        executed=executed_success(problem, plan, trials, FRESH + seed)[0],
+    )
+
+
+def user_table(rows: Sequence[UserRow]) -> str:
+    """One line per problem."""
+    lines = [f"{'problem':22} {'open loop':>9} {'filter':>9} {'POMCP':>9} {'plan':>9} {'executed':>9}"]
+    for row in rows:
+        shares = (row.open_loop, row.filter, row.pomcp, row.plan, row.executed)
+        lines.append(f"{row.problem:22} " + " ".join(_text(share, 9, 3) for share in shares))
+    return "\n".join(lines)
+
+
 def goal_statistics(problem: Problem, ends: RollOuts) -> tuple[float, float]:
     """Mean of the largest true distance from the targets, and the largest std of a true goal coordinate."""
     target = problem.goal.target
@@ -142,7 +194,7 @@ def believed_success(problem: Problem, ends: RollOuts) -> float:
 
 def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> tuple[float | None, float | None]:
     """Share of closed-loop executions on the nominal plant that end in the goal, and what they believe it to be."""
-    if trials < 1 or plan.outcome != "solved" or problem.hold is not None:
+    if trials < 1 or plan.outcome != "solved":
         return None, None
     found = execute(problem, plan, trials=trials, seed=seed)
     return found.successes / trials, float(np.mean([result.confidence for result in found.results]))
@@ -180,6 +232,7 @@ def main() -> None:
     parser.add_argument("problems", nargs="*", type=Path, help="default: all of problems/")
     parser.add_argument("--trials", type=int, default=1000, help="fresh roll-outs per problem")
     parser.add_argument("--executions", type=int, default=0, help="closed-loop executions per problem")
+    parser.add_argument("--users", type=int, default=0, help="true objects of the comparison with users' programmes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     add_json(parser)
@@ -190,9 +243,14 @@ def main() -> None:
     cases = [(path, planner) for path in paths for planner in options.planners]
     one = partial(measure, trials=options.trials, executions=options.executions, seed=options.seed)
     with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
-        rows = list(pool.map(one, *zip(*cases, strict=True)))
-    print(table(rows))
-    save_json([{**asdict(row), "difference": row.difference} for row in rows], options.json)
+        rows = list(pool.map(one, *zip(*cases, strict=True))) if cases else []
+        users = pool.map(
+            partial(measure_users, trials=options.users, seed=options.seed), paths if options.users else []
+        )
+        against = [row for row in users if row is not None]
+    print("\n\n".join([*([table(rows)] if rows else []), *([user_table(against)] if against else [])]))
+    values = [{**asdict(row), "difference": row.difference} for row in rows]
+    save_json([*values, *map(asdict, against)], options.json)
 
 
 if __name__ == "__main__":

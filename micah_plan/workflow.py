@@ -141,7 +141,6 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
     from micah_plan.automaton.certainty import doubts
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.automaton.suspicion import never_taken
-    from micah_plan.planning.letting_go import with_release
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm
 
@@ -156,11 +155,10 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
     def planned(asked: Problem) -> Plan:
         return verified_plan(asked, planner, seed, rounds, deadline)
 
-    found = planned(problem) if problem.robot is None else planned_with_arm(problem, planned, seed, deadline)
+    found = planned_with_arm(problem, planned, seed, deadline)
     warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
     warnings += never_taken(problem.automaton)
-    whole = with_release(problem, found, deadline)
-    answer = replace(whole, warnings=warnings)
+    answer = replace(found, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
     from micah_plan.planning.remedies import advised

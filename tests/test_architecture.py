@@ -56,7 +56,7 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "pydantic": (("documents.",), False),
     **dict.fromkeys(("mcap", "mcap_ros2", "lz4", "zstandard"), (("ros.",), True)),
     "distributed": (("sweep.",), True),
-    "pyarrow": (("sweep.",), True),
+    "pyarrow": (("sweep.result", "recording.parquet_file"), False),
     "typer": (("cli",), False),
     "rich": (("cli",), False),
 }

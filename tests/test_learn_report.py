@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from micah_plan import cli, workflow
 from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
@@ -15,6 +17,7 @@ from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, axis_std, radius_std, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.cli import learning as report
+from micah_plan.cli.console import table
 from micah_plan.documents.model import load_model
 from micah_plan.learn import learn as learning
 from micah_plan.recording.read import read_recording, write_recording
@@ -227,3 +230,12 @@ def test_axis_and_radius_have_their_spread() -> None:
     row = report.segment_row(replace(sure_graph().edges[0].segments[0], joint=door))
     assert row[3] == "0.00 0.00 1.00\n± 1.1°"
     assert row[4] == "300 mm\n± 5 mm"
+
+
+def test_a_narrow_terminal_loses_no_number() -> None:
+    shown = table("configuration", "axis")
+    shown.add_row("0 → 1.21 rad", "0.00 0.00 -1.00 ± 0.18°")
+    written = StringIO()
+    Console(width=22, file=written).print(shown)
+    cells = "".join(written.getvalue().split()).replace("─", "")
+    assert sorted(cells) == sorted("configurationaxis0→1.21rad0.000.00-1.00±0.18°")

@@ -38,7 +38,7 @@ from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, Misfit, 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
-from micah_plan.automaton.joint import UNITS, Joint
+from micah_plan.automaton.joint import KINDS, Joint
 from micah_plan.automaton.local_models import RESOLUTION, LocalModel, local_models
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box
 from micah_plan.automaton.rounding import rounded
@@ -117,7 +117,7 @@ def build_automaton(
 
 def _is_fixed(edge: KinematicEdge) -> bool:
     """Whether a part never moves relative to another part that may."""
-    return edge.parent != BASE and all(segment.joint.kind == "rigid" for segment in edge.segments)
+    return edge.parent != BASE and not any(segment.joint.moves for segment in edge.segments)
 
 
 def _links(graph: KinematicGraph, moving: Sequence[KinematicEdge]) -> tuple[Link, ...]:
@@ -209,14 +209,14 @@ def _pin_std(model: LocalModel) -> float:
 def _unit(chain: Sequence[LocalModel]) -> str:
     """rad if the first model that moves rotates, m otherwise; the other models of the edge count in their own unit."""
     kinds = [model.joint.kind for model in chain if not model.is_rigid]
-    return UNITS[kinds[0]] if kinds else "m"
+    return KINDS[kinds[0]].unit if kinds else "m"
 
 
 def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
     """Noise by coordinate, from the moving segments of its edge if there are any: root mean square by rows."""
     stds = []
     for edge in moving:
-        segments = [segment for segment in edge.segments if segment.joint.kind != "rigid"] or edge.segments
+        segments = [segment for segment in edge.segments if segment.joint.moves] or edge.segments
         rows = [segment.end - segment.start + 1 for segment in segments]
         squares = np.square([[s.process_std for s in segments], [s.observation_std for s in segments]])
         stds.append(np.maximum(np.sqrt(np.average(squares, axis=1, weights=rows)), SMALLEST_STD).tolist())

@@ -201,7 +201,7 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
     """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
     joint, index = mode.joints[link], automaton.links[link].coordinate
     for pin in mode.pins:
-        if joint.kind == "rigid" and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _FIXED_ROOM:
+        if not joint.moves and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _FIXED_ROOM:
             coordinate = automaton.coordinates[index]
             raise InputError(
                 f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is fixed at {joint.fixed_at:.9g} "

@@ -13,7 +13,7 @@ from functools import partial
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.emptiness import is_empty
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
-from micah_plan.automaton.joint import UNITS
+from micah_plan.automaton.joint import KINDS
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
 
@@ -50,14 +50,14 @@ def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) ->
         mode.joints[k].kind: link.child
         for mode in automaton.modes
         for k, link in enumerate(automaton.links)
-        if link.coordinate == index and mode.joints[k].kind != "rigid"
+        if link.coordinate == index and mode.joints[k].moves
     }
-    if kinds and coordinate.unit not in {UNITS[kind] for kind in kinds}:
+    if kinds and coordinate.unit not in {KINDS[kind].unit for kind in kinds}:
         kind, child = next(iter(kinds.items()))
         raise InputError(
-            f"coordinate {coordinate.name}: expected the unit {UNITS[kind]} of the {kind} joint of {child}, "
+            f"coordinate {coordinate.name}: expected the unit {KINDS[kind].unit} of the {kind} joint of {child}, "
             f"found {coordinate.unit}",
-            remedy=f"write {UNITS[kind]}, or correct the kind of the joint",
+            remedy=f"write {KINDS[kind].unit}, or correct the kind of the joint",
         )
 
 

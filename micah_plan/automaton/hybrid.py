@@ -348,10 +348,11 @@ class HybridAutomaton(Summarised):
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
-        """The target's pins on coordinates that the edge's guard constrains: the guard is where they are pinned."""
-        return tuple(
-            pin for pin in self.mode(edge.target).pins if any(h.a[pin.coordinate] for h in edge.guard.half_spaces)
-        )
+        """The target's pins of which the state before tells nothing: their guard is the place, or the reset puts it."""
+        a, b, c = edge.reset.matrices(self.n, self.m)
+        located = (a != np.eye(self.n)).any(axis=1) | b.any(axis=1) | (c != 0.0)
+        located |= np.any([h.a for h in edge.guard.half_spaces], axis=0)
+        return tuple(pin for pin in self.mode(edge.target).pins if located[pin.coordinate])
 
     def pins_met_by(self, edge: Edge) -> tuple[Pin, ...]:
         """The target's other pins that its source does not have: each is one more piece of information."""
@@ -376,7 +377,7 @@ class HybridAutomaton(Summarised):
     def moving_joint(self, link: int) -> Joint:
         """The joint that measures a link's configuration: the first that is not rigid, over the modes in order."""
         joints = [mode.joints[link] for mode in self.modes]
-        return next((joint for joint in joints if joint.kind != "rigid"), joints[0])
+        return next((joint for joint in joints if joint.moves), joints[0])
 
     def part(self, name: str) -> Part:
         """The part of that name, without shapes if the model describes none."""

@@ -18,9 +18,35 @@ from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
 
 JointKind = Literal["rigid", "prismatic", "revolute", "screw", "path"]
-JOINT_KINDS: tuple[JointKind, ...] = ("rigid", "prismatic", "revolute", "screw", "path")
+_AXIS, _CENTER = ("axis_1", "axis_2"), ("center_1", "center_2")
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What one kind of joint has that others have not: formulas are the same for all kinds but for this.
+
+    Attributes:
+        moves, turns, climbs: whether its part moves at all, about an axis, and along that axis while it turns.
+        unit: of its configuration.
+        parameters: what fixes it besides the pose of its part (see `ParameterCovariance`).
+    """
+
+    moves: bool
+    turns: bool
+    climbs: bool
+    unit: str
+    parameters: tuple[str, ...] = ()
+
+
+KINDS: dict[JointKind, Freedom] = {
+    "rigid": Freedom(False, False, False, ""),
+    "prismatic": Freedom(True, False, False, "m", _AXIS),
+    "revolute": Freedom(True, True, False, "rad", _AXIS + _CENTER),
+    "screw": Freedom(True, True, True, "rad", (*_AXIS, *_CENTER, "pitch")),
+    "path": Freedom(True, False, False, "m"),
+}
+JOINT_KINDS: tuple[JointKind, ...] = tuple(KINDS)
 SCREW_KINDS = JOINT_KINDS[:4]  # those with a constant twist
-UNITS: dict[JointKind, str] = {"rigid": "", "prismatic": "m", "revolute": "rad", "screw": "rad", "path": "m"}
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -69,6 +95,21 @@ class Joint:
     covariance: ParameterCovariance | None = None
     knots: tuple[tuple[float, ...], ...] = ()
 
+    @property
+    def moves(self) -> bool:
+        """Whether its part moves."""
+        return KINDS[self.kind].moves
+
+    @property
+    def turns(self) -> bool:
+        """Whether its part turns about an axis."""
+        return KINDS[self.kind].turns
+
+    @property
+    def unit(self) -> str:
+        """Unit of its configuration; none of a rigid one."""
+        return KINDS[self.kind].unit
+
 
 def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, fixed_at: float = 0.0) -> Joint:
     """A part that rests at a pose; `fixed_at` is the configuration of that pose [rad or m]."""
@@ -77,7 +118,7 @@ def rigid(position: ArrayLike, quaternion: ArrayLike = IDENTITY, fixed_at: float
 
 def prismatic(axis: ArrayLike, position: ArrayLike, quaternion: ArrayLike = IDENTITY) -> Joint:
     """A part that slides along `axis` (any length but 0) from `position` [m]."""
-    return Joint("prismatic", _vector(position, "position"), _unit_quaternion(quaternion), _direction(axis))
+    return twisting("prismatic", axis, position, 0.0, position, quaternion)
 
 
 def revolute(axis: ArrayLike, point: ArrayLike, position: ArrayLike, quaternion: ArrayLike = IDENTITY) -> Joint:
@@ -85,29 +126,36 @@ def revolute(axis: ArrayLike, point: ArrayLike, position: ArrayLike, quaternion:
 
     Any point of the line will do: the joint's centre is the one closest to `position`.
     """
-    return turning("revolute", axis, point, 0.0, position, quaternion)
+    return twisting("revolute", axis, point, 0.0, position, quaternion)
 
 
 def screw(
     axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike = IDENTITY
 ) -> Joint:
     """A part that turns as a revolute one and moves `pitch` [m/rad] along the axis while it turns."""
-    return turning("screw", axis, point, float(pitch), position, quaternion)
+    return twisting("screw", axis, point, float(pitch), position, quaternion)
 
 
-def turning(
+def twisting(
     kind: JointKind, axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike
 ) -> Joint:
-    """A revolute joint or a screw, by its kind; see these."""
+    """The joint of a constant twist, by its kind; what its kind does not have is not looked at."""
+    if not KINDS[kind].moves:
+        return rigid(position, quaternion)
     direction, origin = _direction(axis), _vector(position, "position")
-    through = np.array(_vector(point, "point"))
-    center = through + np.dot(np.subtract(origin, through), direction) * np.array(direction)
-    return Joint(kind, origin, _unit_quaternion(quaternion), direction, _vector(center, "center"), pitch)
+    center = (0.0, 0.0, 0.0)
+    if KINDS[kind].turns:
+        through = np.array(_vector(point, "point"))
+        along = np.dot(np.subtract(origin, through), direction) * np.array(direction)
+        center = _vector(through + along, "center")
+    return Joint(
+        kind, origin, _unit_quaternion(quaternion), direction, center, float(pitch) if KINDS[kind].climbs else 0.0
+    )
 
 
 def radius(joint: Joint) -> float:
     """Distance of the part's origin from the axis of rotation [m]; 0 for joints that do not rotate."""
-    if joint.kind not in ("revolute", "screw"):
+    if not joint.turns:
         return 0.0
     return float(np.linalg.norm(np.subtract(joint.position, joint.center)))
 

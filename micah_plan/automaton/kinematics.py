@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, turning
+from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, twisting
 from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.automaton.path import along_path, closest_on_path, recounted
 from micah_plan.errors import InputError
@@ -109,7 +109,7 @@ def inverse(
     measured = np.atleast_2d(np.asarray(position, dtype=float))
     if measured.ndim != 2 or measured.shape[1] != 3:
         raise InputError(f"positions must have shape (k, 3). Got {np.shape(position)}")
-    if joint.kind == "rigid":
+    if not joint.moves:
         return np.full(len(measured), joint.fixed_at)
     if joint.kind == "path":
         quaternion = None if rotation is None else np.broadcast_to(rotation.as_quat(), (len(measured), 4))
@@ -212,16 +212,13 @@ def shifted(joint: Joint, offset: float) -> Joint:
 
     Carries the covariance along: the origin there depends on the axis, and is again compared where poses are closest.
     """
-    if joint.kind == "rigid":
+    if not joint.moves:
         return replace(joint, fixed_at=joint.fixed_at - offset)
     if joint.kind == "path":
         return recounted(joint, offset)
     pose = forward(joint, offset)[0]
-    position, quaternion = pose.translation, pose.rotation.as_quat()
-    if joint.kind == "prismatic":
-        moved = prismatic(joint.axis, position, quaternion)
-    else:
-        moved = turning(joint.kind, joint.axis, joint.center, joint.pitch, position, quaternion)
+    origin = pose.translation, pose.rotation.as_quat()
+    moved = twisting(joint.kind, joint.axis, joint.center, joint.pitch, *origin)
     covariance = joint.covariance
     if covariance is not None:
         slopes = _origin_slopes(joint, offset, _TURNS[0] in covariance.names)
@@ -259,7 +256,7 @@ def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
 
 def reversed_direction(joint: Joint) -> Joint:
     """The same motion counted the other way: c' = -c, so f'(c') = f(c). Carries the covariance along."""
-    if joint.kind == "rigid":
+    if not joint.moves:
         return replace(joint, fixed_at=-joint.fixed_at)
     if joint.kind == "path":
         return recounted(joint, 0.0, -1.0)

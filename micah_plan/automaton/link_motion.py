@@ -131,7 +131,7 @@ def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
     found: dict[Joint, tuple[float, float]] = {}
     for mode in automaton.modes:
         joint = mode.joints[number]
-        if joint.kind != "rigid":
+        if joint.moves:
             low, high = mode.interval(coordinate)
             before = found.get(joint, (low, high))
             found[joint] = min(before[0], low), max(before[1], high)

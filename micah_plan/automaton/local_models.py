@@ -52,7 +52,7 @@ class LocalModel:
 
     @property
     def is_rigid(self) -> bool:
-        return self.joint.kind == "rigid"
+        return not self.joint.moves
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class _Group:
 
     @property
     def is_rigid(self) -> bool:
-        return self.leading.joint.kind == "rigid"
+        return not self.leading.joint.moves
 
     @property
     def center(self) -> float:
@@ -214,7 +214,7 @@ def _row_std(before: Segment, after: Segment, start: RowPosterior) -> float:
 
 def _mean_speed(segment: Segment) -> float:
     """Configuration covered per row, by the way to the far end of the range and from there to the end."""
-    if segment.joint.kind == "rigid":
+    if not segment.joint.moves:
         return 0.0
     start, end = segment.configuration_start, segment.configuration_end
     way = max(abs(far - start) + abs(end - far) for far in segment.configuration_range)

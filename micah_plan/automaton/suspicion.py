@@ -88,4 +88,8 @@ def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
         low, high = max(low for low, _ in limits), min(high for _, high in limits)
         ends = [end for end in (low, high) if math.isfinite(end)]
         state[i] = sum(ends) / len(ends) if ends else 0.0
+    for half_space in edge.guard.half_spaces:  # of several coordinates: the nearest place where it holds
+        a = np.array(half_space.a)
+        if np.count_nonzero(a) > 1 and not half_space.on_input:
+            state = state + a * max(0.0, half_space.c - float(a @ state)) / float(a @ a)
     return state

@@ -57,7 +57,7 @@ def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
     there only.
     """
     found: dict[int, tuple[int, Link]] = {}
-    moves = [sum(mode.joints[n].kind != "rigid" for mode in automaton.modes) for n in range(len(automaton.links))]
+    moves = [sum(mode.joints[n].moves for mode in automaton.modes) for n in range(len(automaton.links))]
     for number, link in enumerate(automaton.links):
         before = found.get(link.coordinate)
         if before is None or moves[before[0]] < moves[number]:

@@ -50,9 +50,8 @@ def whole_step(
     np.add(mean, displacement, out=ends[1])
     entered = np.zeros((len(layout.modes), count), dtype=bool)
     entered[mode.index] = True
-    return Pieces(
-        owner, probability, ends, joint, u, np.ones(count), displacement, np.full((n, count), np.nan), entered
-    )
+    nowhere, taken = np.full((n, count), np.nan), np.zeros((len(mode.exits), count), dtype=bool)
+    return Pieces(owner, probability, ends, joint, u, np.ones(count), displacement, nowhere, entered, taken)
 
 
 def through_guards(
@@ -87,11 +86,11 @@ def through_guards(
 
 
 def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
-    """(e, p) whether the input allows each exit, and its mode was not entered at this instant."""
+    """(e, p) whether the input allows each exit, and it is not blocked at this instant."""
     free = np.ones((len(mode.exits), pieces.owner.size), dtype=bool)
     for number, way in enumerate(mode.exits):
-        if events and not way.is_self:
-            free[number] = ~pieces.entered[way.target]
+        if events:
+            free[number] = ~_blocked(pieces, number, way)
         if len(way.on_input):
             free[number] &= way.allowed(pieces.u)
     return free
@@ -201,16 +200,22 @@ def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Fl
     return within
 
 
+def _blocked(pieces: Pieces, number: int, way: Exit) -> Booleans:
+    """(p,) whether an exit leads to a mode entered at this instant, or back to its own and was taken at it."""
+    return np.asarray(pieces.taken[number] if way.is_self else pieces.entered[way.target])
+
+
 def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
-    """The pieces with the ends of their steps on the boundaries that lead back to modes entered at this instant.
+    """The pieces with the ends of their steps on the boundaries of exits that are blocked at this instant.
 
     Where one input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
-    lead straight back. No mode is entered twice at one instant (`automaton.transition`), so the boundary is a wall: the
+    lead straight back; where a transition back to its own mode resets another coordinate than led to it, the step goes
+    on into its guard. Nothing happens twice at one instant (`automaton.transition`), so the boundary is a wall: the
     end of the step is put on it, and nothing is left of the spread across.
     """
-    for way in mode.exits:
-        if not way.is_self and len(way.on_state):
-            chosen = pieces.entered[way.target].nonzero()[0]
+    for number, way in enumerate(mode.exits):
+        if len(way.on_state):
+            chosen = _blocked(pieces, number, way).nonzero()[0]
             if chosen.size:
                 pieces = _slid_along(mode, pieces, way, chosen)
     return pieces
@@ -224,7 +229,7 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pi
     for number, a in enumerate(rows.a):
         # The part of the boundary's normal along which the mode can give way.
         normal = a.copy()
-        normal[list(mode.pinned)] = 0.0
+        normal[list(mode.still)] = 0.0
         own = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
         if not own.size or not normal.any():
             continue

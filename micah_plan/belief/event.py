@@ -72,6 +72,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         displacement=displacement,
         pinned_at=_pinned_at(mode, pieces, way, at_once),
         entered=entered,
+        taken=_taken(layout, mode, pieces, way, at_once),
     )
     return arrived if noise is None else _settled(layout, arrived, way, width, noise)
 
@@ -103,6 +104,15 @@ def _pinned_at(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -
         place = pin.value if pin.follows is None else pin.value + pieces.mean[0, pin.follows]
         pinned_at[pin.coordinate] = np.where(at_once, place, np.nan)
     return pinned_at
+
+
+def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Booleans:
+    """`Pieces.taken` after an exit; none of a mode that was just entered."""
+    if not way.is_self:
+        return np.zeros((len(layout.modes[way.target].exits), pieces.owner.size), dtype=bool)
+    taken = pieces.taken & at_once
+    taken[mode.exits.index(way)] = True
+    return np.asarray(taken)
 
 
 def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, way: Exit) -> tuple[Ints, Floats]:

@@ -45,6 +45,9 @@ _LEAST_CHANCE = 1e-3
 _EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
 MOST_EVENTS = 16
+_LOG_NEGLIGIBLE = np.log(NEGLIGIBLE)
+# A mode that was dropped comes back where a measurement makes it that probable beside the likeliest.
+_BACK = 1e-3
 
 
 def initial_belief(
@@ -109,14 +112,16 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
 
     Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
     mode's state lies outside the guards that leave it, else it would have left: the mean is brought back if the
-    measurement drew it behind one, and the likelihood counts only the part outside.
+    measurement drew it behind one, and the likelihood counts only the part outside. What filters drop is improbable,
+    not impossible: modes without weight count with the share that is dropped, so that a belief whose every mode
+    excludes what is measured goes to one that does not.
 
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
     """
     layout, found = layout_of(automaton), np.asarray(z, dtype=float)
     if isinstance(belief, BeliefBatch):
-        return _updated(layout, belief, found.T, belief.weights.T > 0) if np.isfinite(found).any() else belief
+        return _updated_many(layout, belief, found.T) if np.isfinite(found).any() else belief
     if found.shape != (automaton.n,):
         raise InputError(f"a measurement must have shape ({automaton.n},). Got {found.shape}")
     return update_each(automaton, [belief], found[None])[0]
@@ -132,16 +137,29 @@ def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u:
 def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: Floats) -> list[HybridBelief]:
     """`update` of several single beliefs in one go, with measurements (t, n); one without a measurement stays as it is.
 
-    Unlike in a batch, modes without weight are measured too.
+    Unlike in a batch, modes without weight are always measured too.
     """
     layout, seeing = layout_of(automaton), np.flatnonzero(np.isfinite(z).any(axis=1))
     after = list(beliefs)
     if seeing.size:
         every = np.ones((len(layout.modes), seeing.size), dtype=bool)
-        batch = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
+        batch, _ = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
         for number, i in enumerate(seeing):
             after[i] = batch.alone(number)
     return after
+
+
+def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> bool:
+    """Whether a measurement z (n,) that was taken in lies where the likeliest mode has the state, but for noise.
+
+    What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
+    less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
+    """
+    layout, mode = layout_of(automaton), np.array([belief.most_likely])
+    mean = np.zeros((layout.n, 1))
+    mean[: len(z), 0] = belief.means[mode[0], : len(z)]
+    away = np.abs(z - mean[: len(z), 0]) / np.maximum(_sensing_std(layout, mode, mean)[: len(z), 0], SMALLEST_STD)
+    return bool(np.all(2 * ndtr(-away[np.isfinite(away)]) >= NEGLIGIBLE))
 
 
 def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
@@ -196,8 +214,31 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
     return BeliefBatch.of(weights, means, factors, beliefs.n)
 
 
-def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> BeliefBatch:
-    """The beliefs after measuring z (n, t); `chosen` (q, t): the modes whose Gaussians are measured too."""
+def _updated_many(layout: Layout, beliefs: BeliefBatch, z: Floats) -> BeliefBatch:
+    """The beliefs after measuring z (n, t): modes without weight only where one may come back."""
+    after, evidence = _updated(layout, beliefs, z, beliefs.weights.T > 0)
+    sharpest = np.min([own.std for own in layout.sensing], axis=0)[: len(z), None]
+    densest = -np.log(np.sqrt(2 * np.pi) * np.maximum(sharpest, SMALLEST_STD))
+    most = np.where(np.isfinite(z) & np.isfinite(sharpest), densest, 0.0).sum(axis=0) + _LOG_NEGLIGIBLE - np.log(_BACK)
+    lost = (evidence < most).nonzero()[0]
+    if not lost.size:
+        return after
+    weights, means, factors = (values[..., lost] for values in beliefs.side_by_side())
+    own = BeliefBatch.of(weights, means, factors, beliefs.n)
+    again, _ = _updated(
+        layout, _completed(layout, own), z[:, lost], np.ones((len(layout.modes), lost.size), dtype=bool)
+    )
+    weights, means, factors = (values.copy() for values in after.side_by_side())
+    weights[..., lost], means[..., lost], factors[..., lost] = again.side_by_side()
+    return BeliefBatch.of(weights, means, factors, beliefs.n)
+
+
+def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> tuple[BeliefBatch, Floats]:
+    """The beliefs after measuring z (n, t), and the log evidence (t,) of the likeliest mode.
+
+    Args:
+        chosen: (q, t) the modes whose Gaussians are measured.
+    """
     weights, means, factors = beliefs.side_by_side()
     means, factors = means.reshape(layout.n, -1), factors.reshape(layout.n, layout.n, -1)
     mode, owner = chosen.nonzero()
@@ -209,12 +250,14 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     if len(layout.outside[1]):
         score += _outside(layout, mode, (mean, factor), (after, narrowed))
     scores = np.full(chosen.shape, -np.inf)
-    with np.errstate(divide="ignore"):
-        scores[mode, owner] = score + np.log(weights[mode, owner])
-    weights = np.exp(scores - scores.max(axis=0))
+    scores[mode, owner] = score + np.log(np.maximum(weights[mode, owner], NEGLIGIBLE))
+    best = scores.max(axis=0)
+    found = np.exp(scores - best)
+    found[(weights < NEGLIGIBLE) & (found < _BACK)] = 0.0
+    weights = found
     if at.size < chosen.size:
         after, narrowed = with_those(means, at, after), with_those(factors, at, narrowed)
-    return BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
+    return BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own), best
 
 
 Gaussians = tuple[Floats, Floats]
@@ -224,25 +267,29 @@ Gaussians = tuple[Floats, Floats]
 def _outside(layout: Layout, mode: Ints, before: Gaussians, after: Gaussians) -> Floats:
     """(p,) log P(after) - log P(before), P the probability that a state lies outside of the guards that end its mode.
 
-    Means after the measurement that lie behind a guard are brought back, in place.
+    Means after the measurement that lie behind a guard are brought back, in place. A guard behind which all of the
+    belief before lies says nothing: the automaton itself put the state there, where it takes no transition twice at
+    one instant, and what has no probability is no condition.
     """
     both = np.concatenate([before[0], after[0]], axis=1), np.concatenate([before[1], after[1]], axis=2)
     margin, row = _margins(layout, np.concatenate([mode, mode]), *both)
-    chance = log_probability(margin, row).sum(axis=0)
-    score, last = -chance[: mode.size], chance[mode.size :]
-    behind = np.flatnonzero((margin[:, mode.size :] < 0).any(axis=0))
+    chances = log_probability(margin, row)
+    says = chances[:, : mode.size] > _LOG_NEGLIGIBLE
+    score, last = (np.where(says, own, 0.0).sum(axis=0) for own in np.split(chances, 2, axis=1))
+    behind = np.flatnonzero((says & (margin[:, mode.size :] < 0)).any(axis=0))
     if behind.size:
         # One guard after the other, each given the ones before.
         last[behind], (mean, factor) = 0.0, (those(values, behind) for values in after)
         for number in range(len(margin)):
             own, rows = (values[number] for values in _margins(layout, mode[behind], mean, factor))
+            own[~says[number, behind]] = np.inf
             last[behind] += log_probability(own, rows)
             out = (own < 0).nonzero()[0]
             if out.size:
                 inward, root = truncated(those(mean, out), those(factor, out), own[out], those(rows, out))
                 mean[:, out], factor[..., out] = inward, lower_factors(root)
         after[0][:, behind], after[1][..., behind] = mean, factor
-    return np.asarray(score + last)
+    return np.asarray(last - score)
 
 
 def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:

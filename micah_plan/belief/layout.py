@@ -111,7 +111,7 @@ class ModeLayout:
 
     Attributes:
         mode: itself; index: its number.
-        pinned: coordinates that it pins.
+        pinned: coordinates that it pins; still: those and the added ones, which nothing moves.
         process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
         noisy: coordinates that noise moves.
         exits: in the order in which they are tried, self transitions last.
@@ -121,6 +121,7 @@ class ModeLayout:
     mode: Mode
     index: int
     pinned: tuple[int, ...]
+    still: tuple[int, ...]
     process: Floats
     gain: bool
     noisy: tuple[int, ...]
@@ -186,11 +187,13 @@ def _outside(whole: HybridAutomaton) -> tuple[Floats, Floats]:
 def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
     mode = whole.modes[index]
     edges = sorted(whole.edges_from(mode.name), key=lambda edge: edge.is_self_transition)
+    pinned = tuple(pin.coordinate for pin in mode.pins)
     process, gain = np.array(free_process_std(whole, mode)), free_gain_std(whole, mode)
     return ModeLayout(
         mode=mode,
         index=index,
-        pinned=tuple(pin.coordinate for pin in mode.pins),
+        pinned=pinned,
+        still=tuple(i for i, own in enumerate(whole.coordinates) if i in pinned or not own.unit),
         process=process[:, None],
         gain=bool(gain.any()),
         noisy=tuple(int(i) for i in np.flatnonzero((process > 0) | (gain > 0))),

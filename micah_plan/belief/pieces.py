@@ -49,6 +49,7 @@ class Pieces:
         pinned_at: (n, p) where the modes left at the present instant pinned the coordinates; NaN: they did not.
         entered: (q, p) modes that it was in at the present instant; none is entered twice at one instant (no
             chattering).
+        taken: (e, p) exits of its mode that lead back to it and were taken at the present instant; none is taken twice.
     """
 
     owner: Ints
@@ -60,6 +61,7 @@ class Pieces:
     displacement: Floats
     pinned_at: Floats
     entered: Booleans
+    taken: Booleans
 
     def where(self, chosen: Ints) -> Pieces:
         """The pieces with these numbers, in ascending order."""
@@ -81,6 +83,7 @@ class Pieces:
             displacement=those(self.displacement, chosen),
             pinned_at=those(self.pinned_at, chosen),
             entered=those(self.entered, chosen),
+            taken=those(self.taken, chosen),
         )
 
     def replaced(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:

@@ -68,11 +68,11 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def table(*columns: str, **style: Any) -> Table:
-    """An empty table as all commands print them."""
+    """An empty table as all commands print them: as wide as the terminal, where what is longer goes on below."""
     from rich.box import SIMPLE
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    return Table(*columns, box=SIMPLE, **style)
+    return Table(*(Column(name, overflow="fold") for name in columns), box=SIMPLE, **style)
 
 
 def print_lines(lines: Iterable[str]) -> None:

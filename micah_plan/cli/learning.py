@@ -40,7 +40,7 @@ _NARROW = ("joint", "rows", "sure")
 
 
 def learn(
-    recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text, NPZ or MCAP).")],
+    recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text, NPZ, Parquet or ROS logs).")],
     output: OutputPath,
     method: Annotated[
         Literal["act-champ", "champ"], typer.Option(help="Score segments with or without the actions.")
@@ -149,9 +149,9 @@ def _parameters(joint: Joint) -> dict[str, Any]:
     parameters: dict[str, Any] = {"position": joint.position, "orientation": joint.quaternion}
     if joint.kind == "path":
         return parameters | {"knots": joint.knots}
-    if joint.kind != "rigid":
+    if joint.moves:
         parameters["axis"] = joint.axis
-    if joint.kind in ("revolute", "screw"):
+    if joint.turns:
         parameters |= {"center": joint.center, "radius": float(radius(joint))}
     if joint.kind == "screw":
         parameters["pitch"] = joint.pitch
@@ -218,22 +218,21 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
     if misfit is not None:
         return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", start)
     axis = "" if joint.kind in ("rigid", "path") else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
-    arm = quantity(radius(joint), "m") if joint.kind in ("revolute", "screw") else ""
+    arm = quantity(radius(joint), "m") if joint.turns else ""
     if joint.covariance is not None:
         axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""
         arm += f"\n± {quantity(radius_std(joint), 'm', digits=2)}" if arm else ""
-    passed = plain(segment.configuration_end) if joint.kind == "rigid" else _passed(segment)
+    passed = _passed(segment) if joint.moves else plain(segment.configuration_end)
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
     return (joint.kind, rows, passed, axis, arm, percent(min(probability, SUREST), 0), start)
 
 
 def _passed(segment: Segment) -> str:
     """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
-    from micah_plan.automaton.joint import UNITS
 
     ends = [segment.configuration_start, segment.configuration_end]
     low, high = segment.configuration_range
     furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
     turned = min(abs(furthest - end) for end in ends) > 0.2 * (high - low)
     stops = [ends[0], furthest, ends[1]] if turned else ends
-    return way(stops, UNITS[segment.joint.kind])
+    return way(stops, segment.joint.unit)

@@ -110,6 +110,7 @@ class ArmDocument(Document):
     deviation: NonNegative = doc("Largest deviation of the tool from a straight line between knots [m].")
     limit_margin: float | None = doc("Smallest distance of a joint from an end of its range [rad or m].", None)
     limit_joint: str = doc("Name of that joint.", "")
+    limit_unit: Literal["rad", "m"] = doc("Unit of that joint.", "rad")
 
     def check(self, at: Located) -> None:
         for i, row in enumerate(self.positions):

@@ -35,8 +35,12 @@ class PlannerDocument(Document):
     max_knots: Annotated[int, Field(ge=2, le=100_000)] = doc(
         "Upper limit of knots over the whole plan.", PlannerSettings.max_knots
     )
+    pace: Annotated[float, Field(gt=0, le=1)] = doc(
+        "Share of the largest step that a path is planned with; 1: as fast as it may be.", PlannerSettings.pace
+    )
     weight_goal: NonNegative = doc(
-        "Weight of the final squared goal error over the squared tolerance.", PlannerSettings.weight_goal
+        "Weight of the final squared goal error over the squared tolerance, and of missing a guard or a boundary.",
+        PlannerSettings.weight_goal,
     )
     weight_covariance: NonNegative = doc(
         "Weight of the final variance over the squared tolerance.", PlannerSettings.weight_covariance
@@ -44,9 +48,9 @@ class PlannerDocument(Document):
     weight_effort: NonNegative = doc(
         "Weight of the squared inputs over the squared largest step.", PlannerSettings.weight_effort
     )
-    time_limit_s: Positive = doc("Wall-clock limit of each optimisation [s].", PlannerSettings.time_limit_s)
+    time_limit_s: Positive = doc("Limit of processor time of each optimisation [s].", PlannerSettings.time_limit_s)
     solve_time_limit_s: Positive = doc(
-        "Wall-clock limit of search, optimisations, verification and the arm together [s].",
+        "Limit of processor time of search, optimisations, verification and the arm together [s].",
         PlannerSettings.solve_time_limit_s,
     )
     verification_trials: Count = doc("Roll-outs that check a plan.", PlannerSettings.verification_trials)

@@ -24,13 +24,14 @@ from micah_plan.documents.fields import (
     Vector3,
 )
 from micah_plan.documents.layout import Document, Scope, doc
-from micah_plan.documents.located import Located
+from micah_plan.documents.located import Located, choices
 from micah_plan.documents.parts import check_sizes
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, shown
 from micah_plan.files import contained, read_bytes
 from micah_plan.scene.body import Body, Hull, Shape
 from micah_plan.scene.mesh_file import convex_corners, load_hull
+from micah_plan.scene.named_robots import is_name, named_robots
 from micah_plan.scene.robot_description import Grasp, RobotDescription
 
 
@@ -90,7 +91,9 @@ class BodyDocument(Document):
 class RobotDocument(Document):
     renamed: ClassVar = {"held": "locked"}
 
-    path: Line = doc("URDF or MJCF file, relative to this file.")
+    path: Line = doc(
+        "URDF or MJCF file, relative to this file; or a robot of the extra `robots` by name: `panda`, `ur5_robot`."
+    )
     tool: Name = doc("Frame that holds the part: a link, body or site of the robot.")
     position: Vector3 = doc("Position of the robot's root in the base frame [m].", ZERO)
     quaternion: Quaternion = doc("Its orientation in the base frame, scalar last.", IDENTITY)
@@ -108,7 +111,7 @@ class RobotDocument(Document):
     def read(self, at: Located, scope: Scope) -> RobotDescription:
         """The robot with the content of its files; whether they are a robot is not checked here."""
         own = self.meanings(at, scope)
-        path, srdf, text = at.folder / self.path, own.pop("srdf_text") or "", own.pop("text")
+        path, srdf, text = _robot_file(self.path, at), own.pop("srdf_text") or "", own.pop("text")
         if self.srdf is not None:
             srdf = _text(at.folder / self.srdf, at.at("srdf"))
         text = _text(path, at.at("path")) if text is None else text
@@ -127,6 +130,20 @@ class GraspDocument(Document):
     part: PartName = doc("Part that the tool holds.")
     position: Vector3 = doc("Position of the tool in the part's frame [m].", ZERO)
     quaternion: Quaternion = doc("Orientation of the tool in the part's frame, scalar last.", IDENTITY)
+
+
+def _robot_file(path: str, at: Located) -> Path:
+    """The file, or that of the robot of this name."""
+    beside = at.folder / path
+    if not is_name(path) or beside.exists():
+        return beside
+    robots = named_robots()
+    if path in robots:
+        return robots[path]
+    problem = f"there is no file {shown(path)} beside this one, and no robot of that name"
+    if robots:
+        raise at.at("path").error(problem, choices(path, robots))
+    raise at.at("path").error(problem, "robots by name need an extra: pip install 'micah-plan[robots]'")
 
 
 def _text(path: Path, located: Located) -> str:

@@ -68,13 +68,13 @@ def moving_parts(automaton: HybridAutomaton, *, screws: bool) -> list[MovingPart
     moving, found = set[int](), list[MovingPart]()
     for k, link in enumerate(automaton.links):
         joint = _moving_joint(automaton, k, screws)
-        if joint.kind != "rigid" and link.coordinate in moving:
+        if joint.moves and link.coordinate in moving:
             raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
-        moving |= {link.coordinate} if joint.kind != "rigid" else set()
+        moving |= {link.coordinate} if joint.moves else set()
         ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
         name = automaton.coordinates[link.coordinate].name
         name = f"{name}{JOINT_SUFFIX}" if name in names else name
-        if joint.kind == "rigid":
+        if not joint.moves:
             name = f"{link.child}_mount"
         limits = ranges[0][0], ranges[-1][1]
         found.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child)))
@@ -85,7 +85,7 @@ def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
     """The one joint of a link that moves it in any mode; a rigid one if there is none."""
     part = automaton.links[k].child
     joints = [replace(mode.joints[k], covariance=None) for mode in automaton.modes]
-    moving = list(dict.fromkeys(joint for joint in joints if joint.kind != "rigid"))
+    moving = list(dict.fromkeys(joint for joint in joints if joint.moves))
     if len(moving) > 1:
         raise InputError(f"part {part} has different joints in different modes", remedy=_REMEDY)
     if any(joint.kind == "path" for joint in moving):

@@ -31,8 +31,9 @@ from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write
 TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]
 RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
+READABLE = (*RECORDINGS, ".parquet", ".db3", ".bag")
 TARGETS = {
-    **dict.fromkeys((*RECORDINGS, ".db3", ".bag"), (*RECORDINGS, ".rrd")),
+    **dict.fromkeys(READABLE, (*RECORDINGS, ".rrd")),
     ".json": (".json", ".mcap"),
     **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml", ".sdf")),
     ".urdf": (".yaml", ".yml"),
@@ -49,7 +50,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in TARGETS:
-        remedy = "give a recording (.csv, .npz, .tum, .txt, .mcap, .db3, .bag), plan (.json), model (.yaml) or .urdf"
+        remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml) or .urdf"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
     return TARGETS[suffix]
 

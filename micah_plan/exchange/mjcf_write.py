@@ -42,7 +42,7 @@ def mjcf_text(automaton: HybridAutomaton, title: str, density: float = DENSITY) 
         if part.joint.kind == "screw":
             pitch = {"joint1": f"{part.name}_slide", "joint2": part.name, "polycoef": f"0 {part.joint.pitch!r} 0 0 0"}
             equalities.append(Element("joint", pitch, 0))
-        if part.joint.kind != "rigid":
+        if part.joint.moves:
             motors.append(Element("motor", {"name": part.name, "joint": part.name}, 0))
     content = [
         Element("compiler", {"angle": "radian", "autolimits": "true"}, 0),

@@ -55,7 +55,7 @@ def _joint(model: _Node, part: MovingPart) -> None:
         found.append(_pose(turn.inv().apply(np.subtract(joint.center, joint.position)), IDENTITY))
     _add(found, "parent", text=part.parent)
     _add(found, "child", text=part.child)
-    if joint.kind == "rigid":
+    if not joint.moves:
         return
     axis = _add(found, "axis")
     _add(axis, "xyz", text=_words(turn.inv().apply(joint.axis)))

@@ -3,7 +3,8 @@ the part), which stop at their limits.
 
 Links that are fixed to one another are one part, named after the first of them, or, where that has no shape, after the
 only one that is fixed to it, as `urdf_write` makes them. So a model of one mode comes back as it was, except for noise,
-handles and uncertainty.
+handles and uncertainty. A mesh becomes the box around it, so that an object of PartNet-Mobility is made of boxes; where
+what is drawn of a link has a mesh called ``handle...``, as there, its middle is where a hand holds the part.
 """
 
 from __future__ import annotations
@@ -13,17 +14,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Primitive, Reset
-from micah_plan.automaton.joint import Joint, prismatic, revolute
+from micah_plan.automaton.joint import Joint, Vector3, prismatic, revolute
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import JOINT_SUFFIX
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.robot.xml_text import Element, parse_xml, read_xml
+from micah_plan.scene.body import vector3
+from micah_plan.scene.mesh_file import load_box
 
 # A URDF has no noise; this is that of a good tracker, per step and per measurement, by unit.
 PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
@@ -47,7 +51,7 @@ def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
         problem = f"joint {shown(min(checked.mimics))} follows another one"
         raise InputError(problem, source=path, remedy="remove <mimic>")
     with located_in(path):
-        return _Tree(checked, str(path)).automaton()
+        return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton()
 
 
 @dataclass
@@ -69,6 +73,14 @@ class _Moving(NamedTuple):
     limits: tuple[float, float]
 
 
+def _meshes_of_handles(root: Element, folder: Path) -> frozenset[str]:
+    """The files of meshes that are drawn as handles."""
+    drawn = [visual for link in root.all("link") for visual in link.all("visual")]
+    handles = [visual for visual in drawn if visual.attributes.get("name", "").lower().startswith("handle")]
+    meshes = [mesh for visual in handles for geometry in visual.all("geometry") for mesh in geometry.all("mesh")]
+    return frozenset(str((folder / mesh.attributes.get("filename", "")).resolve()) for mesh in meshes)
+
+
 def _coordinate(joint: Element, child: _Body) -> str:
     """The name of the joint; without ``_joint`` where the rest is the name of what it moves, as `urdf_write` has it."""
     name = joint.attributes["name"]
@@ -78,13 +90,13 @@ def _coordinate(joint: Element, child: _Body) -> str:
 class _Tree:
     """The links and joints of a checked file as bodies."""
 
-    def __init__(self, checked: CheckedRobot, source: str) -> None:
+    def __init__(self, checked: CheckedRobot, source: str, handles: frozenset[str]) -> None:
         root = parse_xml(checked.text, source)
         self._links = {link.attributes["name"]: link for link in root.all("link")}
         self._joints: dict[str, list[Element]] = {}
         for joint in root.all("joint"):
             self._joints.setdefault(_end(joint, "parent"), []).append(joint)
-        self._colors = checked.colors
+        self._colors, self._handles = checked.colors, handles
         carried = {_end(joint, "child") for joints in self._joints.values() for joint in joints}
         self._root = next(name for name in self._links if name not in carried)
         self._notes: list[str] = []
@@ -124,17 +136,26 @@ class _Tree:
 
     def _part(self, body: _Body) -> Part:
         shapes: list[Primitive] = []
+        handle: Vector3 | None = None
         for link, pose in body.poses.items():
-            colors = self._colors.get(link, ())
+            colors, boxes = self._colors.get(link, ()), 0
             for i, shape in enumerate(self._links[link].all("collision")):
                 solid = shape.children[-1].children[0]
                 color = colors[min(i, len(colors) - 1)] if colors else "#9aa5b1"
-                primitives = _primitives(solid, body.frame.inv() * pose * _pose(shape), color)
-                if not primitives:
-                    left_out = "a mesh is left out; parts are made of boxes, cylinders and spheres"
-                    self._notes.append(f"link {link}: {left_out}")
-                shapes += primitives
-        return Part(body.name, tuple(shapes))
+                try:
+                    shapes += _primitives(solid, body.frame.inv() * pose * _pose(shape), color)
+                except InputError as error:
+                    self._notes.append(f"link {link}: a mesh is left out, {error.problem}")
+                    continue
+                boxes += solid.tag == "mesh"
+                if handle is None and solid.attributes.get("filename") in self._handles:
+                    handle = shapes[-1].position
+            if boxes:
+                around = (
+                    "a mesh became the box around it" if boxes == 1 else f"{boxes} meshes became the boxes around them"
+                )
+                self._notes.append(f"link {link}: {around}")
+        return Part(body.name, tuple(shapes), handle)
 
 
 def _automaton(moving: Sequence[_Moving], parts: Sequence[Part]) -> HybridAutomaton:
@@ -184,17 +205,26 @@ def _limits(joint: Element) -> tuple[float, float]:
 
 
 def _primitives(solid: Element, pose: RigidTransform, color: str) -> list[Primitive]:
-    """The shape as solids; none if it is a mesh."""
+    """The shape as solids.
 
-    def one(kind: str, size: Sequence[float], along: float = 0.0) -> Primitive:
-        x, y, z = pose.apply([0.0, 0.0, along]).tolist()
+    Raises:
+        InputError: for a mesh that cannot be read.
+    """
+
+    def one(
+        kind: str, size: Sequence[float], along: float = 0.0, middle: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Primitive:
+        x, y, z = pose.apply([middle[0], middle[1], middle[2] + along]).tolist()
         qx, qy, qz, qw = pose.rotation.as_quat(canonical=True).tolist()
         return Primitive(kind, tuple(size), (x, y, z), (qx, qy, qz, qw), color)
 
     if solid.tag == "box":
         return [one("box", _numbers(solid.attributes["size"]))]
     if solid.tag == "mesh":
-        return []
+        size, middle = load_box(
+            solid.attributes["filename"], vector3(np.array(_numbers(solid.attributes.get("scale", "1 1 1"))))
+        )
+        return [one("box", size, middle=middle)]
     radius = float(solid.attributes["radius"])
     if solid.tag == "sphere":
         return [one("sphere", [radius])]

@@ -47,7 +47,7 @@ def _moved(part: MovingPart, density: float) -> list[Element]:
     """The link of a part with the joint that carries it."""
     joint, parent, child = part.joint, part.parent, part.child
     turn, link = Rotation.from_quat(joint.quaternion), _link(child, part.part, density)
-    if joint.kind == "rigid":
+    if not joint.moves:
         return [link, _joint(part.name, "fixed", parent, child, joint.position, joint.quaternion)]
     axis = Element("axis", {"xyz": _words(turn.inv().apply(joint.axis))}, 0)
     free = joint.kind == "revolute" and not np.isfinite(part.limits).any()

@@ -16,7 +16,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.tracks import read_by_sensors
-from micah_plan.belief.filter import initial_belief, predict_each, update_each
+from micah_plan.belief.filter import explains, initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import CheckedPlant
 from micah_plan.execution.letting_go import LettingGo
@@ -34,6 +34,7 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 
 _SPARE_STEPS = 20
+_LOST = "; what is measured is not where the model has it: calibrate the model with this run"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ class Episode:
         self._pilot = Pilot(augmented, trajectory, arm, replanning)
         self._log = RunLog(problem.automaton)
         self._beliefs: list[HybridBelief] = []
-        self._confidence = 0.0
+        self._confidence, self._is_lost = 0.0, False
         self._truth: Truth | None = None
         self._path = PathRecord(problem, 1)
         self._commanded: Floats | None = None
@@ -169,7 +170,8 @@ class Episode:
         if self._letting is not None and self._putting_down:
             return self._letting.command(belief, measurement)
         self._beliefs.append(belief)
-        self._confidence = lasting_probability(self.automaton, self._problem.goal, belief)
+        self._is_lost = not explains(self.automaton, belief, self.reading(belief, measurement))
+        self._confidence = 0.0 if self._is_lost else lasting_probability(self.automaton, self._problem.goal, belief)
         plain, likely = self._problem.automaton, belief.most_likely
         mode, x = self._state(belief)
         if self._commanded is not None:
@@ -260,11 +262,11 @@ class Episode:
 
     def _ending(self) -> str:
         """Why the execution ended."""
-        pilot, steps, refused = self._pilot, len(self._beliefs) - 1, ""
+        pilot, steps, refused = self._pilot, len(self._beliefs) - 1, _LOST if self._is_lost else ""
         if self._is_confident:
             return f"stopped with {percent(self._confidence)} probability of the goal"
         if pilot.refusals:
-            refused = f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
+            refused += f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
         if pilot.is_lost:
             mode = self._problem.automaton.modes[self._beliefs[-1].most_likely].name
             asked = f"off the plan after {MOST_REPLANS} requests for a new one"

@@ -103,7 +103,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             learner = OnlineLearner(settings, method, seed, part=part, run=run)
             learner.take(track)
             own = list(learner.segments())
-            mover = max((one for one in own if one.joint.kind != "rigid"), key=_rows, default=None)
+            mover = max((one for one in own if one.joint.moves), key=_rows, default=None)
             if reference is not None:
                 own = _aligned_segments(own, mover, reference, track, learner.noise)
             elif mover is not None:
@@ -114,7 +114,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
         one, sure_of_edge = _learned(track, method, settings, rng, inlier)
         edges.append(sure_of_edge)
         chain = list(one.pieces)
-        longest = max((piece for piece in chain if piece.joint.kind != "rigid"), key=_rows, default=None)
+        longest = max((piece for piece in chain if piece.joint.moves), key=_rows, default=None)
         if reference is not None:
             chain = _aligned(chain, longest, reference, one)
         elif longest is not None:

@@ -247,7 +247,7 @@ class OnlineLearner:
         n = len(window.rows)
         middle = next(i for i, piece in enumerate(window.pieces) if piece.end >= n // 2)
         piece, sure = window.pieces[middle], window.certainties[middle]
-        unknown = window.known[middle] is None and sure.misfit is None and piece.joint.kind != "rigid"
+        unknown = window.known[middle] is None and sure.misfit is None and piece.joint.moves
         fine = self.settings.resolution * MOST_SWEEPS
         if crowded and unknown and middle == len(window.pieces) - 1 and window.steps < fine:
             self._window.coarsen()
@@ -287,14 +287,14 @@ class OnlineLearner:
         state = self._state
         mover = None if state is None else state.last_moving
         for one in joints[:count]:
-            if one is not None and one.joint.kind != "rigid":
+            if one is not None and one.joint.moves:
                 mover = one
         known = [] if state is None else list(state.known)
         for one in joints:
             if one is not None:
                 known = [other for other in known if other is not one] + [one]
-        rests = [one for one in known if one.joint.kind == "rigid"][-_MOST_RESTS:]
-        moving = [one for one in known if one.joint.kind != "rigid"][-_MOST_MOVING:]
+        rests = [one for one in known if not one.joint.moves][-_MOST_RESTS:]
+        moving = [one for one in known if one.joint.moves][-_MOST_MOVING:]
         usual = window.usual if state is None else _looser(state.usual, window.usual)
         reached = 0.0 if self._open is None else self._open.configuration_end
         return OpenState(
@@ -315,7 +315,7 @@ def _cut(window: LearnedWindow, middle: int) -> tuple[int, int]:
     """
     n = len(window.rows)
     begins = [i for i, piece in enumerate(window.pieces) if n // 4 <= piece.start <= n // 2]
-    moving = [i for i in begins if window.pieces[i].joint.kind != "rigid"]
+    moving = [i for i in begins if window.pieces[i].joint.moves]
     chosen = max(moving or begins, default=None)
     return (middle, n // 2) if chosen is None else (chosen, window.pieces[chosen].start)
 

@@ -190,7 +190,7 @@ def fitted_pieces(
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
     joint = segmented.table.pool.hypotheses.joints.joint(piece.hypothesis)
-    return None if joint.kind == "rigid" else joint
+    return joint if joint.moves else None
 
 
 def _located(

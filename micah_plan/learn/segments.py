@@ -72,10 +72,10 @@ def chained(
         last = chain[-1].joint if chain else None
         if one.settled:
             chain.append(one)
-            rigid = one.joint.kind == "rigid"
+            rigid = not one.joint.moves
             reached = one.joint.fixed_at if rigid else _near(one.joint, one.end, one, track, inlier, noise)
             continue
-        if one.joint.kind == "rigid":
+        if not one.joint.moves:
             moving = _last_moving(chain)
             if moving is not None and last is not None and last.kind != "rigid":
                 reached = _configuration_of(one.joint, moving, noise)
@@ -105,7 +105,7 @@ def to_segment(
     """The segment of a chained piece, with its configurations and noise."""
     joint, used = one.joint, one.index(inlier)
     c = configurations(joint, used, track, noise)
-    if joint.kind == "rigid":
+    if not joint.moves:
         start = end = joint.fixed_at
         limits = (joint.fixed_at, joint.fixed_at)
         process = 0.0
@@ -222,7 +222,7 @@ def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTr
     moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
     turns = float(direction[:3] @ direction[:3]) * noise.rotation_length**2 if track.quaternion is not None else 0.0
     share = moves / max(moves + turns, 1e-12)
-    along = 0.0 if joint.kind == "rigid" else 1.0
+    along = float(joint.moves)
     position = max(float((error[:, -3:] ** 2).sum(axis=1).mean()) / (3 - along * share), noise.position_white**2)
     variance = moves * position
     if track.quaternion is not None:
@@ -249,8 +249,8 @@ def _process_std(one: FittedPiece, c: Floats, rows: Ints, track: PartTrack, obse
 
 
 def _last_moving(chain: Sequence[FittedPiece]) -> Joint | None:
-    return next((one.joint for one in reversed(chain) if one.joint.kind != "rigid"), None)
+    return next((one.joint for one in reversed(chain) if one.joint.moves), None)
 
 
 def _first_moving(chain: Sequence[FittedPiece]) -> Joint | None:
-    return next((one.joint for one in chain if one.joint.kind != "rigid"), None)
+    return next((one.joint for one in chain if one.joint.moves), None)

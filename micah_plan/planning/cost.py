@@ -2,6 +2,7 @@
 
     weight_effort · Σ |u / max_step|²                                                    over all steps
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
+      + weight_goal · Σ P(a guard is missed, a boundary crossed)                           in the optimisation only
       + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
 
 Evaluated with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates

@@ -7,9 +7,12 @@ Control", vol. 1, ch. 4 and 5). The final cost is the plan's own: goal error aga
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.cost import goal_weights, in_steps
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
@@ -19,6 +22,31 @@ from micah_plan.task.problem import Problem
 
 # Cost of being one step's length off the trajectory, against 1 for a full extra step: an error shrinks by 0.4 per step.
 _TRACKING_WEIGHT = 0.3
+# Half of the width of a guard that is no wider than a point [rad or m].
+_NARROWEST = 1e-4
+
+
+def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, Floats]:
+    """(n, n) weights of deviations on the way to a guard, and at it.
+
+    A guard between two bounds on the distance from something that no input moves is met by following what is believed
+    of that, not by being where the plan is: deviations of the distance count there instead of those of the coordinates
+    in it. Missing the guard by half its width costs as much as missing the goal by its tolerance.
+    """
+    automaton = problem.automaton
+    driven = np.any([mode.B.any(axis=1) for mode in automaton.modes], axis=0)
+    at, rows = np.zeros_like(tracking), edge.guard.half_spaces
+    for first, second in combinations([h for h in rows if not h.on_input], 2):
+        a = np.array(first.a)
+        if not np.array_equal(a, -np.array(second.a)) or not a[driven].any() or not a[~driven].any():
+            continue
+        half, own = max(-0.5 * (second.c + first.c), _NARROWEST), np.flatnonzero(a)
+        weight = float(tracking.diagonal()[driven & (a != 0.0)].min())
+        tracking = tracking.copy()
+        tracking[own, own] = 0.0
+        tracking += weight * np.outer(a, a)
+        at += in_steps(problem, np.array(problem.settings.weight_goal)) * np.outer(a, a) / half**2
+    return tracking, at
 
 
 def time_knots(trajectory: Trajectory) -> Ints:
@@ -62,7 +90,7 @@ def belief_lqr(
         A = linear_step(automaton, modes[-1], last, limits.max_step, limits.max_step)[0]
         rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])
         value += rest.T @ goal @ rest
-    gains = np.zeros((len(is_transition), m, n))
+    gains, nearby = np.zeros((len(is_transition), m, n)), tracking
     free, linear = {mode: automaton.mode(mode).free for mode in set(modes)}, dict[str, tuple[Floats, Floats]]()
     for k in reversed(range(len(is_transition))):
         value = value * (free[modes[k + 1]][:, None] & free[modes[k + 1]])
@@ -70,7 +98,8 @@ def belief_lqr(
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
             A = matrix_after(automaton, edge)
-            value = tracking + A.T @ value @ A
+            nearby, at_guard = _relative(problem, edge, tracking)
+            value = nearby + A.T @ value @ A + at_guard
             continue
         if automaton.input_memories or modes[k] not in linear:  # else it is the same wherever the mode is
             x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
@@ -80,5 +109,5 @@ def belief_lqr(
         gain = -np.linalg.solve(effort + carried @ B, carried @ A)
         gains[k] = gain * free[modes[k]]
         closed = A + B @ gain
-        value = tracking + gain.T @ effort @ gain + closed.T @ value @ closed
+        value = nearby + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -35,10 +35,29 @@ _LONGEST = 0.03
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> Plan:
-    """The plan with how the hand lets go, where the problem asks for it; one that cannot is none to execute."""
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """Where an arm cannot lower what it holds.
+
+    Attributes:
+        arm: what it fails at.
+        contact: (n,) state in which the object would touch its support.
+        lowest: height of the hand to which the way has to be free [m].
+    """
+
+    arm: ArmFailure
+    contact: Floats
+    lowest: float
+
+
+def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan, Blocked | None]:
+    """The plan with how the hand lets go, where the problem asks for it; one that cannot is none to execute.
+
+    Returns:
+        the plan, and what is in the way of lowering the object, if it is that.
+    """
     if problem.release is None or plan.trajectory is None:
-        return plan
+        return plan, None
     rest, release, last = rest_of(problem), problem.release, plan.trajectory.means[-1][: problem.automaton.n]
     contact = np.array(last)
     contact[2] = rest.top + rest.touching
@@ -54,13 +73,15 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> Plan:
             answer = _with_arm(problem, plan, (found, rest, lowest), deadline)
         except TimeLimitError as over:
             sentence, _, remedy = over.reason.rpartition("; ")
-            return _refused(plan, Finding("arm", sentence, remedy, plan.mode_sequence))
+            return _refused(plan, Finding("arm", sentence, remedy, plan.mode_sequence)), None
         spent = perf_counter() - begin
         plan = replace(plan, timings={key: s + spent * (key in ("arm", "total")) for key, s in plan.timings.items()})
+        if isinstance(answer, Blocked):
+            return _refused(plan, _finding(plan, "lower the object to let it go", answer.arm)), answer
         if isinstance(answer, Finding):
-            return _refused(plan, answer)
+            return _refused(plan, answer), None
         found = answer
-    return _judged(problem, replace(plan, release=found))
+    return _judged(problem, replace(plan, release=found)), None
 
 
 def _withdrawal(direction: Floats, release: Release) -> Floats:
@@ -71,7 +92,7 @@ def _withdrawal(direction: Floats, release: Release) -> Floats:
 
 def _with_arm(
     problem: Problem, plan: Plan, asked: tuple[ReleasePlan, Rest, float], deadline: Deadline
-) -> ReleasePlan | Finding:
+) -> ReleasePlan | Blocked | Finding:
     """The release with the arm's way down and away, or what stands in the way."""
     from micah_plan.robot.along_release import lowered, withdrawn
 
@@ -84,7 +105,7 @@ def _with_arm(
     states[:, 2] = np.linspace(last[2], lowest, count + 1)
     down = lowered(problem, rest.mode, states, arm.positions[-1], deadline)
     if not isinstance(down, ArmTrajectory):
-        return _finding(plan, "lower the object to let it go", down)
+        return Blocked(down, found.contact, lowest)
     near = down.positions[int(np.argmin(np.abs(states[:, 2] - found.contact[2])))]
     failures = []
     for direction in _directions(problem):

@@ -4,6 +4,8 @@ Planning holds each guard and each boundary with the confidence, one by one. Whe
 too optimistic, all of them together hold less often; roll-outs tell how often. The plan is then made anew with a higher
 confidence, whose share of failures is smaller by the factor by which too many roll-outs failed. So transitions go
 deeper into their guards, boundaries are kept at a larger distance, and more measurements are made before the goal.
+Where that does not help, plans are made with fewer and longer steps: each adds its noise, and what a contact has told
+is forgotten with every one.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ class Verifier(Protocol):
 
 # A round allows at most this share of the failures that the round before allowed.
 _SLOWEST = 0.3
+# Of the largest step: how fast plans are made where those with more room fail as often.
+_FASTER = 0.8
 # Planning always allows this share of failures: a Gaussian says little about its far tails.
 _FEWEST_FAILURES = 1e-4
 # Distance between the seeds of the rounds; also far from the small seeds that users choose.
@@ -80,24 +84,24 @@ def verified_plan(
         return replace(answer, timings=_added(answer.timings, {"verify": spent, "total": spent}))
 
     best = check(planner(problem, deadline=deadline), seed)
-    timings, confidence = dict(best.timings), settings.confidence
+    timings, confidence, pace = dict(best.timings), settings.confidence, settings.pace
     for number in range(1, 1 + most):
         if best.outcome != "not_verified" or deadline.is_over():
             break
         share = best.success_probability or 0.0
         confidence = tightened(confidence, settings.confidence, 1.0 - share)
-        closer = replace(problem, settings=replace(settings, confidence=confidence))
+        closer = replace(problem, settings=replace(settings, confidence=confidence, pace=pace))
         plan, own_seed = planner(closer, deadline=deadline), seed + number * _SEED_STRIDE
         answer = check(plan, own_seed)
         if answer.outcome == "solved":  # these roll-outs have chosen the plan: its share is that of others
             answer = check(replace(plan, timings=answer.timings), own_seed + 1)
         timings = _added(timings, answer.timings)
-        if answer.trajectory is None or answer.success_probability is None:
-            break
         if answer.outcome == "solved":
             best = _told(answer, best, confidence, number)
         elif (answer.success_probability or 0.0) > share:
             best = answer
+        elif pace < _FASTER:  # more room does not help: fewer steps have less noise
+            pace = _FASTER
         else:
             break
     is_cut = most > 0 and best.outcome == "not_verified" and deadline.is_over()

@@ -4,14 +4,16 @@ The object is planned for first, then the arm follows the plan. Where it cannot,
 fails are a body like any other for the plans after: roll-outs that get there count as collided, so the belief keeps as
 clear of it as of the bodies of the scene. What moves with the tool and meets what stands still does so in every
 posture: cut out are then all places of the hand where no side of the boxes around the two keeps them apart. And if they
-meet at all corners of the goal, they do in all of it, being convex: there is no plan with this grasp.
+meet at all corners of the goal, they do in all of it, being convex: there is no plan with this grasp. The same holds of
+the way down on which an object is let go, which is part of what the arm is asked for: where fingers would meet the
+support, the object is not brought above it.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -22,8 +24,9 @@ from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning.letting_go import with_release
 from micah_plan.task.deadline import Deadline, TimeLimitError
-from micah_plan.task.plan import ArmTrajectory, Finding, Plan
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 from micah_plan.task.start import is_final
@@ -33,46 +36,78 @@ if TYPE_CHECKING:
 
 # Half the width of what is cut out around a hand: as the narrow side of what arms carry [m].
 _AROUND = 0.04
-# Cuts after which the first failure is the answer; each costs a plan.
-_MOST_CUTS = 5
+# Plans after the first, each with more cut out, until the last failure is the answer.
+_MOST_PLANS = 5
 # What is kept beyond the distance that an arm keeps anyway [m].
 _FURTHER = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class _Stop:
+    """Where the arm cannot take the hand.
+
+    Attributes:
+        arm: what it fails at.
+        x: (n,) state of the knot where it fails; of a way down, the one in which the object would touch its support.
+        mode: there.
+        lowest: of a way down, the height to which it has to be free [m]; None: it is on the plan itself.
+    """
+
+    arm: ArmFailure
+    x: Floats
+    mode: str
+    lowest: float | None = None
 
 
 def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed: int, deadline: Deadline) -> Plan:
     """A plan with the arm's trajectory; where the arm can follow none that is found, the last with what it fails at.
 
     Args:
-        problem: with a robot.
+        problem: without a robot, only how the object is let go is added.
         planned: a verified plan for a problem, or one that says why there is none.
         seed: of the arm's postures.
     """
-    cuts = list[Region]()
-    answer, failed = _with_arm(problem, planned(problem), seed, deadline)
-    first = answer.findings[0] if failed is not None else None
-    while failed is not None and answer.trajectory is not None and len(cuts) < _MOST_CUTS and not deadline.is_over():
-        last = answer.trajectory.means[failed.knot]
-        if failed.overlap and _in_all_of_the_goal(problem, last, answer.mode_sequence[-1], failed):
-            return _impossible(answer, failed)
-        if (cut := _cut(problem, last, answer.mode_sequence[-1], failed)) is None:
+    cuts, plans = list[Region](), 0
+    answer, stop = _with_arm(problem, planned(problem), seed, deadline)
+    first = answer.findings[0] if stop is not None else None
+    while stop is not None and answer.trajectory is not None and plans < _MOST_PLANS and not deadline.is_over():
+        if stop.arm.overlaps and _in_all_of_the_goal(problem, stop):
+            return _impossible(answer, stop)
+        if not (found := _cuts(problem, stop)):
             break
-        cuts.append(cut)
-        plan, failed = _with_arm(problem, planned(_without(problem, cuts)), seed, deadline)
+        cuts, plans = cuts + found, plans + 1
+        plan, stop = _with_arm(problem, planned(_without(problem, cuts)), seed, deadline)
         if plan.trajectory is None:
             break
-        if plan.arm is not None or failed is not None:
+        if plan.arm is not None or stop is not None:
             timings = {name: plan.timings.get(name, 0.0) + s for name, s in answer.timings.items()}
             answer = replace(plan, timings=timings)
-    if first is not None and answer.arm is not None and answer.outcome != "solved":
+    if first is not None and answer.outcome != "solved" and first not in answer.findings:
         reason = f"{answer.reason}; closer by, the arm does not get: {first.sentence}"
         return replace(answer, reason=reason, findings=(*answer.findings, first))
     return answer
 
 
-def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tuple[Plan, ArmFailure | None]:
-    """The plan with the arm's trajectory, or refused with where the arm fails."""
+def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tuple[Plan, _Stop | None]:
+    """The plan with the arm's trajectory and with how it lets go, or refused with where the arm fails."""
     if (trajectory := plan.trajectory) is None:
         return plan, None
+    if problem.robot is not None:
+        plan, arm = _followed(problem, plan, trajectory, seed, deadline)
+        if arm is not None:
+            return plan, _Stop(arm, trajectory.means[arm.knot], trajectory.modes[arm.knot])
+        if plan.arm is None:
+            return plan, None
+    plan, blocked = with_release(problem, plan, deadline)
+    if blocked is None:
+        return plan, None
+    return plan, _Stop(blocked.arm, blocked.contact, trajectory.modes[-1], blocked.lowest)
+
+
+def _followed(
+    problem: Problem, plan: Plan, trajectory: Trajectory, seed: int, deadline: Deadline
+) -> tuple[Plan, ArmFailure | None]:
+    """The plan with the arm's trajectory, or refused with where the arm fails."""
     from micah_plan.robot.along_plan import arm_along
 
     begin, says = time.perf_counter(), "the arm cannot follow the plan: "
@@ -97,22 +132,25 @@ def _finding(plan: Plan, arm: ArmFailure, mode: str) -> Finding:
     return Finding("arm", arm.sentence, arm.remedy, plan.mode_sequence, mode, arm.knot, constraint, amount=arm.amount)
 
 
-def _impossible(plan: Plan, arm: ArmFailure) -> Plan:
+def _impossible(plan: Plan, stop: _Stop) -> Plan:
     """No plan: with this grasp what moves with the tool meets something wherever in the goal the hand is."""
-    sentence = f"wherever in the goal the hand is, {arm.names[0]} meets {arm.names[1]}: the grasp does not allow it"
+    where = "the hand is" if stop.lowest is None else "the hand puts the object down"
+    meets = f"{stop.arm.names[0]} meets {stop.arm.names[1]}"
+    sentence = f"wherever in the goal {where}, {meets}: the grasp does not allow it"
     finding = Finding("arm", sentence, "choose another grasp, or move the goal or what is there", plan.mode_sequence)
     return replace(
         plan,
         outcome="no_plan",
         reason=f"{sentence}; {finding.remedy}",
         trajectory=None,
+        arm=None,
         findings=(finding,),
         success_probability=None,
         success_interval=None,
     )
 
 
-def _in_all_of_the_goal(problem: Problem, x: Floats, mode: str, arm: ArmFailure) -> bool:
+def _in_all_of_the_goal(problem: Problem, stop: _Stop) -> bool:
     """Whether two solids that meet do so in all of the goal: where convex ones overlap is convex, so corners decide."""
     from micah_plan.robot.along_plan import problem_clearance, tool_path
 
@@ -121,30 +159,61 @@ def _in_all_of_the_goal(problem: Problem, x: Floats, mode: str, arm: ArmFailure)
     target = {index: (value, tolerance) for index, value, tolerance in carrying(problem).goal.target}
     ends = [(problem.hold.lower[i], problem.hold.upper[i]) for i in range(3)]
     ends = [(t[0] - t[1], t[0] + t[1]) if (t := target.get(i)) else ends[i] for i in range(3)]
-    corners = np.tile(x, (8, 1))
+    if stop.lowest is not None:  # it is put down where its support is
+        ends[2] = (stop.x[2], stop.x[2])
+    corners = np.tile(stop.x, (8, 1))
     corners[:, :3] = list(product(*ends))
-    tools = tool_path(problem, [mode] * 8, corners).tool
-    distances = problem_clearance(problem).tool_distances((arm.names[0], arm.names[1]), tools)
+    tools = tool_path(problem, [stop.mode] * 8, corners).tool
+    distances = problem_clearance(problem).tool_distances((stop.arm.names[0], stop.arm.names[1]), tools)
     return bool((distances < 0.0).all(axis=0).any())
 
 
-def _cut(problem: Problem, x: Floats, mode: str, arm: ArmFailure) -> Region | None:
-    """States of the hand that the arm cannot take it to, as it cannot at x (n,); None where these are not its place."""
+def _cuts(problem: Problem, stop: _Stop) -> list[Region]:
+    """States of the hand that the arm cannot take it to, as it cannot at a stop; none where these are not its place."""
     if problem.hold is None or problem.grasp is None:
-        return None
+        return []
     from micah_plan.robot.along_plan import tool_path
+
+    (n, m), arm, x = (problem.automaton.n, problem.automaton.m), stop.arm, stop.x
+    name = f"the arm's {' at '.join(arm.names)}" if arm.names else f"the arm: {arm.kind}"
+    if not arm.overlaps:  # another posture may do where the hand is elsewhere
+        if stop.lowest is not None:
+            return []
+        sides = list(product(np.eye(3), (1.0, -1.0)))
+        return [
+            Region(tuple(_half_space(n, m, s * axis, float(s * (axis @ x[:3])) - _AROUND, name) for axis, s in sides))
+        ]
+    path = tool_path(problem, [stop.mode], x[None])
+    from_hand = (path.tool.translation - path.parts[problem.grasp.part].translation)[0]
+    found = [_overlapping(problem, overlap, from_hand, stop.lowest, name) for overlap in arm.overlaps]
+    return [region for region in found if region is not None]
+
+
+def _overlapping(
+    problem: Problem, overlap: tuple[tuple[Floats, float], ...], from_hand: Floats, lowest: float | None, name: str
+) -> Region | None:
+    """Places of the hand at which two solids may meet, or above which they do on its way down to a height; None: none.
+
+    Args:
+        overlap: where the tool is then, as `ClearanceModel.overlap` tells.
+        from_hand: (3,) from the hand to the tool [m].
+    """
     from micah_plan.robot.tool_path import PathSettings
 
     n, m, rows = problem.automaton.n, problem.automaton.m, list[HalfSpace]()
-    name = f"the arm's {' at '.join(arm.names)}" if arm.names else f"the arm: {arm.kind}"
-    if not arm.overlap:  # another posture may do where the hand is elsewhere
-        for axis, sign in product(range(3), (1.0, -1.0)):
-            rows.append(_half_space(n, m, sign * np.eye(3)[axis], sign * x[axis] - _AROUND, name))
-        return Region(tuple(rows))
-    path = tool_path(problem, [mode], x[None])
-    from_hand = (path.tool.translation - path.parts[problem.grasp.part].translation)[0]
-    for side, most in arm.overlap:
-        rows.append(_half_space(n, m, -side, float(side @ from_hand) - most - PathSettings.margin - _FURTHER, name))
+    for side, most in overlap:
+        least = float(side @ from_hand) - most - PathSettings.margin - _FURTHER
+        if lowest is None:
+            rows.append(_half_space(n, m, -side, least, name))
+            continue
+        along, least = np.array([side[0], side[1], 0.0]), least + float(side[2]) * lowest
+        if along.any():
+            rows.append(_half_space(n, m, -along, least, name))
+        elif least > 0.0:
+            return None
+    if lowest is not None:  # above where the hand cannot go down, well beyond the height at which it ends
+        highest = max(value + tolerance for index, value, tolerance in carrying(problem).goal.target if index == 2)
+        rows.append(_half_space(n, m, np.array([0.0, 0.0, -1.0]), -highest - _AROUND, name))
     return Region(tuple(rows))
 
 

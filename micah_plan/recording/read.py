@@ -10,17 +10,21 @@ from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.csv_file import csv_bytes, read_csv
 from micah_plan.recording.mcap_file import mcap_bytes, read_mcap, read_ros_bag
 from micah_plan.recording.npz_file import npz_bytes, read_npz
+from micah_plan.recording.parquet_file import read_parquet
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 
-_READERS = {".csv": read_csv, ".npz": read_npz, ".tum": read_tum}
+_READERS = {".csv": read_csv, ".npz": read_npz, ".parquet": read_parquet, ".tum": read_tum}
 _CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
 BAGS = (".mcap", ".db3", ".bag")
-_REMEDY = "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays), .mcap, .db3 or .bag (ROS messages)"
+_REMEDY = (
+    "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays), .parquet (table, LeRobot), .mcap, .db3 or "
+    ".bag (ROS messages)"
+)
 
 
 def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
-    """Read a recording from a .csv, .tum, .txt, .npz, .mcap, .db3 or .bag file.
+    """Read a recording from a .csv, .tum, .txt, .npz, .parquet, .mcap, .db3 or .bag file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
     TUM trajectory. Quaternions whose norm is within 1 % of one are normalised.
@@ -32,7 +36,7 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
-        MissingDependencyError: for ROS messages without the extra ``ros``.
+        MissingDependencyError: for ROS messages without the extra ``ros``, for Parquet without ``parquet``.
     """
     suffix = Path(path).suffix.lower()
     if suffix in BAGS:

@@ -76,7 +76,7 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
     found = []
     for number, link in measuring_links(automaton):
         joint, *others = link_motions(automaton)[number].joints
-        if others or joint.kind not in ("revolute", "screw"):
+        if others or not joint.turns:
             continue
         name = automaton.coordinates[link.coordinate].name
         axial, radial = _across(joint, tracks, number, link.coordinate)

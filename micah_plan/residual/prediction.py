@@ -216,7 +216,7 @@ def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str
         for number, link in enumerate(automaton.links):
             c = shown[k : k + 1, link.coordinate]
             joint = automaton.mode(mode).joints[number]
-            is_shown = c[0] != x[k, link.coordinate] and joint.kind == "rigid"
+            is_shown = c[0] != x[k, link.coordinate] and not joint.moves
             pose = link_motions(automaton)[number].poses(c) if is_shown else forward(joint, c)
             frame = pose.rotation[0].inv()
             offset[k, number] = frame.apply(pose.translation[0] - track.position[k + 1, number])

@@ -7,6 +7,7 @@ Yoshikawa, "Manipulability of robotic mechanisms", IJRR 1985.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -114,10 +115,15 @@ class Arm:
 
     def sample(self, generator: np.random.Generator, count: int) -> Floats:
         """(count, n) configurations, uniform between the limits; joints without limits within ± π or ± 1 m of 0."""
-        kind = np.where(self.twists()[:, 3:].any(axis=1), np.pi, 1.0)
+        kind = np.where(np.array(self.units) == "rad", np.pi, 1.0)
         lower = np.where(np.isfinite(self.lower), self.lower, -kind)
         upper = np.where(np.isfinite(self.upper), self.upper, kind)
         return generator.uniform(lower, upper, (count, self.n))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """(n,) of the joints: rad, or m of those that slide."""
+        return tuple("rad" if turning.any() else "m" for turning in self.twists()[:, 3:])
 
     def twists(self) -> Floats:
         """(n, 6) motion [translation, rotation] of each joint in its own frame per unit of its coordinate."""

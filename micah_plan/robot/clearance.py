@@ -145,9 +145,21 @@ class ClearanceModel:
         the tool, as it is turned now, is further along any of them, a plane keeps the two apart. Empty unless one of
         the pair is a link that moves with the tool and the other stands still: else the posture counts, too.
         """
-        index = min(
-            (k for k, name in enumerate(self.names) if name == pair), key=lambda k: float(self._results[k].min_distance)
-        )
+        of_pair = [k for k, name in enumerate(self.names) if name == pair]
+        return self._overlap(min(of_pair, key=lambda k: float(self._results[k].min_distance)))
+
+    def overlaps_near(self, pair: Pair, within: float) -> tuple[tuple[tuple[Floats, float], ...], ...]:
+        """`overlap` of the two, then of others that move with the tool and are that close to what stands still [m]."""
+        if not (own := self.overlap(pair)):
+            return ()
+        first = int(self.first[self.names.index(pair)])
+        still = pair[0] if self._joint_of(first) == 0 else pair[1]
+        others = [k for k, other in enumerate(self.names) if other != pair and still in other]
+        near = [self._overlap(k) for k in others if self._results[k].min_distance < within]
+        return (own, *(found for found in near if found))
+
+    def _overlap(self, index: int) -> tuple[tuple[Floats, float], ...]:
+        pair = self.names[index]
         numbers = int(self.first[index]), int(self.second[index])
         moves = [self._joint_of(number) for number in numbers]
         if sorted(moves) != [0, self.arm.tool_joint] or not self.carried.isdisjoint(pair):

@@ -32,6 +32,8 @@ _SUBSTEP_M, _SUBSTEP_RAD = 0.02, 0.08
 _NULL_RATE = 0.5
 _LONGEST_NULL_STEP = 0.06
 _SAME_START = 0.2
+# What moves with the tool this close to what another link meets is likely to meet it next [m].
+_NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class ArmFailure:
         names: the joint at its limit, or the pair that meets; empty for others.
         amount: how far the tool stays behind, how deep the pair meets, or how far a joint would jump [m or rad].
         sentence, remedy: the same in words.
-        overlap: of a collision that no posture changes, where the tool is while it lasts: `ClearanceModel.overlap`.
+        overlaps: of a collision that no posture changes, where the tool is while it lasts (`ClearanceModel.overlap`),
+            and while others that move with the tool meet the same.
     """
 
     knot: int
@@ -77,7 +80,7 @@ class ArmFailure:
     amount: float
     sentence: str
     remedy: str
-    overlap: tuple[tuple[Floats, float], ...] = ()
+    overlaps: tuple[tuple[tuple[Floats, float], ...], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,7 @@ def follow(
                 if not isinstance(tried, ArmFailure):
                     rows = tried if way is path else tried[::-1]
                     found.append((follower.cost(path, rows), rows))
-                elif tried.overlap and way is path:  # so of every posture
+                elif tried.overlaps and way is path:  # so of every posture
                     return tried
                 elif way is path:  # its knots are what a reader counts
                     failures.append(tried)
@@ -257,6 +260,7 @@ class _Follower:
             deviation=_deviation(self.arm, rows),
             limit_margin=float(margins[nearest]) if np.isfinite(margins[nearest]) else None,
             limit_joint=self.arm.joints[nearest] if np.isfinite(margins[nearest]) else "",
+            limit_unit=self.arm.units[nearest],
         )
 
     def _step(self, path: ToolPath, knot: int, q: Floats) -> Reached:
@@ -312,8 +316,8 @@ class _Follower:
         apart = quantity(abs(clearance.distance), "m")
         says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
         sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's root, the grasp or the scene"
-        overlap = self.model.overlap(clearance.pair)
-        return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy, overlap)
+        overlaps = self.model.overlaps_near(clearance.pair, _NEAR_M)
+        return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy, overlaps)
 
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
         away = float(np.linalg.norm(reached.error[3:]))

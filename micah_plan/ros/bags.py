@@ -15,7 +15,7 @@ from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
-from micah_plan.ros.log import MESSAGE_TYPES, Logged, decoders, unpacked_lz4
+from micah_plan.ros.log import DEFINITIONS, MESSAGE_TYPES, Logged, decoders, unpacked_lz4
 
 _REMEDY = "record it again, or repair it with `rosbag reindex`"
 _TABLES = (
@@ -57,10 +57,12 @@ def _database(content: bytes) -> Iterator[Logged]:
 def _ros1(path: Path) -> Iterator[Logged]:
     try:
         from rosbags.rosbag1 import Reader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise MissingDependencyError("bags of ROS 1 need an extra: pip install 'micah-plan[ros]'") from None
     store = get_typestore(Stores.ROS1_NOETIC)
+    for unknown in (kind for kind in MESSAGE_TYPES if kind not in store.types):  # of ROS 1 the library lacks tf2_msgs
+        store.register(get_types_from_msg(DEFINITIONS[unknown], unknown))
     with Reader(path) as reader:
         for place, chunk in reader.chunks.items():
             reader.chunks[place] = chunk._replace(decompressor=partial(_unpacked, chunk.decompressor))

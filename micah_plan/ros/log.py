@@ -28,7 +28,7 @@ MessageType = Literal[
     "trajectory_msgs/msg/JointTrajectory",
 ]
 
-_DEFINITIONS: Mapping[str, str] = {
+DEFINITIONS: Mapping[str, str] = {
     "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
     "geometry_msgs/msg/Vector3Stamped": "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
@@ -114,15 +114,15 @@ def read_log(content: bytes) -> Iterator[Logged]:
 def definition(name: MessageType) -> str:
     """The definition of a message and of all that it is made of, each once."""
     used = dict.fromkeys(_used(name))
-    pieces = (f"{'=' * 80}\nMSG: {piece}\n{_DEFINITIONS[piece]}\n" for piece in used)
-    return "".join([f"{_DEFINITIONS[name]}\n", *pieces])
+    pieces = (f"{'=' * 80}\nMSG: {piece}\n{DEFINITIONS[piece]}\n" for piece in used)
+    return "".join([f"{DEFINITIONS[name]}\n", *pieces])
 
 
 def _used(name: str) -> Iterator[str]:
     """The types of a message's fields, each followed by those of its own."""
-    for line in _DEFINITIONS[name].splitlines():
+    for line in DEFINITIONS[name].splitlines():
         kind = line.split()[0].removesuffix("[]")
-        if kind in _DEFINITIONS:
+        if kind in DEFINITIONS:
             yield kind
             yield from _used(kind)
 

@@ -1,4 +1,4 @@
-"""Meshes (STL, OBJ) as convex hulls: `load_hull`.
+"""Meshes (STL, OBJ) as convex hulls, `load_hull`, or as boxes, `load_box`.
 
 Only the corners are read: planning and drawing use the convex hull, so a body that is not convex is given as several
 meshes or primitives.
@@ -19,6 +19,7 @@ from micah_plan.scene.body import vector3
 
 LARGEST_MESH_BYTES = 64 * 1024 * 1024
 MOST_CORNERS = 2000
+THINNEST = 1e-3  # m
 _STL_HEADER, _STL_TRIANGLE = 84, 50
 
 
@@ -32,6 +33,28 @@ def load_hull(path: str | Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[Vecto
     Raises:
         InputError: if it is no such mesh, has no volume or a hull of more than `MOST_CORNERS` corners.
     """
+    return convex_corners(_points(path, scale), path)
+
+
+def load_box(path: str | Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[Vector3, Vector3]:
+    """Full lengths and centre of the box around a mesh along its own axes [m]; a flat one is `THINNEST` thick.
+
+    Args:
+        path, scale: as for `load_hull`.
+
+    Raises:
+        InputError: if it is no such mesh, or has corners that are no numbers or kilometres away.
+    """
+    points = _points(path, scale)
+    _check_places(points, path)
+    if not len(points):
+        raise InputError("expected a mesh, found no corners", source=path, remedy="leave it out")
+    low, high = points.min(axis=0), points.max(axis=0)
+    return vector3(np.maximum(high - low, THINNEST)), vector3((low + high) / 2)
+
+
+def _points(path: str | Path, scale: Vector3) -> Floats:
+    """(k, 3) the corners of a mesh [m]."""
     data, kind = read_bytes(path, LARGEST_MESH_BYTES), Path(path).suffix.lower()
     if kind == ".obj":
         points = _text_vertices(data, b"v", path)
@@ -40,7 +63,12 @@ def load_hull(path: str | Path, scale: Vector3 = (1.0, 1.0, 1.0)) -> tuple[Vecto
         points = _text_vertices(data, b"vertex", path) if binary is None else binary
     else:
         raise InputError(f"expected an .stl or .obj mesh, found '{kind}'", source=path, remedy="convert it")
-    return convex_corners(points * np.array(scale), path)
+    return np.asarray(points * np.array(scale))
+
+
+def _check_places(points: Floats, source: str | Path | None) -> None:
+    if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > 1e6:
+        raise InputError("a mesh has corners that are no numbers or kilometres away", source=source)
 
 
 def convex_corners(points: Floats, source: str | Path | None = None) -> tuple[Vector3, ...]:
@@ -51,8 +79,7 @@ def convex_corners(points: Floats, source: str | Path | None = None) -> tuple[Ve
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > 1e6:
-        raise InputError("a mesh has corners that are no numbers or kilometres away", source=source)
+    _check_places(points, source)
     try:
         found = points[ConvexHull(points).vertices] if len(points) >= 4 else None
     except QhullError:

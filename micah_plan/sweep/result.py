@@ -1,6 +1,6 @@
 """Results of the cases: rows of a table in CSV or Parquet, and the times that they took, in a table of their own.
 
-The only importer of pyarrow.
+With `recording.parquet_file` the only importer of pyarrow.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ class CaseResult:
             (an exception) or ``"worker_died"`` (again and again).
         reason: one sentence.
         modes: the plan's mode sequence.
+        steps: control steps that the plan takes.
         cost, goal_error, goal_std, success_probability: as in `task.plan.Plan` [-, rad or m, rad or m, -].
         successes: trials that reached the goal; None if none were executed.
         final_error_mean, final_error_std, final_error_max: over the trials [rad or m].
@@ -41,6 +42,7 @@ class CaseResult:
     outcome: Outcome
     reason: str
     modes: tuple[str, ...] = ()
+    steps: int | None = None
     cost: float | None = None
     goal_error: float | None = None
     goal_std: float | None = None
@@ -65,7 +67,7 @@ class CaseRun:
     attempts: int = 1
 
 
-_KINDS = {"outcome": "string", "reason": "string", "modes": "string", "successes": "int64"}
+_KINDS = {"outcome": "string", "reason": "string", "modes": "string", "steps": "int64", "successes": "int64"}
 NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name) != "string")
 
 

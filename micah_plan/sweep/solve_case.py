@@ -99,6 +99,7 @@ def _planned(plan: Plan) -> CaseResult:
         outcome=plan.outcome,
         reason=plan.reason,
         modes=plan.mode_sequence,
+        steps=None if plan.trajectory is None else int((~plan.trajectory.is_transition).sum()),
         cost=_finite(plan.cost),
         goal_error=_finite(plan.goal_error),
         goal_std=_finite(plan.goal_std),

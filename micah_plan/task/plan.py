@@ -117,7 +117,7 @@ class ArmTrajectory:
         closest_knot: the knot at or after which they do.
         deviation: largest distance of the tool, halfway between knots, from the middle of its positions at them [m].
         limit_margin: smallest distance of a joint from an end of its range [rad or m]; None if no joint has one.
-        limit_joint: its name.
+        limit_joint, limit_unit: its name and unit.
     """
 
     joints: tuple[str, ...]
@@ -130,6 +130,7 @@ class ArmTrajectory:
     deviation: float
     limit_margin: float | None = None
     limit_joint: str = ""
+    limit_unit: str = "rad"
 
 
 @dataclass(frozen=True, eq=False)

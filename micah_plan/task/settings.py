@@ -22,8 +22,11 @@ class PlannerSettings:
         max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,
             else a twentieth of the coordinate's range.
         max_knots: upper limit of knots over the whole plan.
+        pace: share of the largest step that a path is planned with. The rest is for the feedback and the optimisation;
+            1 is the fastest plan.
         weight_goal, weight_covariance, weight_effort: of the final squared goal error and the final variance (both over
-            the squared tolerance) and of the squared inputs (over the squared max_step).
+            the squared tolerance) and of the squared inputs (over the squared max_step). The first also weighs the
+            probabilities of missing a guard and of crossing a boundary.
         time_limit_s: limit of processor time of each optimisation [s].
         solve_time_limit_s: the same of search, optimisations, verification and the arm together [s].
         verification_trials: roll-outs that check a plan.
@@ -38,6 +41,7 @@ class PlannerSettings:
     revisits: int = 0
     max_step: tuple[float, ...] | None = None
     max_knots: int = 60
+    pace: float = 0.6
     weight_goal: float = 1.0
     weight_covariance: float = 1.0
     weight_effort: float = 0.05

@@ -63,7 +63,7 @@ def draw_joint(scene: Scene, path: str, joint: Joint, limits: tuple[float, float
         rings = [tube(circle(curve[0], normal, 0.07 * size), 0.007 * thickness * size) for normal in np.eye(3)[1:]]
         scene.mesh(f"{path}/rigid", merge(rings), color)
         return
-    if joint.kind in ("revolute", "screw"):
+    if joint.turns:
         scene.reserve(axis)
         scene.mesh(f"{path}/axis", arrow(axis[0], axis[1], 0.009 * size), INK)
         scene.mesh(f"{path}/path", tube(curve, 0.008 * thickness * size), color)
@@ -132,9 +132,9 @@ def object_size(automaton: HybridAutomaton) -> float:
     sizes = [0.02]
     for number, _ in shown_links(automaton):
         joint = automaton.moving_joint(number)
-        if joint.kind in ("revolute", "screw"):
+        if joint.turns:
             sizes.append(float(np.linalg.norm(np.array(joint.position) - joint.center)))
-        elif joint.kind != "rigid":
+        elif joint.moves:
             sizes.append(reach(automaton, number))
         sizes += [float(max(shape.size)) for shape in link_shapes(automaton, number)]
     return max(sizes)

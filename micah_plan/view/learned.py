@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.certainty import ActionChannel, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import UNITS, Joint, radius
+from micah_plan.automaton.joint import Joint, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.recording.value import Recording
 from micah_plan.view.palette import MISFIT, category
@@ -235,7 +235,7 @@ def _learned_run(
 ) -> LearnedRun:
     rows = rows_of_run(recording, edge, run)
     poses = parent_poses(recording, edge, run, rows).inv() * recording.poses()[rows]
-    moving = [s for s in edge.segments if s.joint.kind != "rigid" and not is_misfit(s)]
+    moving = [s for s in edge.segments if s.joint.moves and not is_misfit(s)]
     stretches = []
     for colored in own:
         chosen = np.isin(rows, colored.rows)
@@ -249,7 +249,7 @@ def _learned_run(
     certainty = edge.certainty
     trace_rows, lines, changes = _traced(None if certainty is None else certainty.trace, rows, stretches)
     counts = certainty.changepoint_counts if certainty is not None else ()
-    units = dict.fromkeys(UNITS[s.joint.kind] for s in moving)
+    units = dict.fromkeys(s.joint.unit for s in moving)
     return LearnedRun(
         edge, run, rows, poses.translation, tuple(stretches),
         "configuration" if moving else "displacement", " or ".join(units) if moving else "m",
@@ -265,7 +265,7 @@ def _gap(a: Segment, b: Segment) -> int:
 def _configuration(segment: Segment, position: Floats, rotation: Rotation | None) -> Floats:
     """(k,) configurations by a segment's joint; turns are counted where it turns nearly all the way round."""
     low, high = segment.configuration_range
-    if high - low < _NEARLY_A_TURN or UNITS[segment.joint.kind] == "m":
+    if high - low < _NEARLY_A_TURN or segment.joint.unit == "m":
         return inverse(segment.joint, position, rotation, near=(low + high) / 2)
     c = np.unwrap(inverse(segment.joint, position, rotation))
     turns = np.round((segment.configuration_start - c[:1]) / (2 * np.pi))

@@ -60,7 +60,7 @@ def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
     """Draw a joint in ink; returns the points (k, 3) that must be in sight."""
     joint = stretch.segment.joint
     curve = joint_curve(joint, *stretch.segment.configuration_range)
-    if joint.kind == "rigid":
+    if not joint.moves:
         space.plot(*curve[:1].T, "o", ms=15, mfc="none", mec=INK, mew=1.4)
         return [curve]
     space.plot(*curve.T, color=INK, lw=1.6)
@@ -120,7 +120,7 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
         color = stretch.colored.color
         edge = INK if is_misfit(stretch.segment) else color
         axes.plot(stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
-        if stretch.segment.joint.kind == "rigid" and learned.quantity == "configuration" and len(stretch.rows):
+        if not stretch.segment.joint.moves and learned.quantity == "configuration" and len(stretch.rows):
             resting = stretch.segment.configuration_start
             axes.plot(stretch.rows[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
     axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)

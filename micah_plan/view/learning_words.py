@@ -33,7 +33,7 @@ def block_title(learned: LearnedRun, *, several_runs: bool) -> str:
 def block_words(learned: LearnedRun) -> list[str]:
     """Changepoints, and the parameters of each joint that moves, one sentence each."""
     joints = {s.colored.color: s.segment for s in learned.stretches if not is_misfit(s.segment)}
-    moving = [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.kind != "rigid"]
+    moving = [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.moves]
     return [changepoint_words(learned), *moving]
 
 
@@ -77,7 +77,7 @@ def changepoint_words(learned: LearnedRun) -> str:
 def joint_words(segment: Segment) -> str:
     """A joint's parameters with one standard deviation: ``"turns 69°, radius 300 mm, axis ± 0.8°, centre ± 2 mm"``."""
     joint = segment.joint
-    if joint.kind == "rigid":
+    if not joint.moves:
         return "at rest"
     travel = segment.configuration_range[1] - segment.configuration_range[0]
     if joint.kind == "path":

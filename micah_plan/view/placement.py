@@ -57,7 +57,7 @@ def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None =
 
     An arc for revolute, a helix for screw, a line for prismatic, one point for rigid.
     """
-    count = 1 if joint.kind == "rigid" else 2 if joint.kind == "prismatic" else CURVE_POINTS
+    count = CURVE_POINTS if joint.turns or joint.knots else 2 if joint.moves else 1
     poses = forward(joint, np.linspace(lower, upper, count))
     return np.asarray(poses.apply(np.zeros(3) if point is None else point))
 

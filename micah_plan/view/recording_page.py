@@ -6,7 +6,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
-from micah_plan.automaton.joint import UNITS, radius
+from micah_plan.automaton.joint import radius
 from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
@@ -86,7 +86,7 @@ def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: 
     """The joint in the frame of its parent, which stands where it was measured at the segment's first row."""
     segment = colored.segment
     draw_joint(scene, path, segment.joint, segment.configuration_range, JointLook(INK, size, thickness=0.5))
-    if segment.joint.kind in ("revolute", "screw"):
+    if segment.joint.turns:
         scene.mesh(f"{path}/center", beads(np.array([segment.joint.center]), 0.03 * size), INK)
     scene.place(path, parent_poses(recording, colored.edge, segment.run, np.array([segment.start]))[0])
 
@@ -176,13 +176,13 @@ def _described(colored: ColoredSegment) -> str:
     if is_misfit(segment):
         return misfit_words(segment)
     words = []
-    if joint.kind in ("revolute", "screw"):
+    if joint.turns:
         words.append(f"radius {quantity(radius(joint), 'm')}")
     if joint.kind == "screw":
         words.append(f"pitch {quantity(joint.pitch, 'm/rad')}")
     if joint.kind not in ("rigid", "path"):
         words.append(f"axis ({', '.join(plain(a) for a in joint.axis)})")
-    if joint.kind != "rigid":
-        words.append(f"from {interval(*segment.configuration_range, UNITS[joint.kind])}")
+    if joint.moves:
+        words.append(f"from {interval(*segment.configuration_range, joint.unit)}")
     joined = f"{colored.label}: {', '.join(words)}" if words else colored.label
     return f"{joined}; probability {percent(segment.probability)}"

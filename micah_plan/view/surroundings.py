@@ -96,7 +96,8 @@ def arm_facts(plan: Plan) -> list[tuple[str, str]]:
         return []
     facts = [("Least manipulability", plain(float(arm.manipulability.min())))]
     if arm.limit_margin is not None:
-        facts.insert(0, ("Nearest to its limit", f"{arm.limit_joint}, {plain(arm.limit_margin)} away"))
+        away = quantity(arm.limit_margin, arm.limit_unit)
+        facts.insert(0, ("Nearest to its limit", f"{arm.limit_joint}, {away} away"))
     if arm.least_clearance is not None:
         least = f"{quantity(arm.least_clearance, 'm')}, between {' and '.join(arm.closest_pair)}"
         facts.insert(0, ("Least clearance", least))

@@ -167,11 +167,13 @@ def text(x: float, y: float, words: str, kind: str) -> Svg:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round numbers (1, 2 or 5 times a power of ten apart) within a range, at most about `most`."""
+    """Round numbers (1, 2 or 5 times a power of ten apart) within a range, at least two and at most about `most`."""
     if not high > low:
         return [low]
     step = rounded_up((high - low) / most)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    if first >= last:  # one number is no scale
+        return ticks(low, high, 2 * most)
     return [round(step * i, 12) for i in range(first, last + 1)]
 
 

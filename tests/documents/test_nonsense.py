@@ -104,14 +104,12 @@ def test_a_problem_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> N
 # Why each of these is taken as it is.
 EXPLAINED = {
     "negative gain": "a motor that is wired the other way around",
-    "travel of rounds": "a nut on a long screw",
     "fingers through each other": "joints that are held are not compared with their limits",
     "force of a rocket": "what a hand may exert is for its owner to say",
 }
 
 
-# Contacts along 57,000 rad take long to look at.
-SLOW = [case for i, case in enumerate(CORPUS) if i % 8 or case == "travel of rounds"]
+SLOW = [case for i, case in enumerate(CORPUS) if i % 8]
 QUICK = [pytest.param(case, marks=pytest.mark.slow if case in SLOW else ()) for case in CORPUS]
 
 

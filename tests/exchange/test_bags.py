@@ -14,7 +14,7 @@ from micah_plan.recording.read import read_recording
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="bags need the extra 'ros'")
-from rosbags.typesys import Stores, get_typestore  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 ROWS = 12
 
@@ -73,6 +73,28 @@ def test_a_bag_is_the_recording_that_is_in_it(bag: Path, tmp_path: Path) -> None
     kind, notes = convert(bag, tmp_path / "door.csv")
     assert (kind, notes) == ("recording", ())
     assert read_recording(tmp_path / "door.csv").digest() == read_recording(bag).digest()
+
+
+def test_transforms_of_ros_1_are_poses(tmp_path: Path) -> None:
+    """Most trackers of ROS 1 say where a part is on /tf, whose type its library does not bring."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = "tf2_msgs/msg/TFMessage"
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    own = store.types
+    with rosbag1.Writer(tmp_path / "tf.bag") as writer:
+        connection = writer.add_connection("/tf", kind, typestore=store)
+        for k in range(ROWS):
+            time = 1_000_000_000 + 100_000_000 * k
+            stamp = own["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
+            header = own["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="world")
+            place = own["geometry_msgs/msg/Vector3"](x=0.1 * k, y=0.0, z=0.5)
+            turn = own["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+            moved = own["geometry_msgs/msg/Transform"](translation=place, rotation=turn)
+            stamped = own["geometry_msgs/msg/TransformStamped"](header=header, child_frame_id="door", transform=moved)
+            writer.write(connection, time, store.serialize_ros1(own[kind](transforms=[stamped]), kind))
+    recording = read_recording(tmp_path / "tf.bag")
+    assert recording.parts == ("door",)
+    assert recording.position[:, 0] == pytest.approx(0.1 * np.arange(ROWS))
 
 
 def test_a_damaged_bag_is_one_line(bag: Path) -> None:

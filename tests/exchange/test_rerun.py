@@ -30,6 +30,8 @@ def test_rerun_finds_poses_and_actions(tmp_path: Path) -> None:
         if words[0:1] and "Chunk(" in words[0]
     }
     assert {chunks[f"/run_0/door{name}"] for name in ("", "/action/x", "/action/z", "/force/y")} == {rows}
+    # The viewer shows no poses, but what has a shape: axes that move with the part, and its track.
+    assert (chunks["/run_0/door/axes"], chunks["/run_0/tracks/door"]) == (1, 1)
 
 
 def test_text_is_said_to_be_left_out(tmp_path: Path) -> None:

@@ -6,12 +6,13 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, screw
@@ -149,7 +150,63 @@ def test_capsules_become_solids_and_meshes_are_told_of(tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_text("solid")
     found, notes = load_urdf(urdf(tmp_path, '<mesh filename="m.stl"/>'))
     assert found.parts[1].shapes == ()
-    assert notes == ("link b: a mesh is left out; parts are made of boxes, cylinders and spheres",)
+    assert notes == ("link b: a mesh is left out, expected a mesh, found no corners",)
+
+
+PARTNET = """<robot name="partnet_1">
+  <link name="base"/>
+  <link name="link_0">
+    <visual name="handle-3">
+      <origin xyz="0.4 0 0.2"/><geometry><mesh filename="textured_objs/original-2.obj"/></geometry>
+    </visual>
+    <visual name="door_frame-1">
+      <origin xyz="0.4 0 0.2"/><geometry><mesh filename="textured_objs/original-1.obj"/></geometry>
+    </visual>
+    <collision><origin xyz="0.4 0 0.2"/><geometry><mesh filename="textured_objs/original-1.obj"/></geometry></collision>
+    <collision><origin xyz="0.4 0 0.2"/><geometry><mesh filename="textured_objs/original-2.obj"/></geometry></collision>
+  </link>
+  <joint name="joint_0" type="revolute">
+    <origin xyz="-0.4 0 -0.2"/><axis xyz="0 -1 0"/><child link="link_0"/><parent link="link_1"/>
+    <limit lower="0" upper="1.57"/>
+  </joint>
+  <link name="link_1">
+    <visual name="frame-2"><geometry><mesh filename="textured_objs/original-3.obj"/></geometry></visual>
+    <collision><geometry><mesh filename="textured_objs/original-3.obj"/></geometry></collision>
+  </link>
+  <joint name="joint_1" type="fixed">
+    <origin rpy="1.570796326794897 0 -1.570796326794897" xyz="0 0 0"/><child link="link_1"/><parent link="base"/>
+  </joint>
+</robot>"""
+BOXES = {
+    1: ((-0.4, -0.5, 0.2), (0.4, 0.5, 0.22)),
+    2: ((0.3, -0.1, 0.22), (0.35, 0.1, 0.26)),
+    3: ((-0.4, -0.5, -0.3), (0.4, 0.5, 0.2)),
+}
+
+
+def test_an_object_of_partnet_mobility_is_made_of_boxes_and_has_its_handle(tmp_path: Path) -> None:
+    """A door in the layout of that data set: y up in the meshes, a fixed joint that turns it, meshes called handle."""
+    (tmp_path / "textured_objs").mkdir()
+    for number, ends in BOXES.items():
+        corners = product(*zip(*ends, strict=True))
+        lines = [f"v {x} {y} {z}" for x, y, z in corners]
+        (tmp_path / "textured_objs" / f"original-{number}.obj").write_text("\n".join([*lines, "f 1 2 3"]))
+    (tmp_path / "mobility.urdf").write_text(PARTNET)
+    found, notes = load_urdf(tmp_path / "mobility.urdf")
+    assert notes == (
+        "link link_1: a mesh became the box around it",
+        "link link_0: 2 meshes became the boxes around them",
+    )
+    base, door = found.parts
+    assert (base.name, door.name, found.ranges(0)) == ("base", "link_0", [(0.0, 1.57)])
+    pose = forward(found.modes[0].joints[0], np.zeros(1))
+    turned = Rotation.from_euler("xyz", [np.pi / 2, 0.0, -np.pi / 2])
+    for shape, number in zip(door.shapes, (1, 2), strict=True):
+        middle = pose.apply(np.array(shape.position))[0]
+        np.testing.assert_allclose(middle, turned.apply(np.mean(BOXES[number], axis=0)), atol=1e-9)
+        np.testing.assert_allclose(shape.size, np.ptp(BOXES[number], axis=0), atol=1e-9)
+    assert door.handle == door.shapes[1].position
+    assert base.shapes[0].size == pytest.approx((0.8, 1.0, 0.5))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -241,6 +242,38 @@ def tum_files() -> Iterator[tuple[str, bytes]]:
     yield "empty", b""
 
 
+def parquet_files() -> Iterator[tuple[str, bytes]]:
+    """Tables."""
+    import pyarrow
+    from pyarrow import parquet
+
+    def table(**columns: Any) -> bytes:
+        buffer = io.BytesIO()
+        parquet.write_table(pyarrow.table(columns), buffer)
+        return buffer.getvalue()
+
+    places = {axis: [0.0, 1.0] for axis in "xyz"}
+    good = table(t=[0.0, 1.0], **places)
+    nested: Any = 1.0
+    for _ in range(50):
+        nested = {"a": nested}
+    yield "bomb", table(t=pyarrow.array(np.zeros(40_000_000, dtype=np.int8)))
+    yield "lists", table(t=[0.0, 1.0], **places, x1=[[0.0] * 9, [0.0]], y1=[None, [1.0]], z1=[[], []])
+    yield "nested", table(t=[nested, nested])
+    yield "texts", table(t=["0", "1"], **places)
+    yield "nothing", table(t=pyarrow.array([], pyarrow.float64()), **dict.fromkeys("xyz", pyarrow.array([], "f8")))
+    yield "no_numbers", table(t=[0.0, None], **places)
+    yield "large_runs", table(t=[0.0, 1.0], **places, run=pyarrow.array([0, 2**64 - 1], pyarrow.uint64()))
+    yield "flags", table(t=[True, False], **places)
+    yield "vectors", table(t=[[0.0], [1.0]], **places)
+    yield "episodes", table(timestamp=["a", "b"], episode_index=[0, 0])
+    yield "no_time", table(episode_index=[0, 0], **{"observation.state": [[1.0], [2.0]]})
+    yield "cut", good[: len(good) // 2] + b"PAR1"
+    yield "footer", good[:-8] + struct.pack("<I", 2**31 - 1) + b"PAR1"
+    yield "binary", BINARY
+    yield "empty", b""
+
+
 def mcap_files() -> Iterator[tuple[str, bytes]]:
     """Logs, made byte by byte."""
     magic = b"\x89MCAP0\r\n"
@@ -358,6 +391,7 @@ FILES: dict[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     ".json": json_files,
     ".csv": csv_files,
     ".npz": npz_files,
+    ".parquet": parquet_files,
     ".tum": tum_files,
     ".mcap": mcap_files,
     ".urdf": urdf_files,

@@ -21,10 +21,11 @@ from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.view.figures import save_figure
 
 pytest.importorskip("mcap", reason="the corpus has MCAP files (extra 'ros')")
+pytest.importorskip("pyarrow", reason="the corpus has Parquet files (extra 'parquet')")
 ROOT = Path(__file__).resolve().parents[2]
 ATTACK = Path(__file__).with_name("attack.py")
 HARMLESS = {
-    "many_knots.yaml", "tiny.csv", "formula.csv", "many_runs.csv", "huge_number.urdf", "utf7.urdf",
+    "many_knots.yaml", "tiny.csv", "formula.csv", "many_runs.csv", "huge_number.urdf", "utf7.urdf", "lists.parquet",
 }  # fmt: skip
 MOST_SECONDS, MOST_MIB = 20.0, 1024.0
 
@@ -79,6 +80,9 @@ def good_files() -> dict[str, bytes]:
     """One small good file of every kind."""
     import tempfile
 
+    import pyarrow
+    from pyarrow import parquet
+
     made = {
         "p.yaml": (ROOT / "problems" / "drawer_open.yaml").read_bytes().replace(b"../models", bytes(ROOT / "models")),
         "s.yaml": (ROOT / "problems" / "sweeps" / "drawer.yaml").read_bytes().replace(b"..", bytes(ROOT / "problems")),
@@ -90,6 +94,9 @@ def good_files() -> dict[str, bytes]:
         for suffix in ("csv", "npz", "mcap"):
             write_recording(recording.rows(slice(0, 12)), Path(folder, f"r.{suffix}"))
             made[f"r.{suffix}"] = Path(folder, f"r.{suffix}").read_bytes()
+        columns = {name: recording.position[:12, i] for i, name in enumerate("xyz")} | {"t": recording.time[:12]}
+        parquet.write_table(pyarrow.table(columns), Path(folder, "r.parquet"))
+        made["r.parquet"] = Path(folder, "r.parquet").read_bytes()
     made["r.tum"] = b"".join(b"%d.5 0.1 0.2 0.3 0 0 0 1\n" % i for i in range(12))
     return made
 

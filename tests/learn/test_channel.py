@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.joint import revolute, rigid
+from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate
@@ -97,6 +97,25 @@ def test_what_a_prismatic_joint_cannot_tell_keeps_its_prior_spread(script):
     assert 0.7 < np.sqrt(axis @ covariance @ axis) < 1.5
     assert abs(vectors[:, 2] @ axis) > 0.99
     assert np.sqrt(values[1]) < 0.15
+
+
+def pushed_noisily(rng, rows=200):
+    """A slide that is pushed on and on, with pauses, of which a log holds every push with an error of its own."""
+    meant = 0.002 * (np.arange(rows) % 50 < 35) * (1 + 0.3 * np.sin(np.arange(rows) / 9))
+    moved = np.concatenate([[0.0], np.cumsum(meant * (1 + 0.1 * rng.standard_normal(rows)))[:-1]])
+    position = np.outer(moved, [1.0, 0.0, 0.0]) + 5e-4 * rng.standard_normal((rows, 3))
+    action = np.outer(meant, [1.0, 0.0, 0.0]) * (1 + 0.5 * rng.standard_normal((rows, 1)))
+    return PartTrack(np.arange(rows), 0.1 * np.arange(rows), position, None, action)
+
+
+def test_errors_of_actions_do_not_look_like_a_delay_of_half_a_row():
+    joint = prismatic((1, 0, 0), (0, 0, 0))
+    held = 0
+    for seed in range(20):
+        track = pushed_noisily(np.random.default_rng(seed))
+        found = estimate_channel(joint, [(0, len(track) - 1)], track, 5e-4)
+        held += abs(found.delay) < 1.96 * np.sqrt(found.covariance[4][4])
+    assert held >= 14
 
 
 def test_the_unit_of_time_only_scales_the_delay(script):

@@ -12,11 +12,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
+from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import binom
 
 from micah_plan.automaton.certainty import RowPosterior
 from micah_plan.automaton.graph import KinematicEdge
+from micah_plan.automaton.joint import revolute
+from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.segmenting.evidence import tabulated
 from micah_plan.learn.segmenting.length_prior import LengthPrior
@@ -30,6 +33,7 @@ from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, kind_probab
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
+from micah_plan.recording.value import Recording
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RECORDINGS = 100
@@ -310,5 +314,36 @@ def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_
         ratio = kinds["revolute"] / (kinds["revolute"] + kinds["prismatic"])
         assert ratio == pytest.approx(max(share, given), abs=1e-6)
         counts, without = (posterior_of(one, settings, False).counts for one in (told, replace(found, others=())))
-        odds = np.exp(-below / LOG_ODDS_OVERSTATED)
-        assert counts[0] == pytest.approx((without[0] + odds) / (1 + odds), abs=1e-9)
+        # The sums over the joints of the answer know of it, too: what is more counts.
+        more = max(np.exp(-below / LOG_ODDS_OVERSTATED) * without[1] - without[0], 0.0)
+        assert counts[0] == pytest.approx((without[0] + more) / (1 + more), abs=1e-9)
+
+
+def test_a_clear_second_joint_is_said_as_clearly() -> None:
+    """What a further joint costs is weighed against the same evidence where it is chosen and where it is stated."""
+    turned = np.concatenate([np.linspace(0.0, 0.8, 60), np.full(60, 0.8)])
+    slid = np.concatenate([np.zeros(60), np.linspace(0.0, 0.2, 60)])
+    poses = forward(revolute((0.0, 0.0, 1.0), (0.3, 0.0, 0.0), (0.6, 0.0, 0.2)), turned)
+    rng = np.random.default_rng(5)
+    recording = Recording(
+        time=np.arange(120) / 18.0,
+        position=poses.translation + np.outer(slid, [0.0, 0.0, 1.0]) + 0.001 * rng.standard_normal((120, 3)),
+        quaternion=(Rotation.from_rotvec(0.005 * rng.standard_normal((120, 3))) * poses.rotation).as_quat(),
+    )
+    hinge, slide = learn_graph(recording).edges[0].segments
+    assert (hinge.joint.kind, slide.joint.kind) == ("revolute", "prismatic")
+    assert dict(hinge.certainty.kinds)["revolute"] > 0.8
+    assert dict(slide.certainty.kinds)["prismatic"] > 0.8
+
+
+def test_an_answer_with_a_segment_more_takes_its_share_of_what_is_said_of_their_number() -> None:
+    recording = recorded([(JOINTS["prismatic"], np.linspace(0.0, 0.3, 90))], np.random.default_rng(3))
+    settings = LearnSettings()
+    steps = steps_of(part_track(recording, 0, recording.parts[0]), np.ones(len(recording), dtype=bool), settings)
+    found = replace(segment_track(steps.track, settings.of_steps(steps.size), use_actions=False), others=())
+    n = len(steps.track)
+    other = Alternative(("prismatic", "rigid"), (np.arange(n) >= n - 10).astype(np.int64), found.log_probability)
+    alone, told = (posterior_of(one, settings, False) for one in (found, replace(found, others=(other,))))
+    assert alone.counts[0] > 0.8
+    assert told.counts[0] == pytest.approx(told.counts[1])
+    assert told.changepoint[n - 10] > 0.4

@@ -127,25 +127,26 @@ def test_a_demonstration_at_another_rate_has_the_same_segments(shared_data, name
     assert_same([original, interpolated(original, 4), interpolated(original, 2, cubic=True)], method)
 
 
-# Failures that came when noise got one scale per vector: of 12 rates the drawer has a rest that is none in 3 (thinned,
-# half the rate, jittered once); the stapler lacks its stop in 3 (twice and four times the rate), 2 have it at row 100.
-UNSTABLE = pytest.mark.xfail(strict=True, reason="the rate of rows decides between close answers")
+# The stapler is pressed from row 86 of 143 on and creeps until about row 102: its stop is anywhere between.
+CREEPS = 16 / 143
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "method"),
-    [
-        pytest.param(*one, marks=UNSTABLE if one[0] == "drawer_no_grasp" or one == ("stapler", "act-champ") else ())
-        for one in DEMONSTRATED
-    ],
-)
+@pytest.mark.parametrize(("name", "method"), DEMONSTRATED)
 def test_a_demonstration_at_any_rate_has_the_same_segments(shared_data, name: str, method: Method) -> None:
+    """At 11 of 12 rates at least; an answer that the rate changes is not said surely."""
     original = read_recording(shared_data / "demonstrations" / f"{name}.csv")
     others = [thinned(original, 2), *(jittered(original, seed) for seed in range(3))]
     others += [interpolated(original, factor) for factor in (0.5, 2, 4, 16)]
     others += [interpolated(original, factor, cubic=True) for factor in (2, 4, 16)]
-    assert_same([original, *others], method)
+    unlike = [one for one in others if summary(one, method)[0] != JOINTS_OF[name]]
+    assert len(unlike) <= 1
+    for one in unlike:
+        (edge,) = learn_graph(one, method=method).edges
+        assert edge.certainty is not None
+        assert edge.certainty.changepoint_counts[0][len(edge.segments) - 1] < 0.7
+    alike = [original, *(one for one in others if one not in unlike)]
+    assert_same(alike, method, CREEPS if (name, method) == ("stapler", "act-champ") else TOLERANCE)
 
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "demonstrations"

@@ -17,7 +17,7 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import Chances, draw_chances, roll_out
 from micah_plan.planning.search.mode_search import ModeSequence, search_modes
-from micah_plan.planning.search.path_beliefs import PathBeliefs
+from micah_plan.planning.search.path_beliefs import PathBeliefs, steps_to_correct_start
 from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
@@ -173,6 +173,12 @@ def test_waypoints_join_and_keep_to_their_modes(walls: Problem) -> None:
                 np.testing.assert_allclose(points[0], sequence.waypoints[number - 1][-1], atol=1e-9)
 
 
+def test_a_start_that_nothing_can_correct_takes_no_more_steps_than_a_plan(dark: Problem) -> None:
+    """An effect may take nearly all of an input; the search went through 10^15 steps, past its time limit."""
+    far = replace(dark, start=replace(dark.start, std=(1e15, 1e15)))
+    assert steps_to_correct_start(far, limits_of(far), far.automaton.modes[0]) == far.settings.max_knots
+
+
 def test_the_predicted_variance_is_that_of_the_filter(dark: Problem) -> None:
     """Along one straight motion through uneven light, against the filter step by step."""
     points = np.array([[2.0, 2.0], [5.0, -1.0]])
@@ -235,3 +241,20 @@ def test_where_nothing_is_to_be_gained_the_shortest_way_is_taken() -> None:
     (first, *_) = found(replace(problem, start=replace(problem.start, mode="left")))
     assert first.modes == ("left", "right")
     assert len(first.waypoints[0]) <= 4
+
+
+@pytest.mark.slow
+def test_what_is_hardly_known_of_the_world_is_touched_first_and_followed() -> None:
+    """A parameter is a coordinate that no input moves; a plan that trusts its mean misses what the touch finds."""
+    key = load_problem(PROBLEMS / "key_by_touch.yaml")
+    trusting = plan(replace(key, start=replace(key.start, std=(*key.start.std[:2], 5e-4))))
+    assert "edge" not in trusting.mode_sequence
+    missed = verify(key, trusting, trials=300)
+    assert missed.success_probability is not None
+    assert missed.success_probability < 0.2
+    touching = plan(key)
+    assert touching.mode_sequence == ("before", "beside", "edge", "before", "keyhole")
+    found = verify(key, touching, trials=300)
+    assert found.outcome == "solved"
+    assert found.success_probability is not None
+    assert found.success_probability > 0.95

@@ -13,6 +13,7 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_pr
 from micah_plan.belief.filter import initial_belief
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import replan
+from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
@@ -179,3 +180,25 @@ def test_twelve_dimensions_and_64_modes_are_solved(monkeypatch: pytest.MonkeyPat
     assert len(found.mode_sequence) == 7
     assert found.success_probability is not None
     assert found.success_probability >= 0.95
+
+
+def test_the_faster_the_pace_the_fewer_the_steps() -> None:
+    problem = drawer_problem(0.0, 0.3)
+    slow, usual, fast = (plan(with_settings(problem, pace=pace)) for pace in (0.3, 0.6, 1.0))
+    steps = [len(found.trajectory.inputs) for found in (slow, usual, fast) if found.trajectory is not None]
+    assert steps[0] > 1.7 * steps[1]
+    assert steps[2] < 0.8 * steps[1]
+    assert fast.outcome == "solved"
+
+
+def test_a_latch_is_pushed_further_in_than_asked_where_that_is_cheap() -> None:
+    """Of the plans that only do what the confidence asks for, one in twenty misses; a centimetre more costs little."""
+    problem = door_problem(0.2, DOOR_SHUT, goal_modes=("shut",))
+    least, usual = (plan(with_settings(problem, weight_goal=weight)) for weight in (0.0, 1.0))
+    verified = [verify(problem, found, trials=2000, seed=1) for found in (least, usual)]
+    failing = [1.0 - (found.success_probability or 0.0) for found in verified]
+    assert 0.03 < failing[0] < 0.08
+    assert failing[1] < 0.01
+    assert least.trajectory is not None
+    assert usual.trajectory is not None
+    assert len(usual.trajectory.inputs) == len(least.trajectory.inputs)

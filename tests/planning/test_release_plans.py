@@ -113,7 +113,7 @@ def test_the_plan_file_holds_how_the_hand_lets_go(tmp_path: Path) -> None:
 def test_a_support_that_may_be_anywhere_is_no_place_to_let_go() -> None:
     problem, plan = solved("stapler_on_books")
     unsure = replace(problem, robot=None, grasp=None, release=replace(problem.release, support_std=0.02))
-    answer = with_release(unsure, replace(plan, arm=None, release=None), NEVER)
+    answer, _ = with_release(unsure, replace(plan, arm=None, release=None), NEVER)
     assert answer.outcome == "not_verified"
     assert "the support's height is known to 20 mm" in answer.reason
     assert answer.success_probability == pytest.approx(0.383 * plan.success_probability, rel=0.01)

@@ -93,8 +93,9 @@ def test_the_programme_reused_answers_as_a_new_one(problem: Problem, knots: tupl
         assert followed.modes == new.modes == trajectory.modes[knot:]
         np.testing.assert_allclose(followed.means[0], belief.means[belief.most_likely], atol=1e-7)
         costs = [cost_of(here, limits, found) for found in (followed, new)]
-        assert costs[0] == pytest.approx(costs[1], rel=0.03, abs=1e-4)
-        assert np.abs(followed.means - new.means).max() < 0.3 * limits.max_step.max()
+        # What missing a guard would cost, by the spreads that each plan knows, is traded against this.
+        assert costs[0] == pytest.approx(costs[1], rel=0.03, abs=0.03)
+        assert np.abs(followed.means - new.means).max() < 0.4 * limits.max_step.max()
         if not any(q.pins for q in problem.automaton.modes):  # else the belief's mean moves to the pin only in part
             inputs = followed.inputs[~followed.is_transition]
             driven = simulate(problem.automaton, mode, followed.means[0].tolist(), inputs)

@@ -93,9 +93,9 @@ def test_without_a_latch_there_is_no_plan_and_the_reason_names_what_is_in_the_wa
     assert found.findings[0].remedy
 
 
-def test_the_surer_the_start_the_shorter_it_drags() -> None:
+def test_a_sure_start_makes_it_drag_less() -> None:
     distances = [dragged(*solved(name)) for name in ("sure", "", "unsure")]
-    assert distances[0] < 0.97 * distances[1] < 0.94 * distances[2]
+    assert distances[0] < 0.95 * min(distances[1:])
 
 
 def test_the_plan_ends_above_the_books_from_where_it_is_put_down() -> None:

@@ -15,7 +15,8 @@ from micah_plan.robot.clearance import clearance_model
 from micah_plan.scene.body import Body
 from micah_plan.workflow import solve
 
-STAPLER = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
+PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+STAPLER, BOX = PROBLEMS / "stapler_on_books.yaml", PROBLEMS / "box_under_bar.yaml"
 
 
 def test_outside_of_an_overlap_nothing_meets() -> None:
@@ -51,6 +52,20 @@ def test_a_goal_where_the_hand_meets_the_shelf_is_called_impossible() -> None:
     refused = solve(load_problem(STAPLER, {"goal.target.x.value": 0.5}), advise=False)
     assert refused.outcome == "no_plan"
     assert refused.reason.startswith("wherever in the goal the hand is, flange meets shelf")
+
+
+@pytest.mark.slow
+def test_what_the_fingers_do_not_let_the_hand_put_down_is_not_planned() -> None:
+    """Deep on the plinth they meet it in all of the goal; less deep, in the part that plans then stay out of."""
+    refused = solve(load_problem(BOX, {"goal.target.x.value": 0.5}), advise=False)
+    assert refused.outcome == "no_plan"
+    assert refused.reason.startswith("wherever in the goal the hand puts the object down, left_finger meets plinth")
+    tolerant = load_problem(BOX, {"goal.target.x": {"value": 0.47, "tolerance": 0.025}})
+    plan = solve(tolerant, advise=False)
+    assert plan.outcome == "solved", plan.reason
+    assert plan.release is not None
+    assert plan.trajectory is not None
+    assert plan.trajectory.means[-1, 0] < 0.46
 
 
 @pytest.mark.slow

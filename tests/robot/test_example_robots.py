@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan import load, solve
+from micah_plan.documents.problem import load_problem
+from micah_plan.errors import InputError
 from micah_plan.robot.arm import symbolic_forward
 from micah_plan.robot.inverse_kinematics import next_pose
 from micah_plan.robot.load_arm import describe_robot, load_arm
+from micah_plan.templates.write import write_template
 
 ARMS = {
     "panda_description/urdf/panda.urdf": ("panda_hand", 7),
@@ -26,6 +30,35 @@ def robots() -> Path:
     except PackageNotFoundError:
         pytest.skip("the extra 'robots' is not installed")
     return Path(str(found))
+
+
+def problem_with(folder: Path, robot: str) -> Path:
+    """The template of a problem with a robot, with another one; returns its file."""
+    write_template("robot", folder)
+    file = folder / "problem.yaml"
+    text = file.read_text().replace("path: robot.urdf", f"path: {robot}").replace("tool: tool ", "tool: panda_hand ")
+    file.write_text(text)
+    return file
+
+
+def test_an_arm_is_known_by_its_name(robots: Path, tmp_path: Path) -> None:
+    """Its meshes are found by the plan file too, wherever that lies."""
+    problem = load_problem(problem_with(tmp_path, "panda"))
+    assert problem.robot is not None
+    assert Path(problem.robot.folder) == robots / "panda_description" / "urdf"
+    (tmp_path / "elsewhere").mkdir()
+    solve(problem).save(tmp_path / "elsewhere" / "plan.json")
+    moved = load(tmp_path / "elsewhere" / "plan.json").problem.robot
+    assert moved is not None
+    assert (moved, moved.folder) == (problem.robot, problem.robot.folder)
+    with pytest.raises(InputError, match="no robot of that name; did you mean 'panda'"):
+        load_problem(problem_with(tmp_path / "wrong", "pnda"))
+
+
+def test_without_the_extra_a_name_says_which_one_brings_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("micah_plan.documents.scene.named_robots", dict)
+    with pytest.raises(InputError, match=r"line \d+.*no file 'panda' beside this one.*micah-plan\[robots\]"):
+        load_problem(problem_with(tmp_path / "a", "panda"))
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -16,6 +16,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Link, Pin
 from micah_plan.automaton.joint import IDENTITY, Joint, JointKind, prismatic, revolute, rigid
 from micah_plan.errors import InputError
+from micah_plan.quantities import quantity
 
 HAND = "hand"
 _CARRIAGES = ("hand_x", "hand_y", HAND)
@@ -70,7 +71,8 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
     """The joint of a learned automaton.
 
     Raises:
-        InputError: unless it has one coordinate that one mode moves, by a revolute or prismatic joint, and a datum.
+        InputError: unless it has one coordinate that one mode moves, by a revolute or prismatic joint, by one turn at
+            most, and a datum.
     """
     moving = [mode for mode in automaton.modes if mode.B.any()]
     if automaton.n != 1 or len(automaton.links) != 1 or len(moving) != 1:
@@ -88,11 +90,16 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
     if grip.datum is None and not math.isfinite(datum):
         remedy = "give the configuration at which the parts' shapes are described as `datum`"
         raise InputError("the model neither latches nor ends anywhere, so its shapes have no datum", remedy=remedy)
+    low = max([datum - grip.travel, *below])
+    high = min([max(datum, high if math.isfinite(high) else datum), *above])
+    if kind == "revolute" and high - low > 2 * math.pi:
+        problem = f"the contacts of a part that turns are those of one turn, {quantity(2 * math.pi, 'rad')}"
+        raise InputError(f"{problem}. Got {quantity(high - low, 'rad')}", remedy="lower `travel`")
     return LearnedJoint(
         kind,
         mode.name,
-        max([datum - grip.travel, *below]),
-        min([max(datum, high if math.isfinite(high) else datum), *above]),
+        low,
+        high,
         datum,
         latches,
         automaton.noise.process_std[0],

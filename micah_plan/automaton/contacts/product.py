@@ -24,6 +24,7 @@ from micah_plan.automaton.contacts.touch import TouchPiece, collision_regions, r
 from micah_plan.automaton.contacts.values import AXES, COLLIDED, Face, Grip, HandNoise, Surroundings
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset, Tie
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box
+from micah_plan.errors import InputError
 
 FREE = "free"
 _N, _M, _JOINT = 4, 3, 3
@@ -91,11 +92,14 @@ def with_contacts(
     """The automaton of a held object among bodies.
 
     Raises:
-        InputError: if the learned model has not one joint, or nothing tells where its parts' shapes are given.
+        InputError: if the learned model has not one joint, nothing tells where its parts' shapes are given, or the hand
+            does not reach where a contact ends.
     """
     noise = noise or HandNoise()
     joint = learned_joint(learned, grip)
     product = _Product(grip, surroundings, noise, joint, contact_states(grip, surroundings, joint))
+    for contact in product.contacts:
+        _check_reach(contact, surroundings)
     modes, edges = product.modes(), product.edges()
     hits = list(product.collisions(modes))
     if hits:
@@ -114,6 +118,20 @@ def with_contacts(
     )
     check_automaton(automaton)
     return automaton
+
+
+def _check_reach(contact: Contact, surroundings: Surroundings) -> None:
+    """Raises InputError if the hand cannot be where the contact ends, as where the object latches."""
+    for axis, value in contact.end_of_hand.items():
+        low, high = surroundings.lower[axis], surroundings.upper[axis]
+        if not low <= value <= high:
+            text = (
+                f"pressed against '{contact.face.solid}' to the end, the object is held at {AXES[axis]} = {value:.4g} m"
+            )
+            raise InputError(
+                f"contacts: {text}, beyond reach: {low:g} to {high:g}",
+                remedy=f"let reach include it, or leave '{contact.face.solid}' out of contacts",
+            )
 
 
 def contact_states(grip: Grip, surroundings: Surroundings, joint: LearnedJoint) -> tuple[Contact, ...]:

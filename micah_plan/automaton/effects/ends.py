@@ -155,7 +155,7 @@ def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -
         pins = (replace(pin, value=pin.value + new - old) if pin.coordinate == i else pin for pin in mode.pins)
         joints = (
             rigid_at(automaton.moving_joint(number), joint.fixed_at + new - old, joint)
-            if link.coordinate == i and joint.kind == "rigid"
+            if link.coordinate == i and not joint.moves
             else joint
             for number, (link, joint) in enumerate(zip(automaton.links, mode.joints, strict=True))
         )
@@ -214,7 +214,7 @@ def _with_hold(automaton: HybridAutomaton, mode: Mode, i: int, end: float, side:
     n, m, label, std = automaton.n, automaton.m, automaton.coordinates[i].name, automaton.noise.observation_std[i]
     flow = tuple(tuple(0.0 for _ in row) if k == i else row for k, row in enumerate(mode.input_matrix))
     joints = (
-        rigid_at(joint, end, joint) if link.coordinate == i and joint.kind != "rigid" else joint
+        rigid_at(joint, end, joint) if link.coordinate == i and joint.moves else joint
         for link, joint in zip(automaton.links, mode.joints, strict=True)
     )
     others = tuple(h for h in mode.invariant.half_spaces if h.bound is None or h.bound.coordinate != i)

@@ -11,7 +11,7 @@ import numpy as np
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.shown import Same, Shown, Start
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.joint import Joint, axis_basis, rigid, turning
+from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.lifted import mapped
 
 # Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
@@ -104,17 +104,17 @@ class AxisOffset(EffectForm):
 
 def _turned_about(joint: Joint, by: Sequence[float] = (0.0, 0.0), pitch: float = 0.0) -> Joint:
     """A turning joint with its axis moved [m] along `axis_basis`, and more pitch [m/rad]; others as they are."""
-    if joint.kind not in ("revolute", "screw"):
+    if not joint.turns:
         return joint
     center = np.array(joint.center) + np.array(by) @ axis_basis(joint.axis)
     kind = "screw" if pitch else joint.kind
-    made = turning(kind, joint.axis, center, joint.pitch + pitch, joint.position, joint.quaternion)
+    made = twisting(kind, joint.axis, center, joint.pitch + pitch, joint.position, joint.quaternion)
     return replace(made, covariance=joint.covariance)
 
 
 def rigid_at(moving: Joint, c: float, before: Joint) -> Joint:
     """A rigid joint that stands for configuration c, where a moving one leads; `before` if nothing moves there."""
-    if moving.kind == "rigid":
+    if not moving.moves:
         return replace(before, fixed_at=c)
     from micah_plan.automaton.kinematics import forward  # SciPy's transforms take long to load
 
@@ -128,7 +128,7 @@ def _with_joints(automaton: HybridAutomaton, coordinate: int, change: Callable[[
     def changed(number: int, joint: Joint) -> Joint:
         if automaton.links[number].coordinate != coordinate:
             return joint
-        if joint.kind == "rigid":
+        if not joint.moves:
             return rigid_at(change(automaton.moving_joint(number)), joint.fixed_at, joint)
         return change(joint)
 

@@ -66,9 +66,9 @@ class HeldObject:
         elif grip.pivots:
             self._add_pivot(world, in_hand)
         world.solids(in_hand, grip.held.shapes, mass, rubbing(MOVING if is_free else IN_HAND, self._parameters))
-        fixed = pose(joint.position, joint.quaternion) if joint.kind == "rigid" else {}
+        fixed = {} if joint.moves else pose(joint.position, joint.quaternion)
         moving = in_hand.add_body(name=grip.moving.name, **fixed)
-        if joint.kind != "rigid":
+        if joint.moves:
             self._add_joint(world, moving, joint)
         world.solids(moving, grip.moving.shapes, mass, rubbing(MOVING, self._parameters))
 

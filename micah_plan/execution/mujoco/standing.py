@@ -234,7 +234,7 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
             runner = guides[-1].build(world, above, body, parameters.mass)
             _add_joint(world, runner, automaton, number, arms[-1], parameters)
             guides[-1].tie(world)
-        elif joint.kind != "rigid":
+        elif joint.moves:
             _add_joint(world, body, automaton, number, arms[-1], parameters)
     return world, np.array(arms), guides
 
@@ -243,7 +243,7 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
     """The joint that moves a link in all modes that do not hold it."""
     joint = automaton.moving_joint(link)
     places = forward(joint, [0.0, 0.5]).as_matrix()
-    for other in (mode.joints[link] for mode in automaton.modes if mode.joints[link].kind != "rigid"):
+    for other in (mode.joints[link] for mode in automaton.modes if mode.joints[link].moves):
         if other.kind != joint.kind or not np.allclose(
             places, forward(other, [0.0, 0.5]).as_matrix(), atol=_SAME_JOINT
         ):
@@ -305,7 +305,7 @@ def _lever(joint: str) -> str:
 
 
 def _arm(name: str, joint: Joint, handle: Vector3) -> float:
-    if joint.kind == "rigid":
+    if not joint.moves:
         return 1.0
     arm = float(np.linalg.norm(handle_velocity(joint, handle, 0.0)))
     if arm < _SHORTEST_ARM:

@@ -40,7 +40,7 @@ def configurations(
         rows = np.arange(first, last + 1)[inlier[first : last + 1]]
         rotation = None if track.quaternion is None else Rotation.from_quat(track.quaternion[rows])
         measured = inverse(joint, track.position[rows], rotation)
-        if joint.kind in ("revolute", "screw"):
+        if joint.turns:
             measured = np.unwrap(measured)
         found.append((rows, measured, _running_mean(measured, half)))
     return found
@@ -50,7 +50,7 @@ def with_anchored_actions(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> PartTrack:
     """The track with the actions of the pieces' rows turned back by what follows the rows' own errors."""
-    if joint.kind not in ("revolute", "screw") or track.action is None:
+    if not joint.turns or track.action is None:
         return track
     found = configurations(joint, pieces, track, inlier)
     rows, error = np.concatenate([r for r, _, _ in found]), np.concatenate([c - calm for _, c, calm in found])

@@ -32,6 +32,8 @@ LEAST_LOG_ODDS = 5.0  # of the channel against none, 150 : 1
 _COARSE_STEPS = 128  # per run
 _COARSE_DELAYS = np.arange(-22, 23) / 96  # of the run, tried first
 _NEAR_ROWS = 8  # on each side of no delay, tried first as well
+_SPREADS = (0.0, 0.75)  # rows, std, that actions are smoothed by; with 0.75 errors average out at all delays alike
+_AVERAGED = 0.5 * np.log(2.0)  # nats per step: what averaging the errors of two neighbours can explain
 _WALK_SHARES = (0.3, 0.01)  # of the mean square of a step, from which the walk is sought
 _WALKS = 0.25 ** np.arange(9.0)  # shares of a walk that are tried
 _NEGLIGIBLE_WALK = -4.0  # ln probability
@@ -90,7 +92,7 @@ def estimate_channel(
         the estimate. None if there are no actions, fewer than 10 steps, no motion, or if the evidence, integrated over
         rotations, gains and delays, does not speak for a channel, or leaves its gain open.
     """
-    if track.action is None or joint.kind == "rigid":
+    if track.action is None or not joint.moves:
         return None
     counted = np.ones(len(track), dtype=bool) if inlier is None else inlier
     command = command_of(with_anchored_actions(joint, pieces, track, counted))
@@ -101,20 +103,12 @@ def estimate_channel(
     if len(steps) < _FEWEST_STEPS or not np.any(steps.leverage) or not np.any(steps.size):
         return None
     still = fit_noise(steps, steps.size, np.zeros(len(steps)))
-    if len(steps) <= 1.5 * _COARSE_STEPS:
-        searches = [(steps, _COARSE_DELAYS)]
-    else:  # for a motion that is slow compared to a row, and for one that is not
-        thinned = steps_of(joint, pieces, track, counted, white, _COARSE_STEPS)
-        row = np.median(steps.end - steps.start)
-        searches = [(thinned if len(thinned) >= _FEWEST_STEPS else steps, _COARSE_DELAYS)]
-        searches.append((steps, row * np.arange(-_NEAR_ROWS, _NEAR_ROWS + 1.0)))
-    nothing = np.zeros(len(steps))
-    starts = [_searched(searched, command, still.walk, delays) for searched, delays in searches]
-    left = [steps.size - _predicted(steps, command, *start) for start in starts]
-    best = int(np.argmax([fit_noise(steps, one, nothing).log_density for one in left])) if len(starts) > 1 else 0
-    mode, noises, extra = _settled(steps, command, still.walk, *starts[best])
+    searches = _searches(joint, pieces, track, counted, steps)
+    command, delay, rotation, log_gain = _started(steps, command, still.walk, searches)
+    mode, noises, extra = _settled(steps, command, still.walk, delay, rotation, log_gain)
     posterior = _integrated(steps, command, noises, mode, still.walk)
-    if posterior.log_evidence - fit_noise(steps, steps.size, extra).log_density <= least_log_odds:
+    told = posterior.log_evidence - np.log(len(_SPREADS)) - fit_noise(steps, steps.size, extra).log_density
+    if told <= least_log_odds:
         return None
     found = _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
     # A gain that may as well be none is no estimate.
@@ -140,6 +134,43 @@ def _quadratic(steps: Steps, predictors: Floats, noise: StepNoise) -> Quadratic:
     """Likelihood for predictors (d, 9, m) of d delays."""
     solved = noise.solve(predictors.reshape(-1, len(steps))).reshape(predictors.shape)
     return Quadratic(np.matmul(predictors, solved.transpose(0, 2, 1)), np.matmul(solved, steps.size))
+
+
+def _searches(
+    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, counted: Booleans, steps: Steps
+) -> list[tuple[Steps, Floats]]:
+    """Steps and delays to look for a channel at: for a motion that is slow compared to a row, and for one that is not.
+
+    Of few rows these are the same.
+    """
+    if len(steps) <= 1.5 * _COARSE_STEPS:
+        return [(steps, _COARSE_DELAYS)]
+    thinned = steps_of(joint, pieces, track, counted, steps.white, _COARSE_STEPS)
+    row = np.median(steps.end - steps.start)
+    near = (steps, row * np.arange(-_NEAR_ROWS, _NEAR_ROWS + 1.0))
+    return [(thinned if len(thinned) >= _FEWEST_STEPS else steps, _COARSE_DELAYS), near]
+
+
+def _started(
+    steps: Steps, command: Command, walk: float, searches: list[tuple[Steps, Floats]]
+) -> tuple[Command, float, Floats, float]:
+    """Where to start, and the command as far as the part follows it.
+
+    Actions jitter. If the part follows that, it tells the delay exactly; if it is an error of the log, a delay that
+    fits it fits by chance, and halfway between two rows, where neighbours average, every delay seems to explain more.
+    So the command is as smooth as explains the steps best, and not smoothed at all only if that explains still more.
+    """
+    found, scores = [], []
+    for spread in _SPREADS:
+        given = command.smoothed(spread) if spread else command
+        for some, delays in searches:
+            start = _searched(some, given, walk, delays)
+            left = steps.size - _predicted(steps, given, *start)
+            found.append((given, *start))
+            scores.append(fit_noise(steps, left, np.zeros(len(steps))).log_density)
+            if not spread:
+                scores[-1] -= _AVERAGED * len(steps)
+    return found[int(np.argmax(scores))]
 
 
 def _searched(steps: Steps, command: Command, walk: float, tried: Floats) -> tuple[float, Floats, float]:

@@ -8,10 +8,11 @@ scalar Kalman filter), and the model is linear in the nine numbers of g R.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Booleans, Floats
@@ -24,6 +25,8 @@ _WHITE_SPREAD = 0.4  # std of ln r about what the caller believes of the white v
 _WALK_DECADES = np.arange(-9.0, 1.1)  # ln-grid of the random walk's variance, of the mean squared step
 _REFINEMENTS = 4
 _TINY = 1e-300  # against division by 0
+_BETWEEN = 4  # points per row that it is smoothed at
+_LONGEST_GAPS = 16  # mean rows per median row
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +34,9 @@ class Command:
     """The running sum of the actions of a run as a path in time, base frame; beyond its ends it goes on as there.
 
     Attributes:
-        time: (n,) of the rows, as a share of the run's duration: 0 to 1.
+        time: (n,) of the points that are known, as a share of the run's duration: rows are at 0 to 1.
         path: (n, 3) what was commanded until then [m].
-        before, after: (3,) rates beyond the first and last row [m per run].
+        before, after: (3,) rates before the first and after the last of them [m per run].
     """
 
     time: Floats
@@ -44,12 +47,22 @@ class Command:
     def at(self, time: Floats) -> Floats:
         """(..., 3) what was commanded until the given times (...)."""
         path = np.stack([np.interp(time, self.time, self.path[:, i]) for i in range(3)], axis=-1)
-        early, late = np.minimum(time, 0.0), np.maximum(time - 1.0, 0.0)
+        early, late = np.minimum(time - self.time[0], 0.0), np.maximum(time - self.time[-1], 0.0)
         if early.min(initial=0.0) < 0:
             path += early[..., None] * self.before
         if late.max(initial=0.0) > 0:
             path += late[..., None] * self.after
         return path
+
+    def smoothed(self, rows: float) -> Command:
+        """The same, each action spread over time by a normal distribution, its std so many rows."""
+        row = max(float(np.median(np.diff(self.time))), 1 / (_LONGEST_GAPS * len(self.time)))
+        # Four standard deviations beyond the ends, so that the path is what it is at the ends.
+        edge = 4 * rows * row
+        fine = np.arange(-edge, 1 + edge, row / _BETWEEN)
+        inside = (fine > -row) & (fine < 1 + row)
+        path = gaussian_filter1d(self.at(fine), rows * _BETWEEN, axis=0)
+        return replace(self, time=fine[inside], path=path[inside])
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ def contrasts_of(joint: Joint, seen: Seen, stds: tuple[float, float]) -> list[Co
     Args:
         stds: of a rotation [rad] and a position [m].
     """
-    if joint.kind in ("rigid", "prismatic"):
+    if not joint.turns:
         return _straight(joint, seen)
     n, c = len(seen.configuration), seen.configuration
     radius, reach = seen.radius, float(np.hypot(seen.radius, joint.pitch))
@@ -86,11 +86,11 @@ def contrasts_of(joint: Joint, seen: Seen, stds: tuple[float, float]) -> list[Co
 
 def _straight(joint: Joint, seen: Seen) -> list[Contrasts]:
     """Contrasts of a joint that does not turn."""
-    n, k = len(seen.configuration), 3 if joint.kind == "rigid" else 2
+    n, k = len(seen.configuration), 2 if joint.moves else 3
     design = np.zeros((n, k, FRAME_NUMBERS))
     for i in range(k):
         design[:, i, _MOVE + i] = 1.0
-    if joint.kind == "prismatic":
+    if joint.moves:
         design[:, 0, _TILT + 1], design[:, 1, _TILT] = seen.configuration, -seen.configuration
     frame = np.eye(3)
     result = [Contrasts(seen.position_error[:, :k], design, np.broadcast_to(frame[:k], (n, k, 3)), None)]

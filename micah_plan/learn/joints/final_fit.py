@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, screw
-from micah_plan.automaton.kinematics import reversed_direction
-from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.automaton.joint import KINDS, Joint, JointKind
+from micah_plan.automaton.kinematics import reversed_direction, shifted
+from micah_plan.learn.joints.comparison import compare_arrays
 from micah_plan.learn.joints.helix_fit import fit_helix
+from micah_plan.learn.joints.joint_arrays import arrays_of, concatenated
 from micah_plan.learn.joints.joint_frame import seen_by
 from micah_plan.learn.joints.likelihood import Fit, fit_likelihood, parameter_covariance, seen_with
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
 from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
-from micah_plan.learn.joints.quaternions import times
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, Scales, TrackerNoise, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 
@@ -127,9 +127,9 @@ def _strays(joint: Joint, before: Joint) -> bool:
     Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
     motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
     """
-    if joint.kind == "rigid" or joint.covariance is None:
+    if not joint.moves or joint.covariance is None:
         return False
-    if joint.kind == "prismatic":
+    if not joint.turns:
         return True  # weights change little there, and only positions tell the axis
     turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
     return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
@@ -153,10 +153,10 @@ class _Rows:
 
     def mixtures(self, kind: JointKind, squares: list[Floats], weight: Floats) -> Mixtures:
         """The mixtures of squared errors (h, n), of positions and, where measured, of rotations."""
-        turning = kind in ("revolute", "screw")
+        moves, turning = KINDS[kind].moves, KINDS[kind].turns
         has_orientation = len(squares) > 1
         # What a row's configuration takes from its errors; a turn shares it between position and rotation.
-        shared = 0.5 if turning and has_orientation else 0.0 if kind == "rigid" else 1.0
+        shared = 0.5 if turning and has_orientation else float(moves)
         far = self.position - self.position.mean(axis=0)
         span = max(_POSITION_SPAN, 2 * float(np.sqrt(np.einsum("ij,ij->i", far, far).max())))
         sorts = [Sort(squares[0], 3 - shared, span, _LEAST_STDS[1])]
@@ -178,17 +178,16 @@ def _best_start(
     """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
     some = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
     p, q = rows.of(some)
-    starts = [guess, _carried(guess, p, q), *joints_through(guess.kind, p, q, rng, draws)]
     linear, fixed = linear_fits([guess.kind], np.ones((1, len(some)), dtype=bool), p, q)
-    if fixed[0]:
-        starts.append(linear.joint(0))
-    error = compare_all(starts, p, q, _ROTATION_LENGTH).error
+    drawn = joints_through(guess.kind, p, q, rng, draws)
+    starts = concatenated([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
+    error = compare_arrays(starts, p, q, _ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
         squares.append((error[:, :3] ** 2).sum(axis=1))
     scored = rows.mixtures(guess.kind, squares, rows.weight[some])
     best = int(np.argmax(scored.log_likelihood))
-    return starts[best], _stds(scored, best)
+    return starts.joint(best) if best else guess, _stds(scored, best)
 
 
 def _believed(
@@ -214,30 +213,20 @@ def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint
     """The guess carried to the middle one of the rows: a start even where the rows fix no joint of its kind."""
     row = int(np.argmin(((position - np.median(position, axis=0)) ** 2).sum(axis=1)))
     shift = position[row] - guess.position
-    center = guess.center if guess.kind in ("rigid", "prismatic") else tuple((guess.center + shift).tolist())
+    center = tuple((guess.center + shift).tolist()) if guess.turns else guess.center
     turned = guess.quaternion if quaternion is None else tuple(quaternion[row].tolist())
     return replace(guess, position=tuple(position[row].tolist()), center=center, quaternion=turned)
 
 
 def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
     """The same motion, counted in the guess's direction from where the guess counts, or as it may be held."""
-    if joint.kind == "rigid":
+    if not joint.moves:
         return replace(joint, fixed_at=guess.fixed_at)
     if np.dot(joint.axis, guess.axis) < 0:
         joint = reversed_direction(joint)
     quaternion = np.array([guess.quaternion]) if has_orientation else None
-    c = float(seen_by(joint, np.array([guess.position]), quaternion, _ROTATION_LENGTH).configuration[0])
-    axis, position, center = np.array(joint.axis), np.array(joint.position), np.array(joint.center)
-    if joint.kind == "prismatic":
-        return prismatic(axis, position + c * axis, joint.quaternion)
-    arm, slide = position - center, joint.pitch * c * axis
-    side = np.cross(axis, arm)
-    turn = np.append(np.sin(c / 2) * axis, np.cos(c / 2))
-    position = center + slide + np.cos(c) * arm + np.sin(c) * side
-    quaternion = times(turn, np.array(joint.quaternion))
-    if joint.kind == "revolute":
-        return revolute(axis, center, position, quaternion)
-    return screw(axis, center + slide, joint.pitch, position, quaternion)
+    (c,) = seen_by(joint, np.array([guess.position]), quaternion, _ROTATION_LENGTH).configuration
+    return shifted(joint, float(c))
 
 
 def _fitted(joint: Joint, mixtures: Mixtures, has_orientation: bool) -> FittedJoint:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.joint import Joint, JointKind, prismatic, revolute, rigid, screw
+from micah_plan.automaton.joint import KINDS, Joint, JointKind, twisting
 from micah_plan.learn.joints.quaternions import rotated, rotation_quaternion, times
 
 
@@ -38,17 +38,17 @@ class JointArrays:
     @cached_property
     def moving(self) -> Booleans:
         """(h,) which are not rigid."""
-        return np.array([kind != "rigid" for kind in self.kinds], dtype=bool)
+        return np.array([KINDS[kind].moves for kind in self.kinds], dtype=bool)
 
     @cached_property
     def turning(self) -> Booleans:
         """(h,) which rotate."""
-        return np.array([kind in ("revolute", "screw") for kind in self.kinds], dtype=bool)
+        return np.array([KINDS[kind].turns for kind in self.kinds], dtype=bool)
 
     @cached_property
     def twisting(self) -> Booleans:
         """(h,) which have a pitch."""
-        return np.array([kind == "screw" for kind in self.kinds], dtype=bool)
+        return np.array([KINDS[kind].climbs for kind in self.kinds], dtype=bool)
 
     def take(self, index: Sequence[int] | NDArray[np.int64]) -> JointArrays:
         """Some of the joints."""
@@ -58,14 +58,8 @@ class JointArrays:
 
     def joint(self, i: int) -> Joint:
         """One of them as a joint."""
-        kind, position, quaternion = self.kinds[i], self.position[i], self.quaternion[i]
-        if kind == "rigid":
-            return rigid(position, quaternion)
-        if kind == "prismatic":
-            return prismatic(self.axis[i], position, quaternion)
-        if kind == "revolute":
-            return revolute(self.axis[i], self.center[i], position, quaternion)
-        return screw(self.axis[i], self.center[i], float(self.pitch[i]), position, quaternion)
+        fixed = self.axis[i], self.center[i], float(self.pitch[i])
+        return twisting(self.kinds[i], *fixed, self.position[i], self.quaternion[i])
 
     def moved(self, step: Floats) -> JointArrays:
         """The joints moved by (h, 13): a base-side and a part-side displacement (6 each) and a change of pitch.
@@ -105,7 +99,7 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
         np.array([joint.center for joint in joints]).reshape(-1, 3),
         np.array([joint.position for joint in joints]).reshape(-1, 3),
         np.array([joint.quaternion for joint in joints]).reshape(-1, 4),
-        np.array([joint.pitch if joint.kind == "screw" else 0.0 for joint in joints]).reshape(-1),
+        np.array([joint.pitch for joint in joints]).reshape(-1),
     )
 
 

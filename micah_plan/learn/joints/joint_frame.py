@@ -51,7 +51,7 @@ def seen_by(joint: Joint, position: Floats, quaternion: Floats | None, rotation_
     seen = compare_all([joint], position, quaternion, rotation_length)
     c = seen.configuration[0]
     *rotation, shift = frame @ seen.error[0].reshape(-1, 3, len(c))
-    if joint.kind in ("revolute", "screw"):
+    if joint.turns:
         (x, y, z), cosine, sine = shift, np.cos(c), np.sin(c)
         shift = np.stack([x * cosine + y * sine, y * cosine - x * sine, z])
     return Seen(c, shift.T, rotation[0].T if rotation else None, radius, frame)
@@ -62,10 +62,10 @@ def frame_of(joint: Joint) -> tuple[Floats, float]:
 
     u1 points from the axis to the part's origin; where that is on the axis it is the first of `axis_basis`.
     """
-    if joint.kind == "rigid":
+    if not joint.moves:
         return np.eye(3), 0.0
     axis = np.array(joint.axis)
-    arm = np.subtract(joint.position, joint.center) if joint.kind != "prismatic" else np.zeros(3)
+    arm = np.subtract(joint.position, joint.center) if joint.turns else np.zeros(3)
     arm = arm - (arm @ axis) * axis
     radius = math.sqrt(float(arm @ arm))
     if radius > _ON_THE_AXIS:

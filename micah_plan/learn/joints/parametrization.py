@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.joint import Joint, JointKind, axis_basis, prismatic, revolute, rigid, screw
+from micah_plan.automaton.joint import KINDS, Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.learn.joints.joint_frame import cross, frame_of
 from micah_plan.learn.joints.quaternions import times
@@ -21,16 +21,8 @@ from micah_plan.learn.joints.quaternions import times
 # Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
 FRAME_NUMBERS = 11
 
-_AXIS = ("axis_1", "axis_2")
-_CENTER = ("center_1", "center_2")
 _ROTATION = ("rotation_1", "rotation_2", "rotation_3")
 _POSITION = ("position_1", "position_2", "position_3")
-_PARTS: dict[JointKind, tuple[str, ...]] = {
-    "rigid": (),
-    "prismatic": _AXIS,
-    "revolute": _AXIS + _CENTER,
-    "screw": (*_AXIS, *_CENTER, "pitch"),
-}
 _LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
 _SHORTEST = 1e-9  # m; a direction shorter than that is none
 
@@ -57,10 +49,10 @@ class Chart:
 
 def chart_of(joint: Joint, has_orientation: bool) -> Chart:
     """The free numbers of a joint; without orientations the part's is none of them."""
-    before = _PARTS[joint.kind]
+    before = KINDS[joint.kind].parameters
     after = (_ROTATION if has_orientation else ()) + _POSITION
     k, size = len(before), len(after)
-    pose = np.eye(size) if joint.kind == "rigid" else _across(_start_direction(joint)[6 - size :])
+    pose = _across(_start_direction(joint)[6 - size :]) if joint.moves else np.eye(size)
     free = np.zeros((k + size, k + pose.shape[1]))
     free[:k, :k] = np.eye(k)
     free[k:, k:] = pose
@@ -91,17 +83,13 @@ def stepped(joint: Joint, chart: Chart, numbers: Floats) -> Joint | None:
         half = 0.5 * np.array([step[name] for name in _ROTATION])
         length = float(np.linalg.norm(half))
         quaternion = times(np.append(np.sinc(length / np.pi) * half, np.cos(length)), quaternion)
-    if joint.kind == "rigid":
+    if not joint.moves:
         return rigid(position, quaternion, joint.fixed_at)
     basis, old = chart.basis, np.array(joint.axis)
     # The basis is right-handed with the axis: a tilt about the first direction moves the axis against the second.
     axis = old + step["axis_2"] * basis[0] - step["axis_1"] * basis[1]
-    if joint.kind == "prismatic":
-        return prismatic(axis, position, quaternion)
-    point = np.array(joint.center) + step["center_1"] * basis[0] + step["center_2"] * basis[1]
-    if joint.kind == "revolute":
-        return revolute(axis, point, position, quaternion)
-    return screw(axis, point, joint.pitch + step["pitch"], position, quaternion)
+    point = np.array(joint.center) + step.get("center_1", 0.0) * basis[0] + step.get("center_2", 0.0) * basis[1]
+    return twisting(joint.kind, axis, point, joint.pitch + step.get("pitch", 0.0), position, quaternion)
 
 
 def _start_direction(joint: Joint) -> Floats:

@@ -45,7 +45,7 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         c = inverse(segment.joint, seen.translation[index], rotation)
         if segment.joint.kind == "revolute":
             c = np.unwrap(c)
-        if segment.joint.kind != "rigid":
+        if segment.joint.moves:
             told = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
             c = told + _smoothed(c - told)
         said = relative.frames[index] * forward(segment.joint, c)

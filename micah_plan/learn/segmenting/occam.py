@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.joint import JointKind
+from micah_plan.automaton.joint import KINDS, JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Pool
@@ -125,6 +125,4 @@ def parameter_counts(joints: JointArrays, has_orientation: bool) -> Floats:
 
 def parameter_count(kind: JointKind, has_orientation: bool) -> int:
     """k of the BIC term: the numbers that fix a joint and where on it the segment starts."""
-    if has_orientation:
-        return {"rigid": 6, "prismatic": 8, "revolute": 10, "screw": 11}[kind]
-    return {"rigid": 3, "prismatic": 5, "revolute": 7, "screw": 8}[kind]
+    return (6 if has_orientation else 3) + len(KINDS[kind].parameters)

@@ -59,40 +59,36 @@ def segment_track(
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     outcomes = _settled(proposals, prior, settings, use_actions)
     best = max(outcomes, key=lambda one: one.log_probability)
-    if use_actions and track.action is not None and "rigid" in settings.kinds:
-        outcomes += _with_a_rest(best, prior, settings)
-        best = max(outcomes, key=lambda one: one.log_probability)
-    # A rest is doubted, not taken back: a hand that stops pushing and a part that stops are told apart by little.
-    doubted = _without_a_rest(best, prior, settings, use_actions)
-    others = tuple(alternative(one) for one in [*outcomes, *doubted] if one is not best)
+    more = _with_a_rest(best, prior, settings) if use_actions and track.action is not None else []
+    neighbours = _settled([*more, *_without_a_rest(best)], prior, settings, use_actions)
+    held, doubted = neighbours[: len(more)], neighbours[len(more) :]
+    pieces = len(best.segmentation.pieces)
+    outcomes += [one for one in held if len(one.segmentation.pieces) > pieces]
+    outcomes += [one for one in doubted if len(one.segmentation.pieces) < pieces]
+    best = max(outcomes, key=lambda one: one.log_probability)
+    others = tuple(alternative(one) for one in outcomes if one is not best)
     return replace(_beside_rivals(best, settings, use_actions), others=others)
 
 
 def _with_a_rest(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
     """What else is probable if one joint moves the part: that it was held in one more stretch of rows."""
     used = {piece.hypothesis for piece in found.segmentation.pieces}
-    if sum(bool(found.table.pool.moving[one]) for one in used) != 1:
+    if "rigid" not in settings.kinds or sum(bool(found.table.pool.moving[one]) for one in used) != 1:
         return []
     tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
-    starts = [replace(found, table=table, segmentation=one) for table, one in tried]
-    outcomes = _settled(starts, prior, settings, True)
-    return [one for one in outcomes if len(one.segmentation.pieces) > len(found.segmentation.pieces)]
+    return [replace(found, table=table, segmentation=one) for table, one in tried]
 
 
-def _without_a_rest(
-    found: Segmented, prior: LengthPrior, settings: LearnSettings, use_actions: bool
-) -> list[Segmented]:
-    """What is left of an answer if a rest is no rest, joints and noise fitted again: for each rest that there is."""
+def _without_a_rest(found: Segmented) -> list[Segmented]:
+    """What is left of an answer if a rest is no rest: for each rest that there is."""
     pieces, moving = found.segmentation.pieces, found.table.pool.moving
-    starts = []
+    fewer = []
     for i in (k for k, piece in enumerate(pieces) if not moving[piece.hypothesis]):
         beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
         joint = next((one for one in beside if moving[one]), None)
         if joint is not None:
-            fewer = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
-            starts.append(replace(found, segmentation=Segmentation(fewer, -np.inf)))
-    outcomes = _settled(starts, prior, settings, use_actions) if starts else []
-    return [one for one in outcomes if len(one.segmentation.pieces) < len(pieces)]
+            fewer.append(merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces))))
+    return [replace(found, segmentation=Segmentation(one, -np.inf)) for one in fewer]
 
 
 def log_probability_at_most(found: Segmented, settings: LearnSettings, use_actions: bool) -> float:

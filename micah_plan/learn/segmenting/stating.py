@@ -61,14 +61,17 @@ def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -
 
 
 def _beside(stated: ChangepointPosterior, found: Segmented) -> ChangepointPosterior:
-    """The posterior, where the answer may also be one of fewer segments, its joints fitted to other rows."""
+    """The posterior, where answers of other numbers of segments may have joints fitted to other rows."""
     counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
-    for pieces in range(1, len(found.segmentation.pieces)):
-        fewer = [one for one in found.others if len(one.kinds) == pieces]
-        if fewer:
-            best = max(fewer, key=lambda one: one.log_probability)
-            counts[pieces - 1] += _odds(best, found)
-            changepoint[1:] += _odds(best, found) * np.diff(best.of_row)
+    own = len(found.segmentation.pieces)
+    for pieces in {len(one.kinds) for one in found.others} - {own}:
+        if pieces > len(counts):
+            continue
+        best = max((one for one in found.others if len(one.kinds) == pieces), key=lambda one: one.log_probability)
+        # What the sums over this answer's joints know of it already is not told twice.
+        more = max(_odds(best, found) * stated.counts[own - 1] - stated.counts[pieces - 1], 0.0)
+        counts[pieces - 1] += more
+        changepoint[1:] += more * np.diff(best.of_row)
     total = counts.sum()
     return replace(stated, counts=counts / total, changepoint=changepoint / total)
 
@@ -103,12 +106,12 @@ def kind_probabilities(
     held = bool(moving[elsewhere].any())
     sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
     twisting = table.pool.hypotheses.joints.twisting
-    evidence = (sums + SCREW_CHOSEN * twisting) / LOG_ODDS_OVERSTATED
     # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
     another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
     another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
-    worth = evidence - RARE_SCREW * twisting - ANOTHER_JOINT * another
+    evidence = sums + SCREW_CHOSEN * twisting - ANOTHER_JOINT * another
+    worth = evidence / LOG_ODDS_OVERSTATED - RARE_SCREW * twisting
     # Rivals are those fitted to much the same rows: others were paid for by other rows.
     used = table.pool.hypotheses.used
     shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)

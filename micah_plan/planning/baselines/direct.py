@@ -29,7 +29,6 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
-from micah_plan.planning.search.roadmap import PACE
 from micah_plan.planning.transcription.layout import pack, packed
 from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
@@ -98,7 +97,8 @@ def _straight(problem: Problem, limits: Limits, x: Floats) -> Floats:
     stacked = np.stack([mode.B for mode in problem.automaton.modes])
     B = np.take_along_axis(stacked, np.abs(stacked).argmax(axis=0)[None], axis=0)[0]
     total = np.linalg.pinv(B) @ (problem.goal.reached_from(x) - x)
-    wanted = int(np.ceil(np.max(np.abs(total) / limits.max_step, initial=0.0) / PACE)) + _SPARE_STEPS
+    shortest = float(np.max(np.abs(total) / limits.max_step, initial=0.0))
+    wanted = int(np.ceil(shortest / problem.settings.pace)) + _SPARE_STEPS
     steps = int(np.clip(wanted, 1, problem.settings.max_knots - 1))
     return np.repeat(total[None] / steps, steps, axis=0)
 

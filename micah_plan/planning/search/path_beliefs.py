@@ -19,7 +19,7 @@ from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.chains import stds_of
 from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.search.roadmap import PACE, JoinedRoadmap
+from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.task.problem import Problem
 
 # Steps added at the end for measurements only: at most this many, and only while each narrows the belief by at least 2
@@ -75,7 +75,8 @@ class PathBeliefs:
         u = np.abs(np.einsum("pmn,pn->pm", self._inverse[mode], delta)) / self.limits.max_step
         least = np.where(moves, u.max(axis=1, initial=0.0), 0.0)
         # What takes more steps than a plan may have is no way, however certain: so no more of them are followed.
-        count = np.minimum(np.ceil(least / PACE - 1e-9), self.problem.settings.max_knots).astype(np.int64)
+        count = np.ceil(least / self.problem.settings.pace - 1e-9)
+        count = np.minimum(count, self.problem.settings.max_knots).astype(np.int64)
         variance = variance.copy()
         for step in range(int(count.max(initial=0))):
             on = step < count
@@ -150,9 +151,12 @@ class PathBeliefs:
 
 
 def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
-    """Steps that the feedback needs in a mode to correct a start that is k standard deviations off."""
+    """Steps that the feedback needs in a mode to correct a start that is k standard deviations off.
+
+    At most those that a plan may have: where an effect takes nearly all of an input, there would be no end of them.
+    """
     off = problem.settings.sigmas * np.array(problem.start.std) / limits.speed
-    return int(np.max(off, where=mode.driven, initial=0.0))
+    return int(min(np.max(off, where=mode.driven, initial=0.0), problem.settings.max_knots))
 
 
 def _together(prior: Floats, measured: Floats) -> Floats:

@@ -32,8 +32,6 @@ from micah_plan.planning.search.polytope import TOLERANCE
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 
-# Share of the largest step that a path uses: the rest is for the feedback and the optimisation.
-PACE = 0.6
 # Share of a step by which the reachable end of a motion may miss its target: rounding of the pseudo-inverse.
 _MISS = 1e-7
 # Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.

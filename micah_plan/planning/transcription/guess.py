@@ -20,7 +20,6 @@ from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
-from micah_plan.planning.search.roadmap import PACE
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
 
@@ -90,7 +89,7 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
     """Steps per phase for the least numbers of steps that each needs."""
     automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
     least = [int(np.ceil(steps - 1e-9)) for steps in needed]
-    wanted = [int(np.ceil(steps / PACE - 1e-9)) for steps in needed]
+    wanted = [int(np.ceil(steps / problem.settings.pace - 1e-9)) for steps in needed]
     moving = next((p for p, mode in enumerate(sequence.modes) if automaton.mode(mode).B.any()), None)
     if moving is not None:
         wanted[moving] += steps_to_correct_start(problem, limits, automaton.mode(sequence.modes[moving]))

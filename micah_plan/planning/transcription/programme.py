@@ -9,6 +9,8 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
 - invariants, and guards of transitions that are not wanted, between: with a slack that costs, because a start or goal
   close to a boundary may leave no room; their mean must lie inside. Ends of a range that clamp bound the mean only.
   The same holds for constraints that a user puts on the path (`corridor`);
+- all of them further than that, as far as it pays: what misses a guard or crosses a boundary misses the goal, so the
+  probability of it costs as much as missing the goal by its tolerance does;
 - what is moved while the guard may have been passed already, and is lost then: at a cost (`lost_motion`).
 """
 
@@ -258,6 +260,13 @@ def _require_with_room(
         phase.soft.extend(zip(range(len(nlp.rows), len(nlp.rows) + len(numbers)), scales.tolist(), strict=True))
         soft = ca.vec(margins)[numbers] - settings.sigmas * stds + ca.DM(scales) * slacks
         nlp.require(soft, [rows[i]._replace(confidence=settings.confidence) for i in numbers], stds)
+        nlp.cost += ca.sum1(_missing_cost(settings.weight_goal, ca.vec(margins)[numbers], stds))
+
+
+def _missing_cost(weight: float, margins: ca.MX, stds: ca.MX) -> ca.MX:
+    """What it costs on average that margins (r, 1) of these stds are negative: each as much as missing the goal by its
+    tolerance."""
+    return ca.MX(weight * 0.5 * (1.0 - ca.erf(margins / (np.sqrt(2.0) * stds))))
 
 
 def _margin_function(pattern: ca.Sparsity) -> ca.Function:
@@ -301,6 +310,8 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
             margin, std = _margin_function(nlp.pattern)(state, need.a, need.c)
         total = ca.sqrt(std**2 + float(need.a @ guess.spreads[-1] @ need.a + need.own**2))
         nlp.require(margin - (0.0 if certain else settings.sigmas) * total, [row], None if certain else total)
+        if not certain:
+            nlp.cost += _missing_cost(settings.weight_goal, margin, total)
     name = f"the reset of '{edge.edge.name}'"
     same = Row(edge.edge.target, nlp.guess[after].first_knot, name, "", 0.0, 0.0)
     nlp.require(target.states[:, 0] - reset, [same] * (n + nlp.pattern.nnz()))

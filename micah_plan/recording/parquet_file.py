@@ -1,0 +1,229 @@
+"""Recordings from Parquet files: tables with the columns of a recording CSV, and episodes of LeRobot data sets.
+
+A LeRobot file (format 2.x or 3.0, ``data/chunk-000/*.parquet``) has an episode in ``episode_index``, its time in
+``timestamp``, and vectors whose entries ``meta/info.json`` of the data set names. Entries of ``observation.*`` that are
+called ``x, y, z`` and ``qx, qy, qz, qw`` or ``wx, wy, wz`` (a rotation vector) are the pose of a part, those of
+``action`` called ``x, y, z`` the place that was commanded, or, called ``delta_x, delta_y, delta_z``, the displacement.
+What stands before the last dot names the part: ``ee.x`` is the x of the part ``ee``. All other numbers are further
+columns, images are left out. Reads with pyarrow (extra ``parquet``).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.arrays import Floats
+from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
+from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
+from micah_plan.recording.checks import KNOWN, NUMERIC, OPTIONAL_GROUPS, POSITION, QUATERNION, REQUIRED, checked
+from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
+
+_INFO = Path("meta", "info.json")
+_ROTATION_VECTOR = ("wx", "wy", "wz")
+_DISPLACEMENT = ("delta_x", "delta_y", "delta_z")
+_COUNTED = ("timestamp", "episode_index", "frame_index", "index", "task_index")
+_LARGEST_INFO_BYTES = 1024 * 1024
+Table = Mapping[str, Any]
+"""Columns by name: (n,) or (n, k) numbers, or (n,) texts."""
+
+
+def read_parquet(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+    """`read_recording` of a Parquet file.
+
+    Raises:
+        InputError: if it is no Parquet file, has neither the columns of a recording nor a pose with names, or more rows
+            than a reader takes.
+        MissingDependencyError: without the extra ``parquet``.
+    """
+    with located_in(path):
+        table = _table(read_bytes(path))
+        made = _episodes(table, _names(Path(path))) if "episode_index" in table else _flat(table)
+        return checked(made, minimum_rows=minimum_rows)
+
+
+def _table(data: bytes) -> Table:
+    """All columns of numbers, vectors of numbers and texts."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise MissingDependencyError(".parquet files need an extra: pip install 'micah-plan[parquet]'") from None
+    try:
+        file = parquet.ParquetFile(io.BytesIO(data))
+        groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+        columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+        size = sum(max(column.total_uncompressed_size, 8 * column.num_values) for column in columns)
+        if size > LARGEST_FILE_BYTES:
+            limit = LARGEST_FILE_BYTES // 1024 // 1024
+            raise InputError(f"expected at most {limit} MiB of values, found {size} bytes", remedy="split the file")
+        found = {name: _column(pyarrow, file.read(columns=[name]).column(name)) for name in file.schema_arrow.names}
+    except InputError:
+        raise
+    except Exception as error:  # damaged files raise nearly anything
+        problem = f"expected a Parquet file, found one that cannot be read ({shown(str(error))})"
+        raise InputError(problem, remedy="write it again") from None
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def _column(pyarrow: Any, column: Any) -> NDArray[Any] | tuple[str, ...] | None:
+    """The values of a column; None for what is no number, vector of numbers of one length, or text."""
+    kind = column.type
+    if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind):
+        return tuple("" if text is None else text for text in column.to_pylist())
+    if pyarrow.types.is_integer(kind) and not column.null_count:
+        return np.asarray(column.to_numpy())
+    if pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind):
+        return np.asarray(column.to_numpy(), dtype=float)
+    is_list = pyarrow.types.is_list(kind) or pyarrow.types.is_large_list(kind) or pyarrow.types.is_fixed_size_list(kind)
+    if not is_list or not (pyarrow.types.is_floating(kind.value_type) or pyarrow.types.is_integer(kind.value_type)):
+        return None
+    rows = column.to_pylist()
+    if any(row is None or len(row) != len(rows[0]) for row in rows):
+        return None
+    return np.array(rows, dtype=float).reshape(len(rows), -1)
+
+
+def _flat(table: Table) -> Recording:
+    """Of a table with the columns of a recording CSV."""
+    missing = [name for name in REQUIRED if name not in table]
+    if missing:
+        remedy = "name the columns as in a recording CSV, or give a file of a LeRobot data set"
+        raise InputError(f"the column {shown(missing[0])} is missing", remedy=remedy)
+    for name in (*NUMERIC, "run"):
+        numbers = table.get(name)
+        kinds = "iu" if name == "run" else "iuf"
+        if numbers is not None and (isinstance(numbers, tuple) or numbers.ndim != 1 or numbers.dtype.kind not in kinds):
+            raise InputError(f"expected numbers in the column {shown(name)}", remedy="convert it before saving")
+    _check_runs(table.get("run"))
+    for group in OPTIONAL_GROUPS:
+        if 0 < sum(name in table for name in group) < len(group):
+            raise InputError(f"expected {', '.join(group)} together", remedy="add the missing columns")
+    arrays = {
+        field: np.stack([table[name] for name in names], axis=-1) if len(names) > 1 else table[names[0]]
+        for field, names in COLUMNS.items()
+        if names[0] in table
+    }
+    return Recording(
+        **arrays,
+        **({"run": table["run"]} if "run" in table else {}),
+        part=tuple(table["part"]) if "part" in table else (),
+        has_run="run" in table,
+        has_part="part" in table,
+        extra=_further({name: values for name, values in table.items() if name not in KNOWN}),
+    )
+
+
+def _check_runs(numbers: NDArray[Any] | None) -> None:
+    if numbers is not None and numbers.size and int(numbers.max()) > np.iinfo(np.int64).max:
+        raise InputError("expected run numbers of at most 63 bits", remedy="number the runs 0, 1, 2 and so on")
+
+
+def _names(path: Path) -> Mapping[str, Sequence[str]]:
+    """The names of the entries of each vector, as the data set's own description has them; empty without one."""
+    root = next((folder for folder in path.absolute().parents[:4] if (folder / _INFO).is_file()), None)
+    if root is None:
+        return {}
+    try:
+        features = json.loads(read_bytes(root / _INFO, _LARGEST_INFO_BYTES))["features"]
+        named = {key: value.get("names") for key, value in features.items()}
+    except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+        problem = "expected the description of a LeRobot data set with its features"
+        raise InputError(problem, source=root / _INFO, remedy="correct the file") from None
+    # Some have them in a dictionary of one list: {"motors": [...]}.
+    lists = {key: next(iter(own.values()), None) if isinstance(own, dict) else own for key, own in named.items()}
+    return {key: [str(name) for name in own] for key, own in lists.items() if isinstance(own, list)}
+
+
+def _episodes(table: Table, names: Mapping[str, Sequence[str]]) -> Recording:
+    """Of a table of a LeRobot data set."""
+    for key in ("timestamp", "episode_index"):
+        if key not in table or isinstance(table[key], tuple) or table[key].ndim != 1:
+            raise InputError(f"expected numbers in the column {shown(key)}", remedy="give a file of a LeRobot data set")
+    _check_runs(table["episode_index"])
+    seen, commanded, rest = dict[str, dict[str, Floats]](), dict[str, dict[str, Floats]](), dict[str, Any]()
+    for key, values in table.items():
+        if key in _COUNTED:
+            continue
+        own = names.get(key, ())
+        if isinstance(values, tuple) or values.ndim == 1 or len(own) != values.shape[1]:
+            rest |= _entries(key, values)
+            continue
+        target = commanded if key == "action" else seen if key.startswith("observation") else {}
+        for name, entry in zip(own, values.T, strict=True):
+            part, _, axis = name.rpartition(".")
+            target.setdefault(part, {})[axis] = entry
+            if axis not in (*POSITION, *QUATERNION, *_ROTATION_VECTOR, *_DISPLACEMENT):
+                rest[f"{key}.{name}"] = entry
+    parts = [part for part, axes in seen.items() if all(axis in axes for axis in POSITION)]
+    if not parts:
+        told = ", ".join(f"{key}: {' '.join(own)}" for key, own in names.items() if key.startswith("observation"))
+        problem = "expected the pose of a part, as entries x, y, z of an observation"
+        found = f"names {shown(told)}" if told else f"no names of entries in {_INFO} above the file"
+        raise InputError(f"{problem}; found {found}", remedy="name them there, or compute them from the joints")
+    both = [_of_part(table, part, seen[part], commanded.get(part, {}), rest) for part in parts]
+    return both[0] if len(both) == 1 else _joined(both)
+
+
+def _of_part(
+    table: Table, part: str, pose: Mapping[str, Floats], command: Mapping[str, Floats], rest: Table
+) -> Recording:
+    position = np.column_stack([pose[axis] for axis in POSITION])
+    quaternion, action = None, None
+    if all(axis in pose for axis in QUATERNION):
+        quaternion = np.column_stack([pose[axis] for axis in QUATERNION])
+    elif all(axis in pose for axis in _ROTATION_VECTOR):
+        half = np.column_stack([pose[axis] for axis in _ROTATION_VECTOR]) / 2.0
+        angle = np.linalg.norm(half, axis=1, keepdims=True)
+        quaternion = np.hstack([half * np.sinc(angle / np.pi), np.cos(angle)])
+    if all(axis in command for axis in _DISPLACEMENT):
+        action = np.column_stack([command[axis] for axis in _DISPLACEMENT])
+    elif all(axis in command for axis in POSITION):
+        action = np.column_stack([command[axis] for axis in POSITION]) - position
+    return Recording(
+        time=table["timestamp"],
+        position=position,
+        quaternion=quaternion,
+        action=action,
+        run=table["episode_index"],
+        part=(part or DEFAULT_PART,) * len(position),
+        has_run=True,
+        has_part=bool(part),
+        extra=_further(rest),
+    )
+
+
+def _joined(recordings: Sequence[Recording]) -> Recording:
+    """The rows of several parts, one part behind the other; what not all have is left out of all."""
+
+    def all_of(name: str) -> NDArray[Any] | None:
+        arrays = [getattr(one, name) for one in recordings]
+        return None if any(array is None for array in arrays) else np.concatenate(arrays)
+
+    extra = {name: sum((one.extra[name] for one in recordings), ()) for name in recordings[0].extra}
+    arrays: dict[str, Any] = {name: all_of(name) for name in (*COLUMNS, "run")}
+    part = sum((one.part for one in recordings), ())
+    return Recording(**arrays, part=part, has_run=True, has_part=True, extra=extra)
+
+
+def _entries(key: str, values: Any) -> dict[str, Any]:
+    """A column as columns of single values; a vector's entries without names are numbered."""
+    if isinstance(values, tuple) or values.ndim == 1:
+        return {key: values}
+    return {f"{key}.{i}": entry for i, entry in enumerate(values.T)}
+
+
+def _further(columns: Table) -> dict[str, tuple[str, ...]]:
+    """Columns that mean nothing here, as text; empty where there is no number."""
+    plain = {name: part for key, values in columns.items() for name, part in _entries(key, values).items()}
+    return {
+        name: values if isinstance(values, tuple) else tuple("" if math.isnan(v) else repr(v) for v in values.tolist())
+        for name, values in plain.items()
+    }
