@@ -11,6 +11,7 @@ Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under un
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -33,6 +34,7 @@ from micah_plan.belief.gaussian import (
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import Layout, Rows, layout_of
+from micah_plan.belief.lost import found_again, most_evidence
 from micah_plan.belief.matching import assembled, mixed
 from micah_plan.belief.pieces import Ends, Pieces, joined
 from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, truncated
@@ -46,8 +48,6 @@ _EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
 MOST_EVENTS = 16
 _LOG_NEGLIGIBLE = np.log(NEGLIGIBLE)
-# A mode that was dropped comes back where a measurement makes it that probable beside the likeliest.
-_BACK = 1e-3
 
 
 def initial_belief(
@@ -112,16 +112,15 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
 
     Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
     mode's state lies outside the guards that leave it, else it would have left: the mean is brought back if the
-    measurement drew it behind one, and the likelihood counts only the part outside. What filters drop is improbable,
-    not impossible: modes without weight count with the share that is dropped, so that a belief whose every mode
-    excludes what is measured goes to one that does not.
+    measurement drew it behind one, and the likelihood counts only the part outside. A belief whose every mode excludes
+    what is measured is lost, and begins anew from it, see `lost`.
 
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
     """
     layout, found = layout_of(automaton), np.asarray(z, dtype=float)
     if isinstance(belief, BeliefBatch):
-        return _updated_many(layout, belief, found.T) if np.isfinite(found).any() else belief
+        return _updated(layout, belief, found.T, belief.weights.T > 0)[0] if np.isfinite(found).any() else belief
     if found.shape != (automaton.n,):
         raise InputError(f"a measurement must have shape ({automaton.n},). Got {found.shape}")
     return update_each(automaton, [belief], found[None])[0]
@@ -137,15 +136,15 @@ def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u:
 def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: Floats) -> list[HybridBelief]:
     """`update` of several single beliefs in one go, with measurements (t, n); one without a measurement stays as it is.
 
-    Unlike in a batch, modes without weight are always measured too.
+    Unlike in a batch, modes without weight are measured too.
     """
     layout, seeing = layout_of(automaton), np.flatnonzero(np.isfinite(z).any(axis=1))
     after = list(beliefs)
     if seeing.size:
         every = np.ones((len(layout.modes), seeing.size), dtype=bool)
-        batch, _ = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
+        batch, anew = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
         for number, i in enumerate(seeing):
-            after[i] = batch.alone(number)
+            after[i] = replace(batch.alone(number), is_anew=bool(anew[number]))
     return after
 
 
@@ -214,27 +213,8 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
     return BeliefBatch.of(weights, means, factors, beliefs.n)
 
 
-def _updated_many(layout: Layout, beliefs: BeliefBatch, z: Floats) -> BeliefBatch:
-    """The beliefs after measuring z (n, t): modes without weight only where one may come back."""
-    after, evidence = _updated(layout, beliefs, z, beliefs.weights.T > 0)
-    sharpest = np.min([own.std for own in layout.sensing], axis=0)[: len(z), None]
-    densest = -np.log(np.sqrt(2 * np.pi) * np.maximum(sharpest, SMALLEST_STD))
-    most = np.where(np.isfinite(z) & np.isfinite(sharpest), densest, 0.0).sum(axis=0) + _LOG_NEGLIGIBLE - np.log(_BACK)
-    lost = (evidence < most).nonzero()[0]
-    if not lost.size:
-        return after
-    weights, means, factors = (values[..., lost] for values in beliefs.side_by_side())
-    own = BeliefBatch.of(weights, means, factors, beliefs.n)
-    again, _ = _updated(
-        layout, _completed(layout, own), z[:, lost], np.ones((len(layout.modes), lost.size), dtype=bool)
-    )
-    weights, means, factors = (values.copy() for values in after.side_by_side())
-    weights[..., lost], means[..., lost], factors[..., lost] = again.side_by_side()
-    return BeliefBatch.of(weights, means, factors, beliefs.n)
-
-
-def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> tuple[BeliefBatch, Floats]:
-    """The beliefs after measuring z (n, t), and the log evidence (t,) of the likeliest mode.
+def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> tuple[BeliefBatch, Booleans]:
+    """The beliefs after measuring z (n, t), and which of them (t,) began anew.
 
     Args:
         chosen: (q, t) the modes whose Gaussians are measured.
@@ -250,14 +230,31 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     if len(layout.outside[1]):
         score += _outside(layout, mode, (mean, factor), (after, narrowed))
     scores = np.full(chosen.shape, -np.inf)
-    scores[mode, owner] = score + np.log(np.maximum(weights[mode, owner], NEGLIGIBLE))
+    with np.errstate(divide="ignore"):
+        scores[mode, owner] = score + np.log(weights[mode, owner])
     best = scores.max(axis=0)
-    found = np.exp(scores - best)
-    found[(weights < NEGLIGIBLE) & (found < _BACK)] = 0.0
-    weights = found
+    weights = np.exp(scores - best)
     if at.size < chosen.size:
         after, narrowed = with_those(means, at, after), with_those(factors, at, narrowed)
-    return BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own), best
+    evidence = best + np.log(weights.sum(axis=0))
+    found = BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
+    return _found_again(layout, beliefs, found, z, evidence)
+
+
+def _found_again(
+    layout: Layout, before: BeliefBatch, after: BeliefBatch, z: Floats, evidence: Floats
+) -> tuple[BeliefBatch, Booleans]:
+    """The beliefs after a measurement, begun anew where that is more probable than what their modes say; and where."""
+    anew = np.zeros(evidence.size, dtype=bool)
+    weights, means, factors = after.side_by_side()
+    for own in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
+        found, chance = found_again(layout, before.where([own]), z[:, own])
+        if chance > evidence[own]:
+            if not anew.any():
+                weights, means, factors = weights.copy(), means.copy(), factors.copy()
+            anew[own] = True
+            weights[..., own], means[..., own], factors[..., own] = (one[..., 0] for one in found.side_by_side())
+    return BeliefBatch.of(weights, means, factors, after.n), anew
 
 
 Gaussians = tuple[Floats, Floats]

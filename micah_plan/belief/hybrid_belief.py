@@ -50,6 +50,11 @@ class BeliefBatch:
             array.setflags(write=False)
         return HybridBelief(*parts)
 
+    def where(self, chosen: Sequence[int]) -> BeliefBatch:
+        """Those with these numbers."""
+        own = list(chosen)
+        return BeliefBatch(self.weights[own], self.joint_means[own], self.joint_factors[own], self.n)
+
     @property
     def means(self) -> Floats:
         """(t, q, n) of the states."""
@@ -79,6 +84,7 @@ class HybridBelief:
         shifts: (q, b) by how much the uncertain boundaries are believed to lie elsewhere, in the order of
             `thresholds.threshold_stds`; None: nothing has been learned of them.
         shift_rows: (q, b, n + b) their rows of the joint lower Cholesky factors.
+        is_anew: whether it was lost and began anew from the last measurement, see `lost`.
     """
 
     weights: Floats
@@ -86,6 +92,7 @@ class HybridBelief:
     factors: Floats
     shifts: Floats | None = None
     shift_rows: Floats | None = None
+    is_anew: bool = False
 
     @property
     def mean(self) -> Floats:

@@ -34,7 +34,7 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 
 _SPARE_STEPS = 20
-_LOST = "; what is measured is not where the model has it: calibrate the model with this run"
+_LOST = "; what was measured is not where the model has it: calibrate the model with this run"
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,7 +262,8 @@ class Episode:
 
     def _ending(self) -> str:
         """Why the execution ended."""
-        pilot, steps, refused = self._pilot, len(self._beliefs) - 1, _LOST if self._is_lost else ""
+        pilot, steps = self._pilot, len(self._beliefs) - 1
+        refused = _LOST if self._is_lost or any(belief.is_anew for belief in self._beliefs) else ""
         if self._is_confident:
             return f"stopped with {percent(self._confidence)} probability of the goal"
         if pilot.refusals:

@@ -96,7 +96,6 @@ class WithoutLatch(HeldPlant):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a surer press is believed for longer: that nothing has latched is noticed at the shelf only")
 def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
     problem = load_problem(PROBLEM)
     plant = WithoutLatch(problem, replace(parameters_of(problem), joint_friction=0.09))
