@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, axis_basis
@@ -243,7 +244,8 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
     pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
     spread = tuple(float(s) for s in std)
-    return DirectFinding(Effect(name, coordinate, pairs, spread), spread, evidence)
+    effect = Effect(name, coordinate, pairs, spread)
+    return DirectFinding(effect, spread, evidence) if is_possible(effect) else None
 
 
 def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:

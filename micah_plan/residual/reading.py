@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
@@ -46,10 +47,12 @@ def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
         if len(rests) < _FEWEST:
             continue
         without = _density(rests, ())
-        gains = [_density(rests, names) - without for names in _MODELS]
-        best = next(k for k, gain in enumerate(gains) if gain >= max(gains) - TIE)
-        if gains[best] > LEAST_EVIDENCE:
-            found += _effects(rests, _MODELS[best], coordinate.name, gains[best])
+        options = [_effects(rests, names, coordinate.name, _density(rests, names) - without) for names in _MODELS]
+        # A part that is stuck is no sensor that reads a seventh of the way.
+        possible = [own for own in options if all(is_possible(one.effect) for one in own)]
+        most = max((own[0].evidence for own in possible), default=-np.inf)
+        if most > LEAST_EVIDENCE:
+            found += next(own for own in possible if own[0].evidence >= most - TIE)
     return tuple(found)
 
 
@@ -107,7 +110,7 @@ def _effects(rests: Floats, names: tuple[str, ...], coordinate: str, evidence: f
     found = []
     for name, value, std in zip(names, beta.tolist(), stds.tolist(), strict=True):
         if name == "sensor_scale":
-            scale = 1.0 / (1.0 + value)
+            scale = 1.0 / (1.0 + value) if value != -1.0 else np.inf
             pair, std = ("scale", scale), std * scale**2
         else:
             pair = ("offset" if name == "sensor_offset" else "rate", -value)

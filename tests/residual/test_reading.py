@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.add import is_possible, with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic
@@ -16,7 +16,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.prediction import estimate_errors, predict_recording
-from micah_plan.residual.reading import _density
+from micah_plan.residual.reading import _density, reading_findings
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,16 @@ def test_a_belief_that_agrees_says_nothing_of_the_sensor(drawer) -> None:
     for recording in (served(lambda c: c), served(lambda c: 0.93 * c, by=lambda _, belief: belief)):
         found = calibrate(drawer, recording)
         assert not [one for one in found.effects if one.effect.name.startswith("sensor")]
+
+
+@pytest.mark.parametrize("share", [0.14, 0.0])
+def test_a_part_that_hardly_moves_is_no_sensor_that_reads_a_multiple(drawer, share) -> None:
+    """The controller believes that it moved; the scale that would explain it is beyond what a sensor may have."""
+    stuck = served(lambda c: c, by=lambda _, belief: share * belief)
+    found = reading_findings(drawer, tracks(drawer, stuck))
+    assert all(is_possible(one.effect) for one in found)
+    assert "sensor_scale" not in [one.effect.name for one in found]
+    assert estimate_errors(predict_recording(drawer, stuck))[1] > 0.05
 
 
 def test_a_model_with_the_sensor_reads_logs_of_its_own_tracker_and_those_of_a_ruler(drawer) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from micah_plan.automaton.effects.form import Parameter
 from micah_plan.automaton.effects.memories import LONGEST_DELAY
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -41,10 +42,19 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
         raise InputError(f"effect {effect.name} must have the parameters {', '.join(expected)}. Got {shown(names)}")
     if effect.std and len(effect.std) != len(expected):
         raise InputError(f"effect {effect.name} must have {len(expected)} stds or none. Got {len(effect.std)}")
-    for value, parameter in zip(effect.values, own.parameters, strict=True):
-        if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper):
-            bounds = f"{parameter.lower:g} to {parameter.upper:g}"
-            raise InputError(f"effect {effect.name}: {parameter.name} must be finite, {bounds}. Got {value}")
+    for value, parameter in _impossible(effect):
+        bounds = f"{parameter.lower:g} to {parameter.upper:g}"
+        raise InputError(f"effect {effect.name}: {parameter.name} must be finite, {bounds}. Got {value}")
+
+
+def is_possible(effect: Effect) -> bool:
+    """Whether an effect's parameters are within their bounds: beyond them a fit has found something else."""
+    return not _impossible(effect)
+
+
+def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
+    known = zip(effect.values, form(effect.name).parameters, strict=True)
+    return [(value, own) for value, own in known if not (np.isfinite(value) and own.lower <= value <= own.upper)]
 
 
 def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:
