@@ -110,7 +110,7 @@ def growth_of_exact() -> None:
         found = []
         for size, c in tracks:
             track = part_track(measured(c, 1, acted=False), 0, "part")
-            job = lambda t=track: learn_run(t, LearnSettings(), False, np.random.default_rng(0))  # noqa: E731
+            job = lambda t=track: learn_run(t, LearnSettings(), np.random.default_rng(0))  # noqa: E731
             found.append((size, seconds(job)[0]))
         exponents = ["", *(f"{np.log(b[1] / a[1]) / np.log(b[0] / a[0]):.2f}" for a, b in pairwise(found))]
         for (size, taken), exponent in zip(found, exponents, strict=True):

@@ -37,7 +37,7 @@ def learn_acted_run(
         the run, whose track has the actions where they acted if that explains it better; None where there are no
         actions or they say nothing.
     """
-    learned = learn_run(track, settings, True, rng, inlier=inlier)
+    learned = learn_run(track, settings, rng, inlier=inlier)
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
@@ -45,9 +45,9 @@ def learn_acted_run(
     step = track.duration / settings.resolution
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
         delayed = with_delayed_actions(track, channel.delay)
-        again = segment_run(delayed, settings, True, learned.inlier, learned.segmented)
+        again = segment_run(delayed, settings, learned.inlier, learned.segmented)
         if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
-            moved = with_joints(again, settings, True, rng)
+            moved = with_joints(again, settings, rng)
             return moved, _channel(moved, track) or channel
     return learned, channel
 

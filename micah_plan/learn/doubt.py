@@ -58,7 +58,6 @@ def doubt_of(
     inlier: Booleans,
     noise: MeasurementNoise,
     settings: LearnSettings,
-    use_actions: bool,
 ) -> Doubt | None:
     """What may explain the rows better than an answer; None if its joints miss them by little.
 
@@ -70,7 +69,7 @@ def doubt_of(
     scatter = _scatter(track, inlier, noise, settings)
     if not (_missed(fitted, track, inlier) > scatter).any():
         return None
-    single = best_single(segmented, settings, use_actions)
+    single = best_single(segmented, settings)
     if not (_missed_by(single) > _BEYOND_NOISE * scatter).any():
         return None
     steps, trust = segmented.track, segmented.table.trust
@@ -82,7 +81,7 @@ def doubt_of(
     told = (free if found is None else found.log_probability) - _RARE
     answer = segmented.log_probability
     if told > answer:
-        answer = log_probability_at_most(segmented, settings, use_actions)
+        answer = log_probability_at_most(segmented, settings)
     if told <= answer:
         return Doubt(told - answer, answer)
     log_odds = told - max(single.log_probability, answer)

@@ -21,7 +21,7 @@ from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
-from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.run import LearnedRun
 from micah_plan.learn.segmenting.coarsening import LEAST_TRUST, trust_in
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise
@@ -52,8 +52,7 @@ def learn_graph(
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
-        method: Act-CHAMP predicts motion from the actions, CHAMP from the poses alone; without actions they are
-            the same.
+        method: Act-CHAMP predicts motion from the actions; CHAMP is the same without their columns.
         settings: None: the defaults, which are meant for every recording.
         seed: of MLESAC and of the resampling; the same seed gives the same result.
         progress: called with a message and the fraction done.
@@ -68,7 +67,9 @@ def learn_graph(
     chosen = settings or LearnSettings()
     if len(recording.parts) > 1:
         chosen = _in_common(recording, chosen)
-    return learn_tree(recording, lambda one: learn_edge(one, method, chosen, seed), progress)
+    if method == "champ":
+        recording = replace(recording, action=None)
+    return learn_tree(recording, lambda one: learn_edge(one, chosen, seed), progress)
 
 
 def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
@@ -86,13 +87,13 @@ def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
     return replace(settings, trust=float(np.mean(trusts)))
 
 
-def learn_edge(recording: Recording, method: Method, settings: LearnSettings, seed: int) -> KinematicEdge:
+def learn_edge(recording: Recording, settings: LearnSettings, seed: int) -> KinematicEdge:
     """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate."""
     part = recording.parts[0]
     tracks = [part_track(recording, run, part) for run in recording.runs]
     lengths = [len(track) for track in tracks]
     if len(tracks) > 1 and max(lengths) < settings.resolution / 2 and sum(lengths) <= settings.resolution * MOST_SWEEPS:
-        return _edge_of_short_runs(recording, tracks, method, settings, seed)
+        return _edge_of_short_runs(recording, tracks, settings, seed)
     segments: list[Segment] = []
     reference: Joint | None = None
     edges: list[EdgeCertainty | None] = []
@@ -100,7 +101,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
         rng = np.random.default_rng([seed, i])
         inlier = find_inliers(track)
         if is_long(track, inlier):
-            learner = OnlineLearner(settings, method, seed, part=part, run=run)
+            learner = OnlineLearner(settings, seed=seed, part=part, run=run)
             learner.take(track)
             own = list(learner.segments())
             mover = max((one for one in own if one.joint.moves), key=_rows, default=None)
@@ -111,7 +112,7 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
             segments += own
             edges.append(learner.edge().certainty)
             continue
-        one, sure_of_edge = _learned(track, method, settings, rng, inlier)
+        one, sure_of_edge = _learned(track, settings, rng, inlier)
         edges.append(sure_of_edge)
         chain = list(one.pieces)
         longest = max((piece for piece in chain if piece.joint.moves), key=_rows, default=None)
@@ -128,22 +129,18 @@ def learn_edge(recording: Recording, method: Method, settings: LearnSettings, se
 
 def _learned(
     track: PartTrack,
-    method: Method,
     settings: LearnSettings,
     rng: np.random.Generator,
     inlier: NDArray[np.bool_] | None = None,
 ) -> tuple[LearnedRun, EdgeCertainty]:
     """What one track tells, and how sure that is of all of its segments."""
-    if method == "act-champ":
-        one, channel = learn_acted_run(track, settings, rng, inlier)
-    else:
-        one, channel = learn_run(track, settings, False, rng, inlier=inlier), None
+    one, channel = learn_acted_run(track, settings, rng, inlier)
     counts = tuple(float(p) for p in one.posterior.counts)
     return one, EdgeCertainty(one.posterior.log_evidence, (counts,), channel, one.trace)
 
 
 def _edge_of_short_runs(
-    recording: Recording, tracks: list[PartTrack], method: Method, settings: LearnSettings, seed: int
+    recording: Recording, tracks: list[PartTrack], settings: LearnSettings, seed: int
 ) -> KinematicEdge:
     """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
     together = one_after_another(tracks)
@@ -153,7 +150,7 @@ def _edge_of_short_runs(
         own = replace(own, mean_length=0.5 * together.duration / len(tracks))
     # Where a run of few rows begins, a motion cannot be told from an outlier.
     every = np.ones(len(together), dtype=bool)
-    one, sure_of_edge = _learned(together, method, own, np.random.default_rng([seed, 0]), every)
+    one, sure_of_edge = _learned(together, own, np.random.default_rng([seed, 0]), every)
     lengths = [len(track) for track in tracks]
     cut = cut_into_runs(one.pieces, one.certainties, lengths)
 

@@ -27,7 +27,7 @@ from micah_plan.learn.actions.channel import with_delayed_actions
 from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.onward_run import KnownJoint, LearnedWindow, OpenState, first_window, learn_onward
 from micah_plan.learn.row_window import RowWindow, WindowRows
-from micah_plan.learn.run import LearnedRun, learn_run
+from micah_plan.learn.run import LearnedRun
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import Usual
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, sweeps_of
@@ -48,7 +48,7 @@ class OnlineLearner:
 
     Args:
         settings: None: the defaults.
-        method: Act-CHAMP predicts motion from the actions, CHAMP from the poses alone.
+        method: Act-CHAMP predicts motion from the actions, CHAMP does not look at them.
         seed: the same seed and rows give the same segments, however the rows are pushed.
         part, run: names of what is learned.
     """
@@ -206,22 +206,19 @@ class OnlineLearner:
             return None
         key = [self.seed, self.run] if self._state is None else [self.seed, self.run, self._windows]
         rng = np.random.default_rng(key)
-        if not self._acts:
+        if not self._acts or self.method == "champ":
             rows = WindowRows(replace(rows.track, action=None), rows.last)
         if self._state is None:
             learned = self._learned_first(rows, rng)
         else:
             if self._delay:
                 rows = WindowRows(with_delayed_actions(rows.track, self._delay), rows.last)
-            learned = learn_onward(rows, self._state, self.settings, self.method == "act-champ", rng)
+            learned = learn_onward(rows, self._state, self.settings, rng)
         self._seen = self._rows, learned
         return learned
 
     def _learned_first(self, rows: WindowRows, rng: np.random.Generator) -> LearnedWindow:
-        if self.method == "act-champ":
-            self._first, self._channel = learn_acted_run(rows.track, self.settings, rng)
-        else:
-            self._first = learn_run(rows.track, self.settings, False, rng)
+        self._first, self._channel = learn_acted_run(rows.track, self.settings, rng)
         moved = self._first.track is not rows.track and self._channel is not None
         self._delay = self._channel.delay if moved and self._channel is not None else 0.0
         return first_window(WindowRows(self._first.track, rows.last), self._first)

@@ -128,7 +128,7 @@ def first_window(rows: WindowRows, learned: LearnedRun) -> LearnedWindow:
 
 
 def learn_onward(
-    rows: WindowRows, state: OpenState, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
+    rows: WindowRows, state: OpenState, settings: LearnSettings, rng: np.random.Generator
 ) -> LearnedWindow:
     """Segment a window that goes on from earlier ones."""
     track = rows.track
@@ -136,7 +136,7 @@ def learn_onward(
     steps = steps_of(track, inlier, settings)
     first = -1 if state.first is None else state.known.index(state.first)
     known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
-    found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), use_actions, rng)
+    found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), rng)
     noise = found.noise.of_rows(steps.size)
     settled: Sequence[KnownJoint] = state.known
     free, misfit = -np.inf, None
@@ -144,12 +144,12 @@ def learn_onward(
     def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
         joints = [one.joint for one in settled]
         pieces = answer.segmentation.pieces
-        return fitted_pieces(pieces, answer, steps, track, inlier, settings, use_actions, rng, joints)
+        return fitted_pieces(pieces, answer, steps, track, inlier, settings, rng, joints)
 
     fitted, places = fitted_to(found)
     if fresh is not None:
         # A window is no place to look for a curve that is passed again.
-        doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False), use_actions)
+        doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False))
         free = -np.inf if doubt is None else doubt.log_odds
         if doubt is not None and doubt.single is not None:
             found, settled = doubt.single, ()

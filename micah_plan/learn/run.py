@@ -76,7 +76,6 @@ class SegmentedRun:
 def learn_run(
     track: PartTrack,
     settings: LearnSettings,
-    use_actions: bool,
     rng: np.random.Generator,
     inlier: Booleans | None = None,
 ) -> LearnedRun:
@@ -85,13 +84,12 @@ def learn_run(
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
     """
-    return with_joints(segment_run(track, settings, use_actions, inlier), settings, use_actions, rng)
+    return with_joints(segment_run(track, settings, inlier), settings, rng)
 
 
 def segment_run(
     track: PartTrack,
     settings: LearnSettings,
-    use_actions: bool,
     inlier: Booleans | None = None,
     known: Segmented | None = None,
 ) -> SegmentedRun:
@@ -103,14 +101,12 @@ def segment_run(
     """
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), use_actions, known)
-    posterior = posterior_of(segmented, settings, use_actions)
+    segmented = segment_track(steps.track, settings.of_steps(steps.size), known)
+    posterior = posterior_of(segmented, settings)
     return SegmentedRun(track, inlier, steps, segmented, posterior)
 
 
-def with_joints(
-    found: SegmentedRun, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
-) -> LearnedRun:
+def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Generator) -> LearnedRun:
     """The run with joints fitted to all rows of its segments, and how sure they are."""
     track, inlier, posterior = found.track, found.inlier, found.posterior
     noise = found.segmented.noise.of_rows(found.steps.size)
@@ -118,10 +114,10 @@ def with_joints(
 
     def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
         pieces = answer.segmentation.pieces
-        return fitted_pieces(pieces, answer, found.steps, track, inlier, settings, use_actions, rng)
+        return fitted_pieces(pieces, answer, found.steps, track, inlier, settings, rng)
 
     fitted, places = fitted_to(segmented)
-    doubt = doubt_of(segmented, fitted, track, inlier, noise, settings, use_actions)
+    doubt = doubt_of(segmented, fitted, track, inlier, noise, settings)
     if doubt is not None and doubt.single is not None:
         segmented = doubt.single
         fitted, places = fitted_to(segmented)
@@ -129,7 +125,7 @@ def with_joints(
             # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
             # anew to the one joint takes what that misses for a tracker's wander, which explains any curve.
             told = found.posterior.log_evidence
-            posterior = replace(posterior_of(segmented, settings, use_actions), log_evidence=told)
+            posterior = replace(posterior_of(segmented, settings), log_evidence=told)
         if doubt.moves_freely:
             misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
@@ -155,7 +151,6 @@ def fitted_pieces(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    use_actions: bool,
     rng: np.random.Generator,
     settled: Sequence[Joint] = (),
 ) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
@@ -167,7 +162,7 @@ def fitted_pieces(
     located: list[Located] = []
     for a, b in pairwise(pieces):
         since = located[-1].row if located else 0
-        located.append(_located(a, b, since, segmented, steps, track, inlier, settings, use_actions))
+        located.append(_located(a, b, since, segmented, steps, track, inlier, settings))
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
@@ -202,13 +197,12 @@ def _located(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    use_actions: bool,
 ) -> Located:
     """The row at which one piece, which begins at the row `since`, goes over into the next."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
     limits = since, int(steps.first[after.end + 1])
     row = max(int(steps.first[after.start]), since + 1)
-    return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size), use_actions)
+    return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size))
 
 
 def _joints(

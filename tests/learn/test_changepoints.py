@@ -124,7 +124,7 @@ def planted_table(positions_only: bool = False) -> EvidenceTable:
     track = part_track(recording, 0, recording.parts[0])
     chosen = LearnSettings()
     noise = first_noise(track, chosen)
-    return tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, False, chosen.rest, 0.5)
+    return tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, chosen.rest, 0.5)
 
 
 def planted_evidence(positions_only: bool = False) -> tuple[ExactEvidence, ExactEvidence, int]:

@@ -203,7 +203,7 @@ def test_running_evidence_is_the_exact_one_and_few_particles_find_the_same() -> 
     track = part_track(recording, 0, recording.parts[0])
     chosen = LearnSettings()
     noise = first_noise(track, chosen)
-    table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, False, chosen.rest, 0.5)
+    table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, chosen.rest, 0.5)
     members = range(len(table.pool.hypotheses))
     exact, running = ExactEvidence(table, chosen.kinds), RunningEvidence(table, chosen.kinds, members)
     for _ in range(len(track)):

@@ -213,7 +213,7 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     settings = LearnSettings()
     noise = first_noise(track, settings)
     pool = window_hypotheses(track, settings.kinds, noise).take([0, 1, 2])
-    table = tabulated(pool, track, noise, False, settings.rest, 0.5)
+    table = tabulated(pool, track, noise, settings.rest, 0.5)
     rng = np.random.default_rng(2)
     cost, prior = rng.uniform(0, 3, 3), LengthPrior(4.0, 2.0)
     apart = rng.uniform(0, 2, (3, 3))
@@ -240,9 +240,9 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
     prior = prior_of_lengths(track, settings)
     for rows in (6, 60):
         pool = refitted(["revolute"], np.arange(60)[None] < rows, track, noise)
-        table = tabulated(pool, track, noise, False, settings.rest, 0.5)
+        table = tabulated(pool, track, noise, settings.rest, 0.5)
         answer = Segmented(track, noise, shared(table, [0], prior, settings), table)
-        told = posterior_of(answer, settings, False).log_evidence
+        told = posterior_of(answer, settings).log_evidence
         assert told == pytest.approx(answer.log_probability, abs=1e-6)
 
 
@@ -257,7 +257,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
     noise, prior, n = first_noise(track, settings), prior_of_lengths(track, settings), len(track)
     joints = ["revolute", "prismatic"]
     used = np.array([np.arange(n) < 9, np.arange(n) >= 9])
-    table = tabulated(refitted(joints, used, track, noise), track, noise, False, settings.rest, 0.5)
+    table = tabulated(refitted(joints, used, track, noise), track, noise, settings.rest, 0.5)
     answer = shared(table, [0, 1], prior, settings)
     order = [piece.hypothesis for piece in answer.pieces]
     assert len(order) > 1
@@ -285,7 +285,7 @@ def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, sto
     settings = LearnSettings()
     track = part_track(recording, 0, recording.parts[0])
     steps = steps_of(track, np.ones(len(track), dtype=bool), settings)
-    found = segment_track(steps.track, settings.of_steps(steps.size), use_actions=True)
+    found = segment_track(steps.track, settings.of_steps(steps.size))
     pool = found.table.pool.hypotheses
     for used in {piece.hypothesis for piece in found.segmentation.pieces}:
         rows = np.zeros(len(steps.track), dtype=bool)
@@ -301,7 +301,7 @@ def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_
     recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 70, 30))], np.random.default_rng(3))
     settings = LearnSettings()
     steps = steps_of(part_track(recording, 0, recording.parts[0]), np.ones(len(recording), dtype=bool), settings)
-    found = segment_track(steps.track, settings.of_steps(steps.size), use_actions=False)
+    found = segment_track(steps.track, settings.of_steps(steps.size))
     first, _ = (piece.hypothesis for piece in found.segmentation.pieces)
     n = len(steps.track)
     for below, share in ((0.0, 0.5), (LOG_ODDS_OVERSTATED, 1 / (1 + np.e)), (1e9, 0.0)):
@@ -313,7 +313,7 @@ def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_
         given = alone["revolute"] / (alone["revolute"] + alone["prismatic"])
         ratio = kinds["revolute"] / (kinds["revolute"] + kinds["prismatic"])
         assert ratio == pytest.approx(max(share, given), abs=1e-6)
-        counts, without = (posterior_of(one, settings, False).counts for one in (told, replace(found, others=())))
+        counts, without = (posterior_of(one, settings).counts for one in (told, replace(found, others=())))
         # The sums over the joints of the answer know of it, too: what is more counts.
         more = max(np.exp(-below / LOG_ODDS_OVERSTATED) * without[1] - without[0], 0.0)
         assert counts[0] == pytest.approx((without[0] + more) / (1 + more), abs=1e-9)
@@ -340,10 +340,10 @@ def test_an_answer_with_a_segment_more_takes_its_share_of_what_is_said_of_their_
     recording = recorded([(JOINTS["prismatic"], np.linspace(0.0, 0.3, 90))], np.random.default_rng(3))
     settings = LearnSettings()
     steps = steps_of(part_track(recording, 0, recording.parts[0]), np.ones(len(recording), dtype=bool), settings)
-    found = replace(segment_track(steps.track, settings.of_steps(steps.size), use_actions=False), others=())
+    found = replace(segment_track(steps.track, settings.of_steps(steps.size)), others=())
     n = len(steps.track)
     other = Alternative(("prismatic", "rigid"), (np.arange(n) >= n - 10).astype(np.int64), found.log_probability)
-    alone, told = (posterior_of(one, settings, False) for one in (found, replace(found, others=(other,))))
+    alone, told = (posterior_of(one, settings) for one in (found, replace(found, others=(other,))))
     assert alone.counts[0] > 0.8
     assert told.counts[0] == pytest.approx(told.counts[1])
     assert told.changepoint[n - 10] > 0.4

@@ -81,7 +81,6 @@ def tabulated(
     hypotheses: Hypotheses,
     track: PartTrack,
     noise: NoiseModel,
-    use_actions: bool,
     rest: float,
     trust: float,
     begun: bool = False,
@@ -89,19 +88,17 @@ def tabulated(
     """The densities of all rows under all hypotheses.
 
     Args:
-        use_actions: whether motion is predicted from the actions (Act-CHAMP).
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         trust: power of the likelihood (see coarsening.py).
         begun: whether the part has moved before the first row.
     """
-    return all_tabulated([hypotheses], track, [noise], use_actions, rest, trust, begun)[0]
+    return all_tabulated([hypotheses], track, [noise], rest, trust, begun)[0]
 
 
 def all_tabulated(
     pools: Sequence[Hypotheses],
     track: PartTrack,
     noises: Sequence[NoiseModel],
-    use_actions: bool,
     rest: float,
     trust: float,
     begun: bool = False,
@@ -111,7 +108,7 @@ def all_tabulated(
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
-    motion = fit_motion(pool, track.action if use_actions else None, rest, scale, trust, begun)
+    motion = fit_motion(pool, track.action, rest, scale, trust, begun)
     # Where on its joint a segment starts is uniform over what the recording reaches.
     table[1:] += motion.log_density
     table[0] -= (np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving)[:, None]

@@ -78,7 +78,6 @@ def segment_onward(
     track: PartTrack,
     known: KnownJoints,
     settings: LearnSettings,
-    use_actions: bool,
     rng: np.random.Generator,
 ) -> tuple[Segmented, Segmented | None]:
     """The most probable segments of a window; the first hypotheses of its pool are the known joints.
@@ -91,28 +90,26 @@ def segment_onward(
         the segments, and the search for new joints; None where the known ones are enough.
     """
     if known.joints.moving.any():
-        found = _with_rests(track, known, settings, use_actions, rng)
+        found = _with_rests(track, known, settings, rng)
         if _is_usual(found, known.usual):
             return found, None
-    fresh = segment_track(track, settings, use_actions)
+    fresh = segment_track(track, settings)
     used = list(dict.fromkeys(piece.hypothesis for piece in fresh.segmentation.pieces))
     moves = fresh.table.pool.moving[fresh.segmentation.which]
     rows = np.tile(moves if moves.any() else ~moves, (len(known.joints), 1))
     pool = Hypotheses(known.joints, rows).joined(fresh.table.pool.hypotheses.take(used))
     owner = np.arange(len(known.joints))
-    return _selected(pool, owner, track, fresh.noise, known, settings, use_actions, rng), fresh
+    return _selected(pool, owner, track, fresh.noise, known, settings, rng), fresh
 
 
-def _with_rests(
-    track: PartTrack, known: KnownJoints, settings: LearnSettings, use_actions: bool, rng: np.random.Generator
-) -> Segmented:
+def _with_rests(track: PartTrack, known: KnownJoints, settings: LearnSettings, rng: np.random.Generator) -> Segmented:
     """The segments of known joints and of rests, which need to be found anew."""
     noise = first_noise(track, settings)
     owner, rows = _where_known(known, len(track))
     pool = Hypotheses(known.joints.take(owner), rows)
     if "rigid" in settings.kinds:
         pool = pool.joined(window_hypotheses(track, ("rigid",), noise))
-    found = _selected(pool, owner, track, noise, known, settings, use_actions, rng)
+    found = _selected(pool, owner, track, noise, known, settings, rng)
     for _ in range(_ROUNDS):
         which = found.segmentation.which
         (noise,) = noises_left([(found.table.pool, which)], settings)
@@ -123,7 +120,7 @@ def _with_rests(
         if new:
             kinds: list[JointKind] = ["rigid"] * len(new)
             pool = pool.joined(refitted(kinds, np.array(new), track, noise))
-        before, found = found, _selected(pool, owner, track, noise, known, settings, use_actions, rng)
+        before, found = found, _selected(pool, owner, track, noise, known, settings, rng)
         if [piece.start for piece in found.segmentation.pieces] == [p.start for p in before.segmentation.pieces]:
             break
     return found
@@ -150,7 +147,6 @@ def _selected(
     noise: NoiseModel,
     known: KnownJoints,
     settings: LearnSettings,
-    use_actions: bool,
     rng: np.random.Generator,
 ) -> Segmented:
     """The most probable segments under the known joints and those of the others that are worth their parameters.
@@ -160,9 +156,7 @@ def _selected(
     """
     prior = LengthPrior.of_rows(track, settings)
     trust = trust_in(first_noise(track, settings), settings)
-    table = _paid(
-        tabulated(pool, track, noise, use_actions, settings.rest, trust, known.first >= 0), owner, known.first, prior
-    )
+    table = _paid(tabulated(pool, track, noise, settings.rest, trust, known.first >= 0), owner, known.first, prior)
     k = len(owner)
     every = range(len(pool))
     apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)

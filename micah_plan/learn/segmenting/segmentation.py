@@ -33,41 +33,36 @@ _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 
 
-def segment_track(
-    track: PartTrack, settings: LearnSettings, use_actions: bool, known: Segmented | None = None
-) -> Segmented:
+def segment_track(track: PartTrack, settings: LearnSettings, known: Segmented | None = None) -> Segmented:
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
     (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
 
     Args:
-        use_actions: whether motion is predicted from the actions (Act-CHAMP).
         known: what was found for the same poses with other actions: then its joints and noise start, alone.
     """
     prior = prior_of_lengths(track, settings)
     if known is None:
-        tables = _from_two_noises(track, prior, settings, use_actions)
+        tables = _from_two_noises(track, prior, settings)
     else:
         table = known.table
-        tables = [
-            (known.noise, tabulated(table.pool.hypotheses, track, known.noise, use_actions, settings.rest, table.trust))
-        ]
+        tables = [(known.noise, tabulated(table.pool.hypotheses, track, known.noise, settings.rest, table.trust))]
     proposals = [
         Segmented(track, noise, one, table) for noise, table in tables for one in selections(table, prior, settings)
     ]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    outcomes = _settled(proposals, prior, settings, use_actions)
+    outcomes = _settled(proposals, prior, settings)
     best = max(outcomes, key=lambda one: one.log_probability)
-    more = _with_a_rest(best, prior, settings) if use_actions and track.action is not None else []
-    neighbours = _settled([*more, *_without_a_rest(best)], prior, settings, use_actions)
+    more = _with_a_rest(best, prior, settings) if track.action is not None else []
+    neighbours = _settled([*more, *_without_a_rest(best)], prior, settings)
     held, doubted = neighbours[: len(more)], neighbours[len(more) :]
     pieces = len(best.segmentation.pieces)
     outcomes += [one for one in held if len(one.segmentation.pieces) > pieces]
     outcomes += [one for one in doubted if len(one.segmentation.pieces) < pieces]
     best = max(outcomes, key=lambda one: one.log_probability)
     others = tuple(alternative(one) for one in outcomes if one is not best)
-    return replace(_beside_rivals(best, settings, use_actions), others=others)
+    return replace(_beside_rivals(best, settings), others=others)
 
 
 def _with_a_rest(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
@@ -91,7 +86,7 @@ def _without_a_rest(found: Segmented) -> list[Segmented]:
     return [replace(found, segmentation=Segmentation(one, -np.inf)) for one in fewer]
 
 
-def log_probability_at_most(found: Segmented, settings: LearnSettings, use_actions: bool) -> float:
+def log_probability_at_most(found: Segmented, settings: LearnSettings) -> float:
     """ln probability of the joints of an answer under the noise that explains them best, however little it wanders.
 
     That a tracker wanders is expected where segments are told apart, so that no wander becomes a joint. Whether there
@@ -100,14 +95,14 @@ def log_probability_at_most(found: Segmented, settings: LearnSettings, use_actio
     prior, best = prior_of_lengths(found.track, settings), found.log_probability
     for _ in range(_TIGHTENED):
         noise = noises_left([(found.table.pool, found.segmentation.which)], settings, any_slow=True)
-        (table,) = _tables([found], noise, settings, use_actions)
+        (table,) = _tables([found], noise, settings)
         own = list(range(len(rows_of_joints(found)[0])))
         found = Segmented(found.track, noise[0], shared(table, own, prior, settings), table)
         best = max(best, found.log_probability)
     return best
 
 
-def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
+def best_single(found: Segmented, settings: LearnSettings) -> Segmented:
     """The whole track as one segment of the one moving joint (if there is any) that explains it best, under any wander.
 
     Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
@@ -115,10 +110,10 @@ def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) ->
     track, prior = found.track, prior_of_lengths(found.track, settings)
     n, trust = len(track), found.table.trust
     ones, noises = _singles(track, found.noise, settings, any_slow=True)
-    alone = all_tabulated(ones, track, noises, use_actions, settings.rest, trust)
+    alone = all_tabulated(ones, track, noises, settings.rest, trust)
     noise = noises[_likeliest(alone, prior, settings)]
     pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
-    table = tabulated(pool, track, noise, use_actions, settings.rest, trust)
+    table = tabulated(pool, track, noise, settings.rest, trust)
     totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
@@ -127,7 +122,7 @@ def best_single(found: Segmented, settings: LearnSettings, use_actions: bool) ->
 
 
 def _from_two_noises(
-    track: PartTrack, prior: LengthPrior, settings: LearnSettings, use_actions: bool
+    track: PartTrack, prior: LengthPrior, settings: LearnSettings
 ) -> list[tuple[NoiseModel, EvidenceTable]]:
     """The joints of all windows under the noise of the rows' roughness, and under that which a single joint leaves.
 
@@ -137,11 +132,11 @@ def _from_two_noises(
     trust = trust_in(fine, settings)
     pool = window_hypotheses(track, settings.kinds, fine)
     ones, noises = _singles(track, fine, settings)
-    table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], use_actions, settings.rest, trust)
+    table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], settings.rest, trust)
     if not alone:
         return [(fine, table)]
     single = noises[_likeliest(alone, prior, settings)]
-    return [(fine, table), (single, tabulated(pool, track, single, use_actions, settings.rest, trust))]
+    return [(fine, table), (single, tabulated(pool, track, single, settings.rest, trust))]
 
 
 def _singles(
@@ -175,9 +170,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def _settled(
-    starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings, use_actions: bool
-) -> list[Segmented]:
+def _settled(starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
     """Alternate between segments, their joints and the noise until no probability grows."""
     best, open_ones = list(starts), dict(enumerate(starts))
     for _ in range(_MOST_ROUNDS):
@@ -185,7 +178,7 @@ def _settled(
             break
         found = list(open_ones.values())
         noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
-        tables = _tables(found, noises, settings, use_actions)
+        tables = _tables(found, noises, settings)
         for i, noise, table in zip(tuple(open_ones), noises, tables, strict=True):
             now = Segmented(starts[0].track, noise, selections(table, prior, settings)[0], table)
             grown = now.log_probability - best[i].log_probability
@@ -195,19 +188,17 @@ def _settled(
     return best
 
 
-def _beside_rivals(found: Segmented, settings: LearnSettings, use_actions: bool) -> Segmented:
+def _beside_rivals(found: Segmented, settings: LearnSettings) -> Segmented:
     """The same segments in a table where every kind of joint is fitted to the rows of each: what is said of them
     compares them with these.
     """
-    (table,) = _tables([found], [found.noise], settings, use_actions)
+    (table,) = _tables([found], [found.noise], settings)
     used, _ = rows_of_joints(found)
     pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
     return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
 
 
-def _tables(
-    found: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings, use_actions: bool
-) -> list[EvidenceTable]:
+def _tables(found: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings) -> list[EvidenceTable]:
     """Of each answer, under a noise: its joints, in the order of `_rows_of_joints`, and their rivals of every kind."""
     track, kinds = found[0].track, list(settings.kinds)
     in_use = [rows_of_joints(one) for one in found]
@@ -217,4 +208,4 @@ def _tables(
         one.table.pool.hypotheses.take(used).joined(more)
         for one, (used, _), more in zip(found, in_use, rivals, strict=True)
     ]
-    return all_tabulated(pools, track, noises, use_actions, settings.rest, found[0].table.trust)
+    return all_tabulated(pools, track, noises, settings.rest, found[0].table.trust)

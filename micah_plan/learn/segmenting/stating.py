@@ -26,7 +26,7 @@ _ENDS_AT_REST = 2.7  # nats
 LOG_ODDS_OVERSTATED = 6.0
 
 
-def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -> ChangepointPosterior:
+def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
     """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
 
     Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
@@ -46,7 +46,7 @@ def posterior_of(found: Segmented, settings: LearnSettings, use_actions: bool) -
     spare[used] = False
     rests = worth[spare]
     if "rigid" in settings.kinds:
-        ends = rests_in_the_end(table, moves, found.track, found.noise, use_actions, settings.rest)
+        ends = rests_in_the_end(table, moves, found.track, found.noise, settings.rest)
         rests = np.concatenate([rests, ends])
     # Rests fitted to much the same rows are one rest, told by the best of them.
     worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth

@@ -58,7 +58,7 @@ def held_somewhere(
     others = [i for i in used if i != joint]
     alike = Hypotheses(table.pool.hypotheses.joints.take([joint] * len(inside)), outside)
     pool = alike.joined(rests).joined(table.pool.hypotheses.take(others))
-    tried = tabulated(pool, track, noise, True, settings.rest, table.trust)
+    tried = tabulated(pool, track, noise, settings.rest, table.trust)
     moves, held = np.split(np.arange(2 * len(inside)), 2)
     together = _worth(tried, moves, outside) + _worth(tried, held, inside)
     unheld = _worth(table, np.array([joint]), own[None])[0]
@@ -95,7 +95,7 @@ def _stretches(own: Booleans) -> Booleans:
 
 
 def rests_in_the_end(
-    table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, use_actions: bool, rest: float
+    table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, rest: float
 ) -> Floats:
     """(r, n, n) evidence of every segment (first, last row) under rigid joints fitted to some of the last rows.
 
@@ -111,7 +111,7 @@ def rests_in_the_end(
     ends: NDArray[np.bool_] = np.arange(n) >= n - lengths[lengths < n, None]
     rests = refitted(["rigid"] * len(ends), ends, track, noise)
     pool = table.pool.hypotheses.take(moves).joined(rests)
-    tried = tabulated(pool, track, noise, use_actions, rest, table.trust)
+    tried = tabulated(pool, track, noise, rest, table.trust)
     held = np.arange(len(moves), len(pool))
     cost = tried.cost(held, tried.rows[held], bool(moves))
     return np.asarray(tried.sums[held] - cost[:, None, None])

@@ -48,7 +48,6 @@ def locate(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    use_actions: bool,
 ) -> Located:
     """The row at which a part goes over from one joint to another.
 
@@ -75,7 +74,7 @@ def locate(
             np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64)
         )
         starts = starts[[inlier[a:b].any() for a, b in zip(starts, np.append(starts[1:], wide[1]), strict=True)]]
-        scores = _scores(joints, row, starts, wide[1], track, inlier, settings, use_actions)
+        scores = _scores(joints, row, starts, wide[1], track, inlier, settings)
         inside = (starts >= near[0]) & (starts <= near[1])
         if not inside.any():
             return Located(row, rows, score)
@@ -95,7 +94,6 @@ def _scores(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    use_actions: bool,
 ) -> Floats:
     """(k,) ln probability of the steps that begin at `starts`, with the changepoint at each of them."""
     steps = averaged(track, inlier, np.append(starts, end))
@@ -106,7 +104,7 @@ def _scores(
     known = Hypotheses(joints, np.stack([~later, later]))
     seen = pool_of(known, steps, first_noise(steps, own))
     (noise,) = noises_left([(seen, later.astype(np.int64))], own)
-    density = tabulated(known, steps, noise, use_actions, settings.rest, 1.0, begun=True).log_density
+    density = tabulated(known, steps, noise, settings.rest, 1.0, begun=True).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
     after = np.zeros(n)
