@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,61 +33,90 @@ def check_file(path: str | Path) -> FileCheck:
     file, kind = Path(path), None
     try:
         kind = kind_of(file)
-        return FileCheck(file, kind, warnings=_checked(file, kind))
+        return FileCheck(file, kind, warnings=_CHECKS[kind](file))
     except InputError as error:
         return FileCheck(file, kind, faults=error.each())
 
 
-def _checked(file: Path, kind: FileKind) -> tuple[str, ...]:
-    """Warnings about a file that can be used. Readers are imported where they are used: a file waits for its own."""
-    if kind == "recording":
-        from micah_plan.recording.read import read_recording
-        from micah_plan.recording.suspicion import suspicions
+# Each check returns the warnings about a file that can be used. Readers are imported in the check that needs them, so
+# that a file waits for its own reader alone.
 
-        return suspicions(read_recording(file))
-    if kind == "model":
-        from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
-        from micah_plan.documents.model import load_model
 
-        return suspicions_of_model(load_model(file))
-    if kind == "parts":
-        from micah_plan.automaton.suspicion import far_handles
-        from micah_plan.documents.parts import load_parts
+def _check_recording(file: Path) -> tuple[str, ...]:
+    from micah_plan.recording.read import read_recording
+    from micah_plan.recording.suspicion import suspicions
 
-        return tuple(far_handles(load_parts(file)))
-    if kind == "plan":
-        from micah_plan.documents.plan import load_plan
+    return suspicions(read_recording(file))
 
-        load_plan(file)
-    elif kind == "scene":
-        from micah_plan.documents.exploration import load_scene
-        from micah_plan.task.suspicion import suspicions_of_scene
 
-        return suspicions_of_scene(load_scene(file))
-    if kind == "experiment":
-        from micah_plan.documents.experiment import load_experiment
+def _check_model(file: Path) -> tuple[str, ...]:
+    from micah_plan.automaton.suspicion import suspicions
+    from micah_plan.documents.model import load_model
 
-        load_experiment(file)
-    elif kind == "sweep":
-        from micah_plan.documents.sweep import load_sweep
+    return suspicions(load_model(file))
 
-        load_sweep(file)
-    else:
-        from micah_plan.documents.problem import load_problem
 
-        problem = load_problem(file)
-        if problem.robot is not None:
-            from micah_plan.robot.load_arm import load_arm
+def _check_parts(file: Path) -> tuple[str, ...]:
+    from micah_plan.automaton.suspicion import far_handles
+    from micah_plan.documents.parts import load_parts
 
-            load_arm(problem.robot)
-            if problem.release is not None:
-                from micah_plan.robot.along_release import with_open_gripper
+    return tuple(far_handles(load_parts(file)))
 
-                load_arm(with_open_gripper(problem))
-        from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
-        from micah_plan.task.suspicion import suspicions as suspicions_of_problem
 
-        # The modes of a held object are contacts of the hand's own model.
-        of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
-        return (*of_model, *suspicions_of_problem(problem))
+def _check_problem(file: Path) -> tuple[str, ...]:
+    from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
+    from micah_plan.documents.problem import load_problem
+    from micah_plan.task.suspicion import suspicions as suspicions_of_problem
+
+    problem = load_problem(file)
+    if problem.robot is not None:
+        from micah_plan.robot.load_arm import load_arm
+
+        load_arm(problem.robot)
+        if problem.release is not None:
+            from micah_plan.robot.along_release import with_open_gripper
+
+            load_arm(with_open_gripper(problem))
+    # The modes of a held object are contacts of the hand's own model.
+    of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
+    return (*of_model, *suspicions_of_problem(problem))
+
+
+def _check_scene(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.exploration import load_scene
+    from micah_plan.task.suspicion import suspicions_of_scene
+
+    return suspicions_of_scene(load_scene(file))
+
+
+def _check_sweep(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.sweep import load_sweep
+
+    load_sweep(file)
     return ()
+
+
+def _check_experiment(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.experiment import load_experiment
+
+    load_experiment(file)
+    return ()
+
+
+def _check_plan(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.plan import load_plan
+
+    load_plan(file)
+    return ()
+
+
+_CHECKS: dict[FileKind, Callable[[Path], tuple[str, ...]]] = {
+    "model": _check_model,
+    "parts": _check_parts,
+    "problem": _check_problem,
+    "scene": _check_scene,
+    "sweep": _check_sweep,
+    "experiment": _check_experiment,
+    "plan": _check_plan,
+    "recording": _check_recording,
+}

@@ -18,6 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
+LARGEST = 1e6
+"""Of a coordinate or limit [m or rad]: beyond it a number is a mistake of units or of keys, not a place."""
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
 _SMALL, _LARGE = -4, 6
 """Powers of ten between which numbers are written without an exponent."""

@@ -16,8 +16,8 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
 from micah_plan.automaton.joint import KINDS
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.errors import InputError
+from micah_plan.quantities import LARGEST
 
-LARGEST = 1e6  # m or rad; beyond it a number is a mistake of units or of keys, not a place
 LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
 Place = tuple[str | int, ...]
 

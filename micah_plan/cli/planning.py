@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from micah_plan.automaton.consistency import LARGEST
 from micah_plan.cli.console import (
     NO_RESULT,
     Interrupted,
@@ -32,7 +31,7 @@ from micah_plan.cli.console import (
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.front.words import plan_lines, runs_lines
 from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
-from micah_plan.quantities import duration
+from micah_plan.quantities import LARGEST, duration
 from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
 from micah_plan.task.settings import Method
 

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
-from micah_plan.automaton.consistency import LARGEST
 from micah_plan.documents.layout import Mark, Scope, unique
 from micah_plan.documents.located import Located
 from micah_plan.errors import InputError
+from micah_plan.quantities import LARGEST
 
 T = TypeVar("T")
 _LONGEST_NAME = 100

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
@@ -121,7 +121,7 @@ class PlanFollower:
         measured = np.square(self._automaton.sensing(self._automaton.modes[number]).std_at(belief.means[number]))[:n]
         covariance = planned @ planned.T + actual @ actual.T + np.diag(np.where(np.isfinite(measured), measured, 0.0))
         distance = float(away @ np.linalg.pinv(covariance) @ away)
-        return distance > float(chi2.isf(_OFF_PLAN_PROBABILITY, away.size))
+        return distance > float(chdtri(away.size, _OFF_PLAN_PROBABILITY))
 
     def _settle(self, belief: HybridBelief, knot: int) -> Floats:
         """The input at the end of the plan: repeat the last transition as long as it may not have happened, or hold.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import with_effect
@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 
 FEWEST_ROWS = 8
 # Width of an interval in standard deviations.
-_STDS_WIDE = 2.0 * float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
+_STDS_WIDE = 2.0 * float(ndtri(0.5 + 0.5 * CONFIDENCE))
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats, robust_std
 
@@ -186,4 +186,4 @@ def _chance(explained: Floats, left: Floats, functions: int, freedom: int) -> fl
     if functions < 1 or freedom < 1:
         return 1.0
     ratio = np.maximum(explained, 0.0) / functions / np.maximum(left / freedom, _EXACT**2)
-    return float(min(1.0, len(ratio) * f_distribution.sf(ratio, functions, freedom).min()))
+    return float(min(1.0, len(ratio) * fdtrc(functions, freedom, ratio).min()))

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import t as student_t
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.residual.simulation import Prediction
@@ -75,4 +74,11 @@ def robust_log_density(design: Floats, now: Floats, freedom: float, least: float
             left = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
         scale = max(float(np.sqrt(np.mean(weight * left**2))), least)
         weight = (freedom + 1.0) / (freedom + (left / scale) ** 2)
-    return float(student_t.logpdf(left / scale, freedom).sum() - len(left) * np.log(scale))
+    return float(student_t_log_density(left / scale, freedom).sum() - len(left) * np.log(scale))
+
+
+def student_t_log_density(x: Floats, freedom: float) -> Floats:
+    """ln density of Student's t distribution with that many degrees of freedom, of unit scale, at x of any shape."""
+    half = 0.5 * (freedom + 1.0)
+    norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * freedom)
+    return np.asarray(norm - half * np.log1p(np.square(x) / freedom))

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student_t
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import is_possible
@@ -22,6 +21,7 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.residual.geometry import DirectFinding
 from micah_plan.residual.growth import LEAST_EVIDENCE, TIE
 from micah_plan.residual.lane import ENOUGH_RUNS
+from micah_plan.residual.likelihood import student_t_log_density
 
 _FEWEST = 4
 # Steps smaller than this share of the largest are rest; the smallest error that counts [rad or m].
@@ -91,7 +91,7 @@ def _density(rests: Floats, names: tuple[str, ...]) -> float:
         beta = np.linalg.lstsq(a, b, rcond=None)[0]
         spread = design[k] @ np.linalg.pinv(a.T @ a) @ design[k]
         scale = np.sqrt((max(((b - a @ beta) ** 2).sum() / free, known) + _EXACT**2) * (1.0 + spread))
-        total += float(student_t.logpdf((target[k] - design[k] @ beta) / scale, free) - np.log(scale))
+        total += float(student_t_log_density((target[k] - design[k] @ beta) / scale, free) - np.log(scale))
     return total
 
 

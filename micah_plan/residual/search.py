@@ -8,7 +8,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.registry import form
@@ -253,7 +253,7 @@ class Search:
         if not found:
             return 0.0, 1.0
         statistic = sum(r * r * count for r, count in found)
-        return max((r for r, _ in found), key=abs), float(chi2.sf(statistic, len(found)))
+        return max((r for r, _ in found), key=abs), float(chdtrc(len(found), statistic))
 
     def _correlations(self, scored: Scored) -> list[tuple[float, int]]:
         """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.task.acceptance import least_share
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
@@ -46,12 +47,14 @@ def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[st
 def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
     """The first step that the model does not make."""
     automaton, largest = problem.automaton, problem.settings.max_step
-    edges = {(edge.source, edge.target) for edge in automaton.edges}
     for k, u in enumerate(trajectory.inputs):
         before, after = trajectory.modes[k : k + 2]
         if trajectory.is_transition[k]:
-            if (before, after) not in edges:
-                return "trajectory", f"knot {k}: the model has no transition from '{before}' to '{after}'"
+            if after not in _reached_in_one_instant(automaton, before):
+                return (
+                    "trajectory",
+                    f"knot {k}: no transition of the model leads from '{before}' to '{after}'",
+                )
             continue
         if before != after:
             return "trajectory", f"knot {k}: the mode changes from '{before}' to '{after}' without a transition"
@@ -62,3 +65,18 @@ def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | N
         if not automaton.effects and not np.allclose(moved, automaton.mode(before).B @ u, rtol=0, atol=_ROUNDING):
             return "trajectory", f"knot {k}: the model's step in mode '{before}' does not lead to the next knot"
     return None
+
+
+def _reached_in_one_instant(automaton: HybridAutomaton, source: str) -> set[str]:
+    """The modes behind a transition from `source`, and behind those that can follow it at the same instant.
+
+    A plan has one transition between two knots, also where the model takes several (planning/chains.py): the input
+    fires the first of them, the state that each leads to fires the next.
+    """
+    reached = {edge.target for edge in automaton.edges_from(source)}
+    new = set(reached)
+    while new:
+        following = (edge for mode in new for edge in automaton.edges_from(mode))
+        new = {edge.target for edge in following if edge.guard.on_state and not edge.guard.on_input} - reached
+        reached |= new
+    return reached

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
@@ -171,7 +171,7 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, size: float) -
     thickness = (_PATH if problem.hold is None else _HELD_PATH) * size
     for number, link in shown_links(automaton):
         freedoms = len(chain_coordinates(automaton, link.child))
-        factor = float(np.sqrt(chi2.ppf(problem.settings.confidence, freedoms)))
+        factor = float(np.sqrt(chdtri(freedoms, 1.0 - problem.settings.confidence)))
         poses, radii = belief_ellipsoids(automaton, keys, link.child, factor, _FLOOR * size)
         path = f"belief/{slug(link.child, number)}"
         scene.unit_sphere(path, BELIEF, opacity=0.65)

@@ -1,19 +1,24 @@
 """The 3-D scene of a page, written down as MeshCat commands. The only importer of meshcat.
 
 MeshCat's own `Visualizer` starts a server that listens on all interfaces. Here its commands go to a list instead of
-to a server, and the page carries the list: no process, no port.
+to a server, and the page carries the list: no process, no port. MeshCat's package imports that server (tornado, pyzmq,
+IPython, Pillow) whatever one asks of it, so its modules of geometry and commands are loaded here without the package.
 """
 
 from __future__ import annotations
 
 import base64
 import re
-import warnings
+import sys
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+import umsgpack  # type: ignore[import-untyped]
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
@@ -21,24 +26,31 @@ from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
 from micah_plan.view.solids import Mesh
 
-with warnings.catch_warnings():
-    # meshcat's server module imports a pyzmq module that announces its own removal.
-    warnings.simplefilter("ignore", DeprecationWarning)
-    import meshcat
-    import umsgpack  # type: ignore[import-untyped]
-    from meshcat import geometry
-    from meshcat.animation import Animation
 
+def _meshcat_package() -> ModuleType:
+    """A package with the modules of MeshCat but not its `__init__`; `meshcat` itself stays as it was."""
+    place = find_spec("meshcat")
+    if place is None or place.submodule_search_locations is None:
+        raise ModuleNotFoundError("No module named 'meshcat'", name="meshcat")
+    package = ModuleType("_meshcat_without_server")
+    package.__path__ = list(place.submodule_search_locations)
+    return sys.modules.setdefault(package.__name__, package)
+
+
+_PACKAGE = _meshcat_package()
+geometry, commands, paths, animation = (
+    import_module(f"{_PACKAGE.__name__}.{name}") for name in ("geometry", "commands", "path", "animation")
+)
 
 FRAMES_PER_SECOND = 30
 _SMALLEST_SPAN = 0.01
-_ROOT = "meshcat"
+_ROOT = "meshcat"  # of the viewer's scene tree
 _REFERENCES = ("uuid", "geometry", "material")
 
 
 def viewer_javascript() -> str:
     """MeshCat's viewer (three.js included), as its wheel ships it."""
-    return Path(meshcat.viewer_assets_path(), "dist", "main.min.js").read_text(encoding="utf-8")
+    return Path(_PACKAGE.__path__[0], "viewer", "dist", "main.min.js").read_text(encoding="utf-8")
 
 
 class Scene:
@@ -50,12 +62,11 @@ class Scene:
     def __init__(self) -> None:
         self._commands: list[dict[str, Any]] = []
         self._identifiers: dict[str, str] = {}
-        self._root = meshcat.Visualizer(window=self)
-        self._animation = Animation(default_framerate=FRAMES_PER_SECOND)
+        self._animation = animation.Animation(default_framerate=FRAMES_PER_SECOND)
         self._corners: list[Floats] = []
 
-    def send(self, command: Any) -> None:
-        """Record a command, with identifiers that repeat from run to run; `meshcat.Visualizer` calls this."""
+    def _send(self, command: Any) -> None:
+        """Record a command, with identifiers that repeat from run to run."""
         self._commands.append(self._renumbered(command.lower()))
 
     def primitive(self, path: str, shape: Primitive, *, color: str | None = None, opacity: float = 1.0) -> None:
@@ -70,7 +81,7 @@ class Scene:
             solid = geometry.Sphere(float(shape.size[0]))
         else:
             raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder or sphere")
-        self._root[path].set_object(solid, _material(color or shape.color, opacity))
+        self._send(commands.SetObject(solid, _material(color or shape.color, opacity), _at(path)))
         rotation = Rotation.from_quat(shape.quaternion) * turn
         self.place(path, RigidTransform.from_components(shape.position, rotation))
 
@@ -78,20 +89,21 @@ class Scene:
         """Draw triangles; nothing if there are none."""
         if len(mesh.faces):
             solid = geometry.TriangularMeshGeometry(mesh.vertices, mesh.faces)
-            self._root[path].set_object(solid, _material(color, opacity))
+            self._send(commands.SetObject(solid, _material(color, opacity), _at(path)))
 
     def unit_sphere(self, path: str, color: str, *, opacity: float) -> None:
         """A sphere of radius 1 m, to be placed and scaled by an animation; seen through whatever stands before it."""
-        self._root[path].set_object(geometry.Sphere(1.0), _material(color, opacity, depthTest=False))
+        self._send(commands.SetObject(geometry.Sphere(1.0), _material(color, opacity, depthTest=False), _at(path)))
 
     def lines(self, path: str, ends: Floats, color: str) -> None:
         """Thin line segments between the pairs of points in `ends` (2 k, 3)."""
         points = geometry.PointsGeometry(np.asarray(ends, dtype=np.float32).T)
-        self._root[path].set_object(geometry.LineSegments(points, geometry.LineBasicMaterial(color=_number(color))))
+        thin = geometry.LineSegments(points, geometry.LineBasicMaterial(color=_number(color)))
+        self._send(commands.SetObject(thin, path=_at(path)))
 
     def place(self, path: str, pose: RigidTransform) -> None:
         """Set the pose of everything below `path` in its parent."""
-        self._root[path].set_transform(pose.as_matrix())
+        self._send(commands.SetTransform(pose.as_matrix(), _at(path)))
 
     def animate(self, path: str, times: Floats, poses: RigidTransform, *, scales: Floats | None = None) -> None:
         """Move everything below `path`.
@@ -105,10 +117,10 @@ class Scene:
         matrices = poses.as_matrix()
         self.place(path, RigidTransform.from_matrix(matrices[0]))
         for i, frame in enumerate(frames):
-            with self._animation.at_frame(self._root[path], float(frame)) as view:
-                view.set_transform(matrices[i])
-                if scales is not None:
-                    view.set_property("scale", "vector3", [float(s) for s in scales[i]])
+            view = animation.AnimationFrameVisualizer(self._animation, _at(path), float(frame))
+            view.set_transform(matrices[i])
+            if scales is not None:
+                view.set_property("scale", "vector3", [float(s) for s in scales[i]])
 
     def reserve(self, points: Floats) -> None:
         """Make sure that the camera sees these points (..., 3)."""
@@ -126,11 +138,10 @@ class Scene:
 
     def encoded(self) -> list[str]:
         """The commands in the viewer's own encoding (MessagePack), as base64 text."""
-        commands = list(self._commands)
+        recorded = list(self._commands)
         if self._animation.clips:
-            self._root.set_animation(self._animation, play=False)
-            self._commands, commands = commands, list(self._commands)
-        return [base64.b64encode(umsgpack.packb(command)).decode("ascii") for command in commands]
+            recorded.append(self._renumbered(commands.SetAnimation(self._animation, play=False).lower()))
+        return [base64.b64encode(umsgpack.packb(command)).decode("ascii") for command in recorded]
 
     def _renumbered(self, value: Any, key: str = "") -> Any:
         """MeshCat names objects by the clock; here the n-th name is always the same."""
@@ -146,6 +157,11 @@ class Scene:
 def slug(name: str, index: int) -> str:
     """A path entry for a user's name: safe characters only, and unique by its index."""
     return f"{index}_{re.sub(r'[^0-9A-Za-z]+', '_', name)[:40]}"
+
+
+def _at(path: str) -> Any:
+    """MeshCat's path of an object."""
+    return paths.Path((_ROOT,)).append(path)
 
 
 def layer_path(layer: str) -> list[str]:

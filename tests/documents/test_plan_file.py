@@ -304,7 +304,11 @@ def test_a_plan_is_solved_only_if_its_roll_outs_say_so(plan: Plan, problem: Prob
         (("problem", "goal", "modes"), ["revolute"], "its last knot, in mode 'rigid', is not in the goal"),
         (("problem", "planner", "max_step", "door"), 0.01, "knot 0: an input of 0.04 is more than the largest step"),
         (("model", "modes", "revolute", "step", "door"), "0.5*input door", "step in mode 'revolute' does not lead to"),
-        (("model", "transitions", 0, "target"), "revolute", "knot 1: the model has no transition from 'revolute' to"),
+        (
+            ("model", "transitions", 0, "target"),
+            "revolute",
+            "knot 1: no transition of the model leads from 'revolute' to",
+        ),
         (("trajectory", "is_transition"), [False, False], "from 'revolute' to 'rigid' without a transition"),
         (("trajectory", "means", 0, 0), 0.9, "knot 0: the model's step in mode 'revolute' does not lead to the next"),
     ],

@@ -11,6 +11,7 @@ from planning_examples import door_problem, planar_problem
 
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.documents.plan import plan_text
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.chains import ChainEdge, front_of, stds_of, with_chains
 from micah_plan.planning.receding_horizon import RecedingHorizon
@@ -77,10 +78,12 @@ def test_a_chain_is_what_the_transition_logic_does_at_one_instant(name: str) -> 
 
 @pytest.mark.parametrize(("theta", "std"), [(0.45, 0.03), (0.5, 0.03), (0.55, 0.02), (0.5, 0.1)])
 def test_an_almost_shut_stapler_is_shut_and_placed(theta: float, std: float) -> None:
-    plan = solve(stapler(theta, std))
+    problem = stapler(theta, std)
+    plan = solve(problem)
     assert plan.outcome == "solved", plan.reason
     assert plan.mode_sequence[0] == "free"
     assert plan.mode_sequence[-1] == "rigid"
+    assert plan_text(plan, problem)  # reads it again: transitions at one instant are no contradiction
 
 
 def test_what_remains_of_a_plan_with_a_chain_is_found_again() -> None:
