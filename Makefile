@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test clean
+.PHONY: demo test evidence clean
 
 demo: $(BIN)/python  ## learn -> solve -> execute -> page, on a demonstration that the project ships
 	$(BIN)/python -m pip install '.[sim]'
@@ -11,6 +11,11 @@ demo: $(BIN)/python  ## learn -> solve -> execute -> page, on a demonstration th
 test: $(BIN)/python  ## the quick test suite
 	$(BIN)/python -m pip install '.[sim,test]'
 	$(BIN)/pytest -n auto
+
+evidence: $(BIN)/python  ## what takes long: tests over many seeds and new random examples, and the mutants that tests notice
+	$(BIN)/python -m pip install -e '.[dev,robots]'
+	$(BIN)/pytest -n auto -m evidence --hypothesis-profile=evidence -rA
+	$(BIN)/python benchmarks/mutants.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv .venv

@@ -6,8 +6,16 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+# No test measures the machine, and one commit gives one result: no time limits, the same examples every time.
+# `pytest --hypothesis-profile=evidence` draws new ones.
+_UNTIMED = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
+settings.register_profile("evidence", deadline=None, suppress_health_check=_UNTIMED)
+settings.register_profile("gate", settings.get_profile("evidence"), derandomize=True)
+settings.load_profile("gate")
 
 
 @pytest.fixture(scope="session")

@@ -214,7 +214,7 @@ def tried(automaton: HybridAutomaton, seed: int, folder: Path) -> None:
         assert code == 0 or not line.startswith(("diff", "show")), f"{line} ended with {code}"
 
 
-@settings(max_examples=1, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=1, suppress_health_check=list(HealthCheck))
 @given(automata(), st.integers(0, 1000))
 def test_what_the_check_accepts_every_command_takes(
     tmp_path_factory: pytest.TempPathFactory, automaton: HybridAutomaton, seed: int
@@ -222,11 +222,9 @@ def test_what_the_check_accepts_every_command_takes(
     tried(automaton, seed, tmp_path_factory.mktemp("model"))
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @settings(
     max_examples=int(os.environ.get("MICAH_AUTOMATA", "30")),
-    deadline=None,
-    derandomize=True,
     suppress_health_check=list(HealthCheck),
 )
 @given(automata(), st.integers(0, 1000))

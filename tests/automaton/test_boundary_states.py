@@ -64,7 +64,7 @@ OBJECTS = {"two rails": two_rails, "door": door, "cabinet": cabinet, "detent": d
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_a_step_is_that_of_the_shifted_object(name: str, seed: int) -> None:
     automaton, rng = blurred(OBJECTS[name]()), np.random.default_rng(seed)

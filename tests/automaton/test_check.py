@@ -201,7 +201,7 @@ class TestEmpty:
         assert not is_empty(guard(([1, 1], [0], 0.0, True)))
 
     @given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from([-2, -1, 1, 2]), st.integers(-4, 4)), max_size=5))
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     def test_the_linear_programme_agrees_with_the_comparison_of_bounds(self, rows: list[tuple[int, int, int]]) -> None:
         def weights(index: int, w: int) -> tuple[float, ...]:
             return tuple(float(w) if i == index else 0.0 for i in range(3))

@@ -36,7 +36,7 @@ from micah_plan.errors import InputError
 from micah_plan.learn.joints.parametrization import chart_of, stepped
 
 KINDS = ("prismatic", "revolute", "screw")
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=60)
 
 
 def unit(rng: np.random.Generator, size: int = 3) -> np.ndarray:

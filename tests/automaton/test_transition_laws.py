@@ -13,7 +13,7 @@ from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.transition import Step, simulate, step
 
-lawful = settings(max_examples=120, deadline=None)
+lawful = settings(max_examples=120)
 finite = {"allow_nan": False, "allow_infinity": False}
 # Inputs below the tolerance of a margin count as none, unlike in the naive simulation.
 _inputs = st.floats(-2.5, 2.5, **finite).map(lambda u: round(u, 6))
@@ -71,7 +71,7 @@ def assert_in_invariant(automaton: HybridAutomaton, result: Step) -> None:
 
 class TestOnRandomObjects:
     @given(situations(), st.integers(0, 1000))
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     def test_a_naive_simulation_on_a_fine_grid_ends_nearby(
         self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
     ) -> None:
@@ -131,7 +131,7 @@ class TestOnRandomObjects:
         assert now == result.mode
 
     @given(situations(), st.integers(0, 1000))
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     def test_the_same_step_twice_is_the_same_bit_for_bit(
         self, situation: tuple[HybridAutomaton, str, np.ndarray, np.ndarray], seed: int
     ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from any_automaton import automata
 from attempts import attempt, parse_model, told
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Noise, Reset
@@ -26,7 +26,7 @@ def message(text: str | bytes) -> str:
     return line
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(max_examples=30)
 @given(automaton=automata())
 def test_any_automaton_reads_back_exactly(automaton: HybridAutomaton) -> None:
     text = model_text(automaton)
@@ -192,7 +192,7 @@ def test_a_name_used_twice_is_not_written(door: HybridAutomaton) -> None:
         model_text(replace(door, modes=(*door.modes, door.modes[1])))
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100)
 @given(data=st.data())
 def test_a_damaged_file_raises_only_input_errors(door: HybridAutomaton, data: st.DataObject) -> None:
     content = model_text(door).encode()

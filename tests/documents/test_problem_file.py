@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from attempts import attempt, told
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
@@ -262,7 +262,7 @@ def test_a_problem_that_does_not_exist(tmp_path: Path) -> None:
         load_problem(tmp_path / "none.yaml")
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100)
 @given(data=st.data())
 def test_a_damaged_file_raises_only_input_errors(folder: Path, data: st.DataObject) -> None:
     content = TEXT.encode()

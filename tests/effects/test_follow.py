@@ -59,7 +59,7 @@ VALUES = st.tuples(
 PLACES = st.lists(st.floats(-0.8, 0.8), min_size=1, max_size=20)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(values=VALUES, places=PLACES, start=st.floats(-0.5, 0.5))
 def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(values, places, start) -> None:
     automaton = following(SWING, *values)
@@ -71,7 +71,7 @@ def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(value
         np.testing.assert_allclose([beside[0], inside[0]], expected, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(values=VALUES, seed=st.integers(0, 99))
 def test_the_compiled_step_is_that_of_the_automaton(values, seed) -> None:
     whole, rng = with_memory_states(following(SWING, *values)), np.random.default_rng(seed)

@@ -79,7 +79,7 @@ def twin(automaton, mode, x, inputs):
 INPUTS = st.lists(st.integers(-200, 200), min_size=1, max_size=25).map(lambda u: 1e-3 * np.array(u)[:, None])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(inputs=INPUTS, names=st.lists(st.sampled_from(sorted(EFFECTS)), min_size=1, max_size=2), mode=st.booleans())
 def test_a_step_of_the_larger_state_is_what_the_devices_do(door, inputs, names, mode) -> None:
     automaton = with_input_memory(door, *names)
@@ -149,7 +149,7 @@ def test_the_filter_knows_the_memory_exactly(door, name) -> None:
     assert abs(belief.means[belief.most_likely, 0] - run.states[-1, 0]) < 0.02
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(name=st.sampled_from(sorted(EFFECTS)), inputs=INPUTS)
 def test_devices_forms_and_channels_pass_on_the_same(door, name, inputs) -> None:
     own, values, automaton = form(EFFECTS[name][0]), EFFECTS[name][1], with_input_memory(door, name)

@@ -66,7 +66,7 @@ def test_demonstrations_survive_to_the_nanosecond(tmp_path: Path, name: str) -> 
     assert again.read_bytes() == (tmp_path / "r.mcap").read_bytes()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     values=arrays(np.float64, (6, 13), elements=st.floats(-1e3, 1e3)),
     parts=st.lists(st.sampled_from("ab"), min_size=6, max_size=6),

@@ -110,7 +110,7 @@ def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so(
     assert result.final_x[0] < 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_executions_in_physics_succeed_as_often_as_predicted():
     problem = load_problem(PROBLEM)
     found = solve(problem)

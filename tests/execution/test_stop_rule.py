@@ -39,7 +39,7 @@ def excess(believed: np.ndarray, true: np.ndarray) -> float:
     return float((true.sum() - believed.sum()) / np.sqrt((believed * (1.0 - believed)).sum()))
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_what_stops_is_as_often_in_the_goal_as_it_believes() -> None:
     runs = [
         stopped(*case) for case in (("microwave_close", 1.0, 1), ("microwave_open", 0.4, 2), ("light_dark", 0.5, 3))

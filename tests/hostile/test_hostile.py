@@ -56,7 +56,7 @@ def test_each_hostile_file_is_one_line_or_harmless(attacked: tuple[Path, list[di
         assert "root:" not in line, "the content of another file was shown"
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_time_and_memory_are_bounded(attacked: tuple[Path, list[dict[str, Any]]]) -> None:
     found = attacked[1]
     slowest = max(found, key=lambda item: item["seconds"])
@@ -160,14 +160,14 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fuzz")
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, suppress_health_check=list(HealthCheck))
 @given(case=damaged())
 def test_damaged_files_are_one_line_or_good(place: Path, case: tuple[str, bytes]) -> None:
     fuzz(place, *case)
 
 
-@pytest.mark.slow
-@settings(max_examples=3000, deadline=None, suppress_health_check=list(HealthCheck))
+@pytest.mark.evidence
+@settings(max_examples=3000, suppress_health_check=list(HealthCheck))
 @given(case=damaged())
 def test_many_damaged_files_are_one_line_or_good(place: Path, case: tuple[str, bytes]) -> None:
     fuzz(place, *case)

@@ -63,7 +63,7 @@ def test_a_length_prior_without_a_mean_is_refused() -> None:
         LengthPrior(0.0, 1.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.floats(1e-6, 1.0), min_size=2, max_size=40),
     st.integers(1, 12),

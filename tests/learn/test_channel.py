@@ -276,7 +276,7 @@ def test_intervals_hold_the_truth(script):
     assert min(shares.values()) > 0.82
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_intervals_hold_the_truth_often_enough(script):
     shares, found = covered(script, 40)
     assert found >= 450

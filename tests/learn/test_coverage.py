@@ -38,7 +38,7 @@ def test_intervals_of_a_door_hold_the_truth(coverage: ModuleType, wander: float)
     assert (found.claimed < 2.2 * found.real).all()
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("wander", [0.0, 1.5])
 @pytest.mark.parametrize("has_orientation", [True, False])
 @pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
@@ -55,7 +55,7 @@ def test_coverage_is_what_it_says(coverage: ModuleType, kind: str, has_orientati
     assert (found.claimed < 1.8 * found.real).all()
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("wander", [0.0, 1.5])
 def test_a_screw_that_positions_hardly_tell_says_so(coverage: ModuleType, wander: float) -> None:
     """On 17 degrees its pitch is open: 70 of 100 and fewer intervals of the likeliest screw held it."""

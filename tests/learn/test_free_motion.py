@@ -49,7 +49,7 @@ def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) 
     assert misfit.position < 1.5 * moved
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:

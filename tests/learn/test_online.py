@@ -236,7 +236,7 @@ def test_recorded_demonstrations_are_learned_online_as_exactly(name: str, method
     assert_same_segments(read_recording(DATA / "demonstrations" / f"{name}.csv"), method)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @needs_data
 def test_every_recorded_track_is_learned_online_as_exactly() -> None:
     files = sorted((DATA / "tracks").rglob("*.csv"))

@@ -72,7 +72,7 @@ def many() -> list[tuple[str, int | None, KinematicEdge, KinematicEdge]]:
     return [drawn(seed) for seed in range(RECORDINGS)]
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
 def test_intervals_hold_the_row_at_which_a_part_stops(many, method: Method) -> None:
     """The first row at rest. Whether the row that arrives there still moves or already rests, no pose can tell."""
@@ -164,7 +164,7 @@ def test_a_stop_that_the_answer_has_not_is_counted_all_the_same() -> None:
     assert none[0] > 0.9 > none[1] > 0.5 > none[2]
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("orientation", [True, False])
 def test_of_what_is_said_of_counts_so_much_is_true(reliability: ModuleType, orientation: bool) -> None:
     """Short and noisy motions, every second one of which stops; other seeds than those that constants come from."""

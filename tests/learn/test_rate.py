@@ -131,7 +131,7 @@ def test_a_demonstration_at_another_rate_has_the_same_segments(shared_data, name
 CREEPS = 16 / 143
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize(("name", "method"), DEMONSTRATED)
 def test_a_demonstration_at_any_rate_has_the_same_segments(shared_data, name: str, method: Method) -> None:
     """At 11 of 12 rates at least; an answer that the rate changes is not said surely."""

@@ -33,7 +33,7 @@ def test_an_interval_of_a_stop_is_as_wide_as_the_noise_makes_it() -> None:
     assert widths[0] < 10 < widths[1]
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
 def test_intervals_of_a_stop_hold_it(kind: str) -> None:
     found = intervals(kind, 60, 0.001)

@@ -101,7 +101,7 @@ def test_a_door_is_shut_at_the_same_row_in_every_frame(seed: int, orientation: b
     assert all(one == rows[0] for one in rows)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", ["microwave_with_grasp", "drawer_no_grasp", "stapler"])
 def test_measured_demonstrations_are_the_same_in_every_frame(shared_data: Path, name: str) -> None:
     recording = read_recording(shared_data / "demonstrations" / f"{name}.csv")
@@ -109,7 +109,7 @@ def test_measured_demonstrations_are_the_same_in_every_frame(shared_data: Path, 
     assert_same_in_turned_frames(replace(recording, action=None), FRAMES)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", ["cabinet_one/002", "drawer_one/004", "iros_2010/left_door/004", "kitchen/M2U00390"])
 def test_measured_tracks_are_the_same_in_every_frame(shared_data: Path, name: str) -> None:
     assert_same_in_turned_frames(read_recording(shared_data / "tracks" / f"{name}.csv"), FRAMES)

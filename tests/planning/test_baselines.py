@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
     assert first.trajectory.inputs.tobytes() == again.trajectory.inputs.tobytes()
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_the_direct_planner_does_not_see_the_way_around_a_wall() -> None:
     """The straight start runs against the trap, from which no gradient leads to the gate: what the modes are for."""
     problem = with_settings(planar_problem(), verification_trials=200)

@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "problems"
 PROBLEMS = sorted(path for path in FOLDER.glob("*.yaml") if kind_of(path) == "problem")
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("path", PROBLEMS, ids=lambda path: path.stem)
 def test_predicted_success_is_observed(path: Path) -> None:
     problem = load_problem(path)

@@ -46,7 +46,7 @@ def test_oblique_half_spaces_by_linear_programme() -> None:
     assert triangle.intersect(Region((HalfSpace((-1.0, -1.0), (0.0,), -1.0),)), STEP).is_empty
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), max_size=3), st.tuples(*[st.floats(-2, 3)] * 2))
 def test_samples_and_nearest_lie_inside_and_emptiness_agrees_with_a_grid(rows, point) -> None:  # type: ignore[no-untyped-def]
     region = Region(tuple(HalfSpace((a, b), (0.0,), c) for a, b, c in rows))

@@ -91,7 +91,7 @@ def test_a_plan_that_verifies_or_a_reason_that_is_true(seed: int) -> None:
         assert found.outcome == "solved", found.reason
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 @given(
     seed=st.integers(1000, 1020),
     std=st.floats(0.0, 0.2),

@@ -15,7 +15,7 @@ from micah_plan.task.start import LIMIT_ROOM, Start
 unit = st.floats(0.0, 1.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(threshold=st.floats(0.2, 0.8), start=st.floats(-0.3, 1.3), goal=st.floats(-0.3, 1.3), std=st.floats(0.0, 0.1),
        tolerance=st.floats(0.005, 0.2), seed=st.integers(0, 10))  # fmt: skip
 @example(threshold=0.5, start=-6e-8, goal=0.0, std=0.0, tolerance=0.125, seed=0)

@@ -58,7 +58,7 @@ def _same(a: Recording, b: Recording) -> bool:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(recording=recordings())
 def test_reading_what_was_written_gives_the_same_recording(suffix: str, recording: Recording) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -68,7 +68,7 @@ def test_reading_what_was_written_gives_the_same_recording(suffix: str, recordin
 
 
 @pytest.mark.parametrize("suffix", [".tum", ".txt"])
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(recording=recordings(poses_only=True))
 def test_poses_survive_a_trajectory_file(suffix: str, recording: Recording) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -95,14 +95,14 @@ LINES = st.lists(st.lists(FIELDS, min_size=3, max_size=9).map(",".join), max_siz
 ENDS = st.sampled_from(["\n", "\r\n", "\r"])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(content=st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @pytest.mark.parametrize("suffix", [".csv", ".txt", ".npz"])
 def test_garbage_gets_one_line(suffix: str, content: bytes) -> None:
     _read_or_one_line(content, suffix)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(header=st.sampled_from(["t,x,y,z", "t,x,y,z,a", "run,t,x,y,z", "part,t,x,y,z", '"', ""]), lines=LINES, end=ENDS)
 def test_nearly_recordings_get_one_line_or_are_finite(header: str, lines: list[str], end: str) -> None:
     recording = _read_or_one_line(end.join((header, *lines)).encode(), ".csv")
@@ -111,7 +111,7 @@ def test_nearly_recordings_get_one_line_or_are_finite(header: str, lines: list[s
         assert np.isfinite(recording.position).all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_damaged_archives_get_one_line(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:

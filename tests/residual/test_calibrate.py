@@ -109,10 +109,14 @@ LIBRARY = {
     "stretched": ("sensor_scale",),
     "worn_half_way": ("gain",),
 }
+# One of each layer of a model, and one that comes later; the others are evidence.
+BLOCKING = ("late", "loose", "sprung", "blocked", "stretched", "worn_half_way")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("plant", LIBRARY)
+@pytest.mark.parametrize(
+    "plant",
+    [pytest.param(p, marks=pytest.mark.slow if p in BLOCKING else pytest.mark.evidence) for p in LIBRARY],
+)
 def test_effects_of_the_library_are_named_first(door, plant) -> None:
     found, _ = found_in(door, getattr(plants, plant), runs=10, rows=50, seed=11)
     names = (found.effects[0].effect.name, *found.effects[0].tied) if found.effects else ()
@@ -145,8 +149,13 @@ def test_a_drift_away_from_the_ends_is_tied_with_a_bias(door) -> None:
     assert found.after.rollout < 0.5 * found.before.rollout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("plant", ["rippled", "one_sided", "swaying"])
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param("rippled", marks=pytest.mark.slow),
+        *(pytest.param(name, marks=pytest.mark.evidence) for name in ("one_sided", "swaying")),
+    ],
+)
 def test_effects_outside_of_the_library_are_not_called_explained(door, plant) -> None:
     found, _ = found_in(door, getattr(plants, plant), runs=12, rows=50, seed=12)
     assert found.verdict in ("partly", "unexplained")

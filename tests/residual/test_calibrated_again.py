@@ -28,6 +28,10 @@ PLANTS = [
 ]
 
 
+# One of a command, one with a memory, one of a joint, one of a sensor; the others are evidence.
+BLOCKING = (plants.short_steps, plants.late, plants.sprung, plants.stretched)
+
+
 def run_of(plant, seed):
     return plants.door_recording(plants.runs_of(plant, 8, 40, seed))
 
@@ -39,8 +43,13 @@ def test_a_model_with_the_effect_leaves_noise_and_one_without_does_not(door) -> 
     assert examined(door, recording).is_noise is False
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param(plant, marks=pytest.mark.slow if plant in BLOCKING else pytest.mark.evidence, id=plant.__name__)
+        for plant in PLANTS
+    ],
+)
 def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     once = calibrate(door, run_of(plant, 3))
     again = calibrate(once.automaton, run_of(plant, 4))

@@ -36,7 +36,7 @@ def test_correlated_rows_count_as_fewer() -> None:
     assert independent_share(0.5) == pytest.approx(1 / 3)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("plant", "name", "truth", "goals"),
     [

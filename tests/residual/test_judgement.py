@@ -52,7 +52,7 @@ def test_words_say_what_errors_follow(door, plant, what) -> None:
     assert what in found.sentence
 
 
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.evidence)], ids=len)
 def test_honest_motion_is_rarely_called_more_than_noise(door, seeds) -> None:
     assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in seeds)
 

@@ -189,7 +189,7 @@ def test_deep_and_large_files_are_refused() -> None:
     assert "at most 50000 elements" in told("<robot>" + "<a/>" * 60000 + "</robot>")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.data())
 def test_a_damaged_file_is_read_or_refused_in_one_line(data: st.DataObject) -> None:
     text = data.draw(st.sampled_from([SLIDER, TWO_LINKS]))

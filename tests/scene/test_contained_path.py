@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.hybrid import Primitive
@@ -33,7 +33,7 @@ def test_a_file_in_the_folder_is_found_also_through_a_link_inside(tmp_path: Path
     assert contained("meshes/../meshes/a.obj", tmp_path).name == "a.obj"
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200)
 @given(name=st.text(st.sampled_from("ab./\\\0:~-"), max_size=12))
 def test_no_name_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "ab"

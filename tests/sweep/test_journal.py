@@ -45,7 +45,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_wherever_a_kill_cuts_whole_lines_stay_and_the_rest_is_done_again(
     written: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -98,7 +98,7 @@ def test_a_damaged_line_within_is_told_with_its_number(written: bytes, tmp_path:
         Journal(path)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(at=st.integers(0, 600), removed=st.integers(0, 20), put=st.binary(max_size=20))
 def test_a_damaged_journal_is_read_or_refused_in_one_line(
     written: bytes, tmp_path_factory: pytest.TempPathFactory, at: int, removed: int, put: bytes

@@ -61,7 +61,7 @@ def cases(count: int) -> list[Case]:
     return [Case("p", Path("/p"), {}, (), seed) for seed in range(0, 3 * count, 3)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.integers(1, 12),
     st.dictionaries(st.integers(0, 11).map(lambda i: 3 * i), st.integers(1, 4), max_size=5),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -104,14 +103,12 @@ def test_a_sweep_that_cannot_be_is_refused(change: dict[str, Any], said: str, mo
 
 
 def test_huge_grids_are_refused_before_anything_is_made() -> None:
-    begin = time.process_time()
     lists = {f"k{i}": list(range(10)) for i in range(8)}
     for grid, found in ((lists, "200,000,000"), ({f"k{i}": list(range(100)) for i in range(50)}, "about 10^100")):
         with pytest.raises(InputError, match=r"expected at most 100,000 cases, found") as caught:
             sweep_of({**SMALL, "grid": grid}, ROOT)
         assert found in str(caught.value)
         assert "take fewer values or seeds" in str(caught.value)
-    assert time.process_time() - begin < 30
 
 
 def test_combinations_that_make_a_problem_impossible_are_no_fault_of_the_sweep() -> None:
