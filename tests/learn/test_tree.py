@@ -8,7 +8,19 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planted_parts import CARRIAGE, TRAY, PlantedPart, arm, cabinet, carriage, recorded_parts, sweep
+from planted_parts import (
+    CARRIAGE,
+    DOOR,
+    DRAWER,
+    FOREARM,
+    TRAY,
+    PlantedPart,
+    arm,
+    cabinet,
+    carriage,
+    recorded_parts,
+    sweep,
+)
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
@@ -257,6 +269,26 @@ class TestWithTheLearner:
         graph = planted(carriage(together=False), "champ", 0)
         assert tree(graph) == {"carriage": BASE, "tray": "carriage"}
         assert kinds(graph, "tray") == ["prismatic"]
+
+    @pytest.mark.parametrize("unseen", ["drawer", "door"])
+    @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.slow)])
+    def test_a_part_that_is_unseen_for_a_third_of_the_time_carries_what_stands_on_it_and_nothing_else(
+        self, unseen: str, seed: int
+    ) -> None:
+        """Fewer rows in common are neither more nor less evidence: parents are compared on the same rows."""
+        rows = 150
+        parts = {
+            "drawer": PlantedPart(BASE, DRAWER, sweep(rows, 15, 120, 0.25)),
+            "door": PlantedPart(BASE, DOOR, sweep(rows, 45, 142, 0.9)),
+            "lid": PlantedPart("drawer", FOREARM, sweep(rows, 30, 135, 0.7)),
+        }
+        recording = recorded_parts(parts, seed)
+        begin = (0.1 + 0.1 * seed) * recording.time.max()
+        hidden = (recording.time > begin) & (recording.time < begin + 0.33 * recording.time.max())
+        visible = np.flatnonzero(~(hidden & (np.array(recording.part) == unseen)))
+        graph = learn_graph(recording.rows(visible))
+        assert tree(graph) == {"drawer": BASE, "door": BASE, "lid": "drawer"}
+        assert 0.5 < graph.probability < 0.999
 
     @pytest.mark.slow
     @pytest.mark.parametrize("seed", range(3))

@@ -134,6 +134,7 @@ class _Pairs:
         self._progress = progress
         self._learned: dict[tuple[str, ...], PairEdge | None] = {}
         self._poses: dict[tuple[str, ...], RigidTransform] = {}
+        self._base_evidence: dict[tuple[str, str], float] = {}
 
     def measured(self, parent: str, child: str) -> PairEdge:
         """From measured poses.
@@ -160,6 +161,18 @@ class _Pairs:
     def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
         """From the pose of the branch's last part as the branch (base first) says it; None: too few common rows."""
         return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
+
+    def log_evidence_of_base(self, pair: PairEdge, child: str) -> float:
+        """ln probability of a pair's rows [nats] if the child stands on the base: parents compare on equal rows."""
+        relative, whole = pair.relative, self.measured(BASE, child)
+        if len(relative) == len(whole.relative):
+            return whole.log_evidence
+        key = (relative.parent, child)
+        if key not in self._base_evidence:
+            rows = relative.rows
+            common = RelativeRows(BASE, self.recording.rows(rows), rows, RigidTransform.identity(len(rows)))
+            self._base_evidence[key] = PairEdge(common, self._learn_pair(common.recording)).log_evidence
+        return self._base_evidence[key]
 
     def final(self, parent: str, child: str) -> KinematicEdge:
         """The edge from measured poses, in rows of the whole recording."""
@@ -246,19 +259,17 @@ def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
 
 
 def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs: _Pairs) -> dict[Arc, Weight]:
-    """Of every possible edge: evidence for all rows of the child; ties: rigid first, then the base, then by name."""
+    """Of every possible edge: evidence over that of the base; ties: rigid first, then the base, then by name."""
     order = {name: -float(number) for number, name in enumerate(sorted(able))}
     weights: dict[Arc, Weight] = {}
     for child, parents in able.items():
-        rows = len(pairs.measured(BASE, child).relative)
         for parent in (BASE, *parents):
             branch = _branch(tree, parent)
             # A parent below the child has no branch without it: its own edge to the base stands in.
             pair = pairs.on_branch((BASE, parent) if child in branch else branch, child)
             if pair is not None:
-                # Rows that were seen together stand for those that were not.
                 prior = _LOG_BASE_ODDS if parent == BASE else 0.0
-                evidence = round(pair.log_evidence * rows / len(pair.relative) + prior, _EVIDENCE_DIGITS)
+                evidence = round(pair.log_evidence - pairs.log_evidence_of_base(pair, child) + prior, _EVIDENCE_DIGITS)
                 weights[parent, child] = (evidence, float(pair.is_rigid), float(parent == BASE), order.get(parent, 0.0))
     return weights
 
