@@ -89,7 +89,7 @@ def test_intervals_hold_the_row_at_which_a_part_stops(many, method: Method) -> N
     assert np.mean(widths) < 10
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
 def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) -> None:
     given, right = [], []

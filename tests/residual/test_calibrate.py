@@ -126,8 +126,13 @@ def test_effects_of_the_library_are_named_first(door, plant) -> None:
     assert found.after.one_step < 1.2 * found.noise_floor
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("runs", "seed"), [(10, 11), (10, 12), (20, 11)])
+@pytest.mark.parametrize(
+    ("runs", "seed"),
+    [
+        *(pytest.param(10, seed, marks=pytest.mark.slow) for seed in (11, 12)),
+        pytest.param(20, 11, marks=pytest.mark.evidence),
+    ],
+)
 def test_a_threshold_that_few_rows_reach_gets_no_wrong_name(door, runs, seed) -> None:
     found, _ = found_in(door, plants.shifted, runs=runs, rows=50, seed=seed)
     if found.effects:
