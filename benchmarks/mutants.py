@@ -6,6 +6,8 @@ A mutant is the package with one comparison turned around, one number changed by
 a sum dropped. It is killed if a test fails or its tests take longer than ten minutes. The nearest tests are the
 files of tests that import the mutated module, then the other quick ones of its package's folder.
 
+First the tests run on a copy without a mutant: where they fail, nothing that follows would mean anything.
+
 The same seed and commit give the same mutants. Survivors are printed with their lines: each wants a test, or its line
 says nothing and can go. Docstrings, type hints, messages and `__all__` are not mutated.
 """
@@ -98,18 +100,32 @@ def nearest_tests(module: str, tests: Path) -> list[list[str]]:
     return [[name] for _, name in sorted(importing)[:4]] + ([[str(folder)]] if folder.is_dir() else [])
 
 
+def copy_checkout(tree: Path, place: str) -> tuple[Path, dict[str, str]]:
+    """A copy of a checkout below a folder, and the environment in which its package is the one that is imported."""
+    copy = Path(place) / "checkout"
+    shutil.copytree(tree, copy, ignore=shutil.ignore_patterns(".git", ".venv", "__pycache__"))
+    return copy, {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def passes_without_a_mutant(tree: Path) -> bool:
+    """The control: whether the tests of all packages pass on a copy of the checkout as it is."""
+    with tempfile.TemporaryDirectory() as place:
+        copy, environment = copy_checkout(tree, place)
+        folders = [str(copy / "tests" / package) for package in PACKAGES]
+        command = [sys.executable, "-m", "pytest", "-qx", "-n", "auto", "-p", "no:cacheprovider", *folders]
+        return subprocess.run(command, cwd=copy, env=environment, capture_output=True).returncode == 0  # noqa: S603
+
+
 def is_killed(mutant: Mutant, tree: Path) -> bool:
     """Whether the nearest tests fail on a copy of the checkout with the mutant in it."""
     with tempfile.TemporaryDirectory() as place:
-        copy = Path(place) / "checkout"
-        shutil.copytree(tree, copy, ignore=shutil.ignore_patterns(".git", "docs", "__pycache__"))
+        copy, environment = copy_checkout(tree, place)
         path = copy / mutant.file
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         line = lines[mutant.line - 1]
         lines[mutant.line - 1] = line[: mutant.column] + mutant.after + line[mutant.end :]
         path.write_text("".join(lines), encoding="utf-8")
         module = mutant.file.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
-        environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
         for files in nearest_tests(module, copy / "tests"):
             command = [sys.executable, "-m", "pytest", "-qx", "-p", "no:cacheprovider", *files]
             try:
@@ -145,6 +161,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             tree = Path(place) / "tree"
             git = ["git", "-C", str(ROOT), "worktree", "add", "--detach", str(tree), given.revision]
             subprocess.run(git, check=True, capture_output=True)  # noqa: S603
+        if not passes_without_a_mutant(tree):
+            sys.exit("the tests fail without a mutant; mend them first")
         drawn, survivors, killed = chosen(tree, given.mutants, given.seed), [], Counter[str]()
         with ThreadPoolExecutor(given.jobs) as pool:
             for mutant, dead in zip(drawn, pool.map(lambda m: is_killed(m, tree), drawn), strict=True):

@@ -1,6 +1,6 @@
 """Random automata that `check` accepts go through every command, or are refused in one line; none is a bug of ours.
 
-The slow test tries `MICAH_AUTOMATA` of them (30): `MICAH_AUTOMATA=2000 pytest -m slow tests/test_random_automata.py`.
+Of evidence are `MICAH_AUTOMATA` of them (30): `MICAH_AUTOMATA=2000 pytest -m evidence tests/test_random_automata.py`.
 """
 
 from __future__ import annotations

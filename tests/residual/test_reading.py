@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.effects.add import is_possible, with_effect
@@ -15,6 +16,7 @@ from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.growth import LEAST_EVIDENCE
+from micah_plan.residual.likelihood import student_t_log_density
 from micah_plan.residual.prediction import estimate_errors, predict_recording
 from micah_plan.residual.reading import _density, reading_findings
 
@@ -126,3 +128,9 @@ def test_rests_of_a_noisy_measurement_that_agree_by_chance_show_no_sensor() -> N
         rests = np.stack([measured, believed, 0.0 * believed, np.full(5, scatter**2)], axis=1)
         gain = _density(rests, ("sensor_scale", "sensor_offset")) - _density(rests, ())
         assert (gain > LEAST_EVIDENCE) is is_told
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3.5, 30, 1e4])
+def test_the_density_of_student_is_that_of_scipy(freedom: float) -> None:
+    x = np.array([[-40.0, -1.0, 0.0], [1e-9, 2.5, 1e6]])
+    np.testing.assert_allclose(student_t_log_density(x, freedom), student_t.logpdf(x, freedom), rtol=1e-9, atol=1e-9)
