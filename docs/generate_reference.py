@@ -1,8 +1,8 @@
-"""MkDocs hook: pages on the YAML files and on the command line, made from their definitions whenever the site is built.
+"""Pages on the YAML files and on the command line, made from their definitions; and MkDocs' hook.
 
 The tables come from the JSON Schemas of `micah_plan.documents.kind`, the examples are files that the project ships,
-the help texts are what the commands print. Nothing of it is stored, so it cannot go stale. Without MkDocs,
-`python docs/generate_reference.py FOLDER` writes the same pages into a folder.
+the help texts are what the commands print. `docs/write_outputs.py` stores these pages, so that links lead to them in
+the repository too, and a test compares. The hook makes a page of every module whenever the site is built.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import json
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -91,18 +90,14 @@ a comparison, and a coordinate that is left out there does not move or keeps its
 
 
 def pages() -> dict[str, str]:
-    """Markdown of every generated page and text of every generated file, by its place below docs/."""
-    made = {f"reference/{kind}_file.md": _file_page(kind) for kind in INTRODUCTIONS}
-    made |= {f"reference/{kind}.schema.json": json.dumps(schema(kind), indent=2) + "\n" for kind in INTRODUCTIONS}
-    return {**made, "reference/cli.md": _cli_page()}
+    """Markdown of every page that is made from definitions, by its place below docs/."""
+    return {f"reference/{kind}_file.md": _file_page(kind) for kind in INTRODUCTIONS} | {"reference/cli.md": _cli_page()}
 
 
 def on_files(files: Any, config: Any) -> Any:
     """MkDocs calls this when it has listed the files of the site."""
     from mkdocs.structure.files import File, InclusionLevel
 
-    for place, text in pages().items():
-        files.append(File.generated(config, place, content=text))
     for place, text in module_pages().items():
         files.append(File.generated(config, place, content=text, inclusion=InclusionLevel.NOT_IN_NAV))
     return files
@@ -157,7 +152,7 @@ def _file_page(kind: str) -> str:
         f"# {title}\n\n{introduction}\n",
         f"Unknown keys, missing keys and wrong types are errors with the line number. Units are SI, angles in rad, "
         f"quaternions scalar last, paths relative to the file.\n\nCompletion and hover [in your editor](editors.md): "
-        f"[JSON Schema]({kind}.schema.json).\n",
+        f"`micah-plan schema {kind}` prints the JSON Schema.\n",
         _example(example),
         f"## The file\n\n{_table(described)}",
     ]
@@ -291,10 +286,3 @@ def _cli_page() -> str:
     commands = [str(info.name or getattr(info.callback, "__name__", "")) for info in app.registered_commands]
     sections += [f"## {name}\n\n```text\n{help_text(name)}```\n" for name in commands]
     return "\n".join(sections)
-
-
-if __name__ == "__main__":
-    for written, content in pages().items():
-        target = Path(sys.argv[1]) / written
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(content, encoding="utf-8")
