@@ -1,8 +1,9 @@
 """What commands print, in README and docs, made anew: `python docs/write_outputs.py`.
 
 The commands of each page run one after the other in an empty folder that sees the shipped files. The outputs that stand
-below `$ micah-plan` lines are replaced by what they print in 80 columns, unless only times differ; the pages that come from definitions (files
-and command line) are written too. Where a command fails, nothing is written. MuJoCo is needed (extra `sim`).
+below `$ micah-plan` lines are replaced by what they print in 80 columns, unless only times differ; the pages that come
+from definitions (files and command line) are written too. Where a command fails, nothing is written. MuJoCo is needed
+(extra `sim`).
 """
 
 from __future__ import annotations
