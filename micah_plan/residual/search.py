@@ -175,8 +175,7 @@ class Search:
         innovation = float(np.mean(own**2)) * (1.0 - (left.share if left is not None else 0.0))
         r = float(measurement_share(scored.fit.share)[0])
         q = (1.0 - r) * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
-        # Steady state of the scalar Riccati equation: prior variance p with p = p r / (p + r) + q.
-        p = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
+        p = steady_variance(q, r)
         return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
 
     def rollout_floor(self, scored: Scored, one_step: float) -> float:
@@ -328,6 +327,14 @@ class Search:
             if best is None or fit.loss[0] < best[0] - _CLEARLY:
                 best = float(fit.loss[0]), lane, freedom
         return (self.lane, self.freedom) if best is None else best[1:]
+
+
+def steady_variance(q: float, r: float) -> float:
+    """The variance before a measurement, in the long run, of a sum of steps of variance q measured with variance r.
+
+    The positive root of the scalar Riccati equation p = p r / (p + r) + q.
+    """
+    return float(0.5 * (q + np.sqrt(q * q + 4.0 * q * r)))
 
 
 def _spread(problem: Problem, fit: Fit) -> Floats:

@@ -155,6 +155,7 @@ LEGAL_EDGES = [
     Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(A=((0.0,),), c=(1.2,))),
     Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(B=((1.0,),))),  # an input may bring it anywhere
     Edge("revolute", "rigid", guard(([1], [0], 1.165))),  # within the std of the pin
+    Edge("rigid", "revolute", guard(([0], [-1], 0.01)), Reset(A=((0.0,),), c=(1.205,))),  # above its end by less than it
     Edge("revolute", "rigid", guard(([1], [1], 1.0))),  # an input decides where
     Edge("revolute", "rigid", guard(([1], [0], 1.0), ([0], [1], 0.1))),  # inputs may come late
     Edge("revolute", "rigid", guard(([1], [0], 7.0), ([-1], [0], -8.0))),  # nowhere in its mode
@@ -176,8 +177,10 @@ def test_small_differences_of_numbers_written_by_hand_pass() -> None:
     check_automaton(shut(invariant=guard(([1], [0], 1.205))))
 
 
-def test_a_pin_known_exactly_lies_in_its_invariant_but_for_rounding() -> None:
-    exact, from_here = (Pin(0, 1.2, 1e-12),), [guard(([1], [0], at)) for at in (1.2 + 5e-10, 1.2 + 1e-7)]
+@pytest.mark.parametrize("side", [1, -1], ids=["from here", "up to here"])
+def test_a_pin_known_exactly_lies_in_its_invariant_but_for_rounding(side: int) -> None:
+    exact = (Pin(0, 1.2, 1e-12),)
+    from_here = [guard(([side], [0], 1.2 * side + beyond)) for beyond in (5e-10, 1e-7)]
     check_automaton(shut(pins=exact, invariant=from_here[0]))
     with pytest.raises(InputError, match=r"the pin of door, 1\.2 rad, lies outside"):
         check_automaton(shut(pins=exact, invariant=from_here[1]))

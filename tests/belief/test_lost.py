@@ -40,6 +40,7 @@ def slides(**modes: dict) -> HybridAutomaton:
 
 
 PINNED = slides(free={}, pinned={"pins": (Pin(1, 0.3, 0.002),)})
+FOLLOWING = slides(free={}, pinned={"pins": (Pin(1, 0.0, 0.002, follows=0),)})  # it is where c0 is
 TIED = slides(free={}, tied={"ties": (Tie(1, (0.5, 0.0), 0.1),)})
 
 
@@ -50,7 +51,7 @@ def told(automaton: HybridAutomaton, z: list[float]) -> tuple[np.ndarray, np.nda
     return found.weights[0], found.means[0], found.factors[0], evidence
 
 
-@pytest.mark.parametrize("automaton", [PINNED, TIED], ids=["pinned", "tied"])
+@pytest.mark.parametrize("automaton", [PINNED, FOLLOWING, TIED], ids=["pinned", "following", "tied"])
 def test_its_evidence_is_a_density_of_measurements(automaton: HybridAutomaton) -> None:
     """Over all measurements it sums to what filters drop: one hypothesis, that improbable."""
     axis = np.linspace(-0.05, 0.55, 41)
@@ -67,6 +68,10 @@ def test_it_is_where_it_is_measured_in_the_modes_that_allow_it() -> None:
     assert weights[1] > 0.9
     assert 0.3 < means[1, 1] < 0.3005
     assert np.linalg.norm(factors[1, 1]) < 0.002
+    weights, means, *_ = told(FOLLOWING, [0.2, 0.203])
+    assert weights[1] > 0.9
+    assert means[1, 1] == pytest.approx(means[1, 0], abs=5e-4)
+    assert told(FOLLOWING, [0.2, 0.003])[0][1] < 0.01
     weights, means, *_ = told(TIED, [0.1, 0.152])
     assert weights[1] > 0.9
     assert means[1, 1] == pytest.approx(0.1 + 0.5 * means[1, 0], abs=1e-6)

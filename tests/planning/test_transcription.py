@@ -202,6 +202,17 @@ def test_a_start_point_that_is_not_a_number_is_found_before_the_solver_runs() ->
     )
 
 
+def test_knots_of_phases_follow_one_another() -> None:
+    problem = planar_problem()
+    limits = limits_of(problem)
+    found = search_modes(problem, limits, "left").sequences
+    sequence = next(s for s in found if s.modes == ("left", "right"))
+    first, second = guess(problem, limits, sequence)
+    assert (first.first_knot, second.first_knot) == (0, len(first.means))
+    for phase in (first, second):
+        assert len(phase.inputs) == len(phase.means) - 1 == len(phase.gains) == len(phase.closed) > 0
+
+
 def test_too_few_knots_say_how_many_are_needed() -> None:
     problem = with_settings(door_problem(0.2, 0.9), max_knots=10)
     limits = limits_of(problem)

@@ -10,7 +10,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.candidates import candidates
 from micah_plan.residual.interval import independent_share
 from micah_plan.residual.lane import lanes
-from micah_plan.residual.search import Search
+from micah_plan.residual.search import Search, steady_variance
 
 
 def interval_of(door, plant, name, seed, goals=None):
@@ -34,6 +34,14 @@ def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_ap
 def test_correlated_rows_count_as_fewer() -> None:
     assert independent_share(0.0) == independent_share(-0.3) == 1.0
     assert independent_share(0.5) == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize(("q", "r"), [(1.0, 1.0), (0.01, 2.0), (3.0, 0.1), (0.0, 1.0)])
+def test_the_steady_variance_is_where_a_filter_ends(q, r) -> None:
+    p = 1.0
+    for _ in range(20_000):
+        p = p * r / (p + r) + q
+    assert steady_variance(q, r) == pytest.approx(p, rel=1e-6, abs=1e-4)
 
 
 @pytest.mark.evidence
