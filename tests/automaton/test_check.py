@@ -155,7 +155,7 @@ LEGAL_EDGES = [
     Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(A=((0.0,),), c=(1.2,))),
     Edge("revolute", "rigid", guard(([1], [0], 1.0)), Reset(B=((1.0,),))),  # an input may bring it anywhere
     Edge("revolute", "rigid", guard(([1], [0], 1.165))),  # within the std of the pin
-    Edge("rigid", "revolute", guard(([0], [-1], 0.01)), Reset(A=((0.0,),), c=(1.205,))),  # above its end by less than it
+    Edge("rigid", "revolute", guard(([0], [-1], 0.01)), Reset(A=((0.0,),), c=(1.205,))),  # above its end, within it
     Edge("revolute", "rigid", guard(([1], [1], 1.0))),  # an input decides where
     Edge("revolute", "rigid", guard(([1], [0], 1.0), ([0], [1], 0.1))),  # inputs may come late
     Edge("revolute", "rigid", guard(([1], [0], 7.0), ([-1], [0], -8.0))),  # nowhere in its mode
