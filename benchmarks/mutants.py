@@ -107,13 +107,14 @@ def copy_checkout(tree: Path, place: str) -> tuple[Path, dict[str, str]]:
     return copy, {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
-def passes_without_a_mutant(tree: Path) -> bool:
-    """The control: whether the tests of all packages pass on a copy of the checkout as it is."""
+def failures_without_a_mutant(tree: Path) -> str:
+    """The control: what fails of the tests of all packages on a copy of the checkout as it is; empty: nothing."""
     with tempfile.TemporaryDirectory() as place:
         copy, environment = copy_checkout(tree, place)
         folders = [str(copy / "tests" / package) for package in PACKAGES]
         command = [sys.executable, "-m", "pytest", "-qx", "-n", "auto", "-p", "no:cacheprovider", *folders]
-        return subprocess.run(command, cwd=copy, env=environment, capture_output=True).returncode == 0  # noqa: S603
+        done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, encoding="utf-8")  # noqa: S603
+        return "\n".join(done.stdout.splitlines()[-30:]) if done.returncode else ""
 
 
 def is_killed(mutant: Mutant, tree: Path) -> bool:
@@ -161,8 +162,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             tree = Path(place) / "tree"
             git = ["git", "-C", str(ROOT), "worktree", "add", "--detach", str(tree), given.revision]
             subprocess.run(git, check=True, capture_output=True)  # noqa: S603
-        if not passes_without_a_mutant(tree):
-            sys.exit("the tests fail without a mutant; mend them first")
+        if failed := failures_without_a_mutant(tree):
+            sys.exit(f"{failed}\nthe tests fail without a mutant; mend them first")
         drawn, survivors, killed = chosen(tree, given.mutants, given.seed), [], Counter[str]()
         with ThreadPoolExecutor(given.jobs) as pool:
             for mutant, dead in zip(drawn, pool.map(lambda m: is_killed(m, tree), drawn), strict=True):

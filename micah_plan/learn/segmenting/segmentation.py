@@ -22,7 +22,7 @@ from micah_plan.learn.segmenting.segmented import (
     rows_of_joints,
 )
 from micah_plan.learn.segmenting.selection import merged, selections, shared
-from micah_plan.learn.segmenting.stops import held_somewhere
+from micah_plan.learn.segmenting.stops import with_rests
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -54,7 +54,7 @@ def segment_track(track: PartTrack, settings: LearnSettings, known: Segmented | 
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     outcomes = _settled(proposals, prior, settings)
     best = max(outcomes, key=lambda one: one.log_probability)
-    more = _with_a_rest(best, prior, settings) if track.action is not None else []
+    more = [one for one in [with_rests(best, prior, settings)] if one is not None]
     neighbours = _settled([*more, *_without_a_rest(best)], prior, settings)
     held, doubted = neighbours[: len(more)], neighbours[len(more) :]
     pieces = len(best.segmentation.pieces)
@@ -63,15 +63,6 @@ def segment_track(track: PartTrack, settings: LearnSettings, known: Segmented | 
     best = max(outcomes, key=lambda one: one.log_probability)
     others = tuple(alternative(one) for one in outcomes if one is not best)
     return replace(_beside_rivals(best, settings), others=others)
-
-
-def _with_a_rest(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
-    """What else is probable if one joint moves the part: that it was held in one more stretch of rows."""
-    used = {piece.hypothesis for piece in found.segmentation.pieces}
-    if "rigid" not in settings.kinds or sum(bool(found.table.pool.moving[one]) for one in used) != 1:
-        return []
-    tried = held_somewhere(found.segmentation, found.table, found.track, found.noise, prior, settings)
-    return [replace(found, table=table, segmentation=one) for table, one in tried]
 
 
 def _without_a_rest(found: Segmented) -> list[Segmented]:

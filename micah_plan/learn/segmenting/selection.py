@@ -31,7 +31,7 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
     def under(*members: int) -> Segmentation:
         return shared(table, list(members), prior, settings)
 
-    found = [_fewest(apart, under)]
+    found = [_fewest(sorted({piece.hypothesis for piece in apart.pieces}), under)]
     moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
     rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
     for joint in _promising(table):
@@ -71,9 +71,12 @@ def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPri
     return float(np.logaddexp.reduce(begun + worth[-1, :, -1]))
 
 
-def _fewest(apart: Segmentation, under: Callable[..., Segmentation]) -> Segmentation:
-    """Segments of the joints of a segmentation, of which some are dropped while that pays."""
-    members = sorted({piece.hypothesis for piece in apart.pieces})
+def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
+    """Segments of some joints, of which some are dropped while that pays."""
+    return _fewest(members, lambda *some: shared(table, list(some), prior, settings))
+
+
+def _fewest(members: list[int], under: Callable[..., Segmentation]) -> Segmentation:
     best = under(*members)
     while len(members) > 1:
         fewer = [[m for m in members if m != dropped] for dropped in members]

@@ -1,0 +1,127 @@
+"""How many stops are found where a part is opened, pushed against its end, shut and pushed against that, several times.
+
+    OMP_NUM_THREADS=1 python benchmarks/cycles.py [--cycles N ...] [--seeds K] [--first SEED]
+
+Doors and drawers with an end on either side, 30 to 50 rows of motion each way and 15 to 30 rows of pushing, in the
+variants of the table. A stop is found if a rigid segment begins within six rows of it; more rigid segments than stops
+are "too many". An answer is surely wrong if it is said with 95 % or more and its segments are others.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from time import process_time
+
+import numpy as np
+from kinds_plant import RATE, Floats, random_joint, tracker_noise, written_actions
+from kinds_scoring import SURE, kinds_of, probability
+from scipy.spatial.transform import Rotation
+
+from micah_plan.learn.learn import learn_graph
+from micah_plan.recording.value import Recording
+
+NEAR = 6
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
+    share by which the part slips; whether it is pushed against its ends, or moved between them only."""
+
+    white: float = 0.001
+    gain: float = 1.0
+    turned: float = 0.0
+    late: int = 0
+    slip: float = 0.05
+    pushed: bool = True
+
+
+VARIANTS = {
+    "plain": Variant(),
+    "3 mm": Variant(white=0.003),
+    "actions halved": Variant(gain=0.5),
+    "turned by 30 degrees": Variant(turned=np.pi / 6),
+    "late by 2 rows": Variant(late=-2),
+    "not pushed": Variant(pushed=False),
+}
+
+
+def recording_of(kind: str, cycles: int, variant: Variant, seed: int) -> tuple[Recording, list[int]]:
+    """A recording, and the last rows of motion, at which the part arrives at an end."""
+    rng = np.random.default_rng([seed, cycles, len(kind)])
+    joint, travel = random_joint(kind, rng, np.array([0.6, 0.1, 0.3]))
+    asked: list[Floats] = []
+    for half in range(2 * cycles):
+        rows, pushed = int(rng.integers(30, 51)), int(rng.integers(15, 31)) if variant.pushed else 0
+        sign = 1.0 if half % 2 == 0 else -1.0
+        pace = np.exp(0.2 * rng.standard_normal(rows))
+        far = 1.02 if variant.pushed else 0.9
+        asked += [sign * far * travel * pace / pace.sum(), np.full(pushed, sign * travel / rows)]
+    c, configuration, command, stops = 0.0, [0.0], [], []
+    for step in np.concatenate(asked):
+        reached = float(np.clip(c + step * (1 + variant.slip * rng.standard_normal()), 0.0, travel))
+        command.append(step * joint.tangent(c))
+        if variant.pushed and reached == c and (len(configuration) < 2 or configuration[-2] != c):
+            stops.append(len(configuration) - 1)
+        c = reached
+        configuration.append(c)
+    position, rotation = joint.poses(np.array(configuration))
+    shifts, turns = tracker_noise(len(position), variant.white, 0.0, rng)
+    axis = variant.turned * rng.standard_normal(3)
+    frame = Rotation.from_rotvec(variant.turned * axis / max(float(np.linalg.norm(axis)), 1e-9))
+    action = written_actions(np.array(command), frame, variant.gain, variant.late, 0.03, rng)
+    quaternion = (Rotation.from_rotvec(turns) * Rotation.from_matrix(rotation)).as_quat()
+    return Recording(np.arange(len(position)) / RATE, position + shifts, quaternion, action), stops
+
+
+@dataclass(frozen=True)
+class Count:
+    """Of one recording: stops found, in all and too many; whether it is surely wrong; seconds; the answer."""
+
+    found: int
+    stops: int
+    many: int
+    wrong: bool
+    seconds: float
+    answer: str
+
+
+def counted(kind: str, cycles: int, variant: Variant, seed: int) -> Count:
+    recording, stops = recording_of(kind, cycles, variant, seed)
+    begin = process_time()
+    (edge,) = learn_graph(recording).edges
+    took = process_time() - begin
+    rests = [one.start for one in edge.segments if one.joint.kind == "rigid"]
+    hits = sum(any(abs(start - stop) <= NEAR for start in rests) for stop in stops)
+    kinds = kinds_of(edge.segments, True)
+    right = kinds == ((kind, "rigid") * (2 * cycles) if variant.pushed else (kind,))
+    sure = min(probability(one) for one in edge.segments)
+    answer = " ".join(f"{one.joint.kind[:4]}{one.start}" for one in edge.segments)
+    return Count(hits, len(stops), max(len(rests) - len(stops), 0), sure >= SURE and not right, took, answer)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cycles", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--answers", action="store_true", help="print every answer")
+    given = parser.parse_args()
+    print(f"{'cycles':>6} {'variant':<22}{'found':>12}{'too many':>10}{'surely wrong':>14}{'seconds each':>14}")
+    for cycles in given.cycles:
+        for name, variant in VARIANTS.items():
+            seeds = range(given.first, given.first + given.seeds)
+            rows = [counted(kind, cycles, variant, seed) for kind in ("revolute", "prismatic") for seed in seeds]
+            if given.answers:
+                print("\n".join(row.answer for row in rows))
+            share = f"{sum(row.found for row in rows)} of {sum(row.stops for row in rows)}"
+            wrong = f"{sum(row.wrong for row in rows)} of {len(rows)}"
+            took = np.mean([row.seconds for row in rows])
+            many = sum(row.many for row in rows)
+            print(f"{cycles:>6} {name:<22}{share:>12}{many:>10}{wrong:>14}{took:>14.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""A part that is held several times, and one that is not: what actions asked of it tells both apart."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from micah_plan.learn.learn import learn_graph
+from micah_plan.learn.segmenting.held import Along, held_rows, held_steps
+
+STD = 0.002
+
+
+@pytest.fixture(scope="module")
+def cycles() -> ModuleType:
+    """The benchmark, whose simulation uses nothing of the learner."""
+    folder = str(Path(__file__).parents[2] / "benchmarks")
+    sys.path.insert(0, folder)
+    try:
+        import cycles
+
+        return cycles
+    finally:
+        sys.path.remove(folder)
+
+
+def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> Along:
+    """Steps that are asked, of which those of some stretches [first, last) are not done."""
+    rng = np.random.default_rng(seed)
+    asked, done = np.array(steps), np.array(steps)
+    for first, last in held:
+        done[first:last] = 0.0
+    configuration = np.concatenate([[0.0], np.cumsum(done)]) + STD * rng.standard_normal(len(steps) + 1)
+    action = np.zeros((len(steps) + 1, 3))
+    action[:-1, 1] = 2.0 * asked
+    return Along(configuration, action, STD**2, 0.0)
+
+
+@pytest.mark.parametrize("held", [[], [(40, 60)], [(0, 20)], [(20, 40), (60, 80)], [(20, 40), (60, 80), (100, 120)]])
+def test_rests_are_where_what_was_asked_was_not_done(held: list[tuple[int, int]]) -> None:
+    """However often, at the beginning, on the way or at the end."""
+    rests = held_rows(along([0.01] * 120, held))
+    assert len(rests) == len(held)
+    for rows, (first, last) in zip(rests, held, strict=True):
+        inside = np.flatnonzero(rows)
+        assert abs(inside[0] - first) <= 3
+        assert abs(inside[-1] - last) <= 3
+
+
+def test_a_hand_that_asks_nothing_says_nothing_of_rests() -> None:
+    """A pause is no rest: nothing was asked, and nothing was done."""
+    assert not len(held_rows(along([0.01] * 40 + [0.0] * 30 + [0.01] * 40, [])))
+    assert not held_steps(along([0.0] * 60, [])).any()
+
+
+def test_a_slip_of_the_tracker_is_no_rest() -> None:
+    one = along([0.01] * 100, [])
+    one.configuration[50:] -= 0.03
+    assert not len(held_rows(one))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, number: int, cycles: ModuleType) -> None:
+    one = cycles.counted(kind, number, cycles.Variant(), 40 + number)
+    assert (one.found, one.many) == (one.stops, 0), one.answer
+    assert one.stops == 2 * number
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str, cycles: ModuleType) -> None:
+    recording, stops = cycles.recording_of(kind, 2, cycles.VARIANTS["not pushed"], 5)
+    assert stops == []
+    (edge,) = learn_graph(recording).edges
+    assert [segment.joint.kind for segment in edge.segments] == [kind]
