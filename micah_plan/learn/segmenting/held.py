@@ -23,6 +23,7 @@ _MOVED = 0.5  # of the typical step; what goes further moved
 _FARTHEST = 4.0  # nats that one step may say: a tracker slips, and an arrival is half a step
 _SLIPPED = 5.0  # stds by which a row misses both what follows and what is held: it begins anew there
 _LEAST_INFORMATION = 1e-6  # relative; in a direction of less, actions say nothing
+_SAME_PLACE = 0.03  # of the travel; rests at an end differ by what the end, the joint and the tracker give
 _FEWEST_STEPS = 2  # of a rest
 FEWEST_FOLLOWED = 8  # steps from which a channel is told
 
@@ -41,6 +42,18 @@ class Along:
     action: Floats
     white: float
     drift: float
+
+
+def places_held(along: Along) -> Booleans:
+    """(p, n) rows of each place at which the part was held, however often: rests less apart than a stop is sharp."""
+    rests = held_rows(along)
+    if not len(rests):
+        return rests
+    middle = (rests @ along.configuration) / rests.sum(axis=1)
+    order = np.argsort(middle, kind="stable")
+    apart = np.diff(middle[order]) > _SAME_PLACE * np.ptp(along.configuration)
+    place = np.concatenate([[0], np.cumsum(apart)])
+    return np.array([rests[order[place == one]].any(axis=0) for one in range(place[-1] + 1)])
 
 
 def held_rows(along: Along) -> Booleans:

@@ -61,14 +61,14 @@ def changepoint_posterior(
     of_length = np.where(lengths >= 0, prior.log_probability(every)[np.maximum(lengths, 0)], -np.inf)
     inner = worth - np.log(kinds) + of_length
     last = worth[:, :, -1] - np.log(kinds) + prior.log_survival(every - 1)[::-1]
-    reached = _reached(inner)
+    best_before = reached(inner)
     # Everything is counted relative to the best segments before a row: sums are products of matrices then, and what is
     # too small for a number is too small to matter.
-    best = float((last + reached[:-1]).max())
-    chances = np.exp(inner + (reached[:-1, None] - reached[1:]))
+    best = float((last + best_before[:-1]).max())
+    chances = np.exp(inner + (best_before[:-1, None] - best_before[1:]))
     follows = np.exp(-apart)
     ahead = _forward(chances, follows, most)
-    behind = _backward(chances, np.exp(last + reached[:-1] - best), follows, most)
+    behind = _backward(chances, np.exp(last + best_before[:-1] - best), follows, most)
     totals = np.array([np.sum(one * behind[0]) for one in ahead])
     counts = totals / totals.sum()
     changepoint = np.zeros(n)
@@ -83,13 +83,13 @@ def changepoint_posterior(
     return ChangepointPosterior(counts, starts, np.minimum(changepoint, 1.0), log_evidence)
 
 
-def _reached(inner: Floats) -> Floats:
-    """(n + 1,) ln probability of the rows before each under their best segments, whatever follows what."""
-    columns = np.ascontiguousarray(inner.max(axis=0).T)
-    reached = np.zeros(len(columns) + 1)
+def reached(worth: Floats) -> Floats:
+    """(n + 1,) ln probability of the rows before each under their best segments (h, n, n), whatever follows what."""
+    columns = np.ascontiguousarray(worth.max(axis=0).T)
+    best = np.zeros(len(columns) + 1)
     for row, column in enumerate(columns):
-        reached[row + 1] = (reached[: row + 1] + column[: row + 1]).max()
-    return reached
+        best[row + 1] = (best[: row + 1] + column[: row + 1]).max()
+    return best
 
 
 def _forward(chances: Floats, follows: Floats, most: int) -> list[Floats]:

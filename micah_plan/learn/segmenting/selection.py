@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from math import log
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.exact import best_segmentation, length_terms
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.posterior import reached
 from micah_plan.learn.settings import LearnSettings
 
 ANOTHER_JOINT = 15.0  # nats: most parts have one moving joint; another one needs decisive evidence
@@ -44,8 +46,11 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 
 
 def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """The most probable segments under few joints, which are paid once, and how probable they are at any places."""
-    found = best_segmentation(table, prior, len(settings.kinds), members, members)
+    """The most probable segments under few joints, which are paid once, and how probable they are at any places.
+
+    So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
+    """
+    found = best_segmentation(table, prior, 1, members, members)
     used: dict[int, int] = {}
     for piece in found.pieces:
         used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
@@ -54,21 +59,26 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     # A part does not get from one rest to another without a motion.
     rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
-    cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT
+    cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT + len(used) * np.log(len(settings.kinds))
     pieces = merged(found.pieces)
-    return Segmentation(pieces, _over_places(pieces, table, prior, len(settings.kinds)) - float(cost))
+    return Segmentation(pieces, _over_places(pieces, table, prior) - float(cost))
 
 
-def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior, kinds: int) -> float:
+def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior) -> float:
     """Ln probability of the rows under joints in an order, wherever one takes over from the one before."""
-    worth = table.sums[[piece.hypothesis for piece in pieces]] + length_terms(prior, len(table.sums[0])) - np.log(kinds)
-    begun = np.full(worth.shape[1], -np.inf)
-    begun[0] = 0.0
-    for one in worth[:-1]:
+    used = sorted({piece.hypothesis for piece in pieces})
+    worth = table.sums[used] + length_terms(prior, len(table.sums[0]))
+    # Relative to the best segments before a row: sums are products of matrices then.
+    best_before = reached(worth)
+    chances = np.exp(worth + (best_before[:-1, None] - best_before[1:]))
+    begun = np.zeros(worth.shape[1])
+    begun[0] = 1.0
+    for piece in pieces[:-1]:
         # No row is the last of one segment but where another begins; the last row ends the last one.
-        begun[1:] = np.logaddexp.reduce(begun[:, None] + one, axis=0)[:-1]
-        begun[0] = -np.inf
-    return float(np.logaddexp.reduce(begun + worth[-1, :, -1]))
+        begun[1:] = (begun @ chances[used.index(piece.hypothesis)])[:-1]
+        begun[0] = 0.0
+    share = float(begun @ chances[used.index(pieces[-1].hypothesis), :, -1])
+    return float(best_before[-1] + log(share)) if share > 0 else -np.inf
 
 
 def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
