@@ -72,6 +72,14 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_long_run_has_its_stops_too(kind: str, cycles: ModuleType) -> None:
+    """Six times there and back are more than a window of the online learner holds."""
+    one = cycles.counted(kind, 6, cycles.Variant(), 0)
+    assert one.found >= 11, one.answer
+    assert one.many == 0
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str, cycles: ModuleType) -> None:
     recording, stops = cycles.recording_of(kind, 2, cycles.VARIANTS["not pushed"], 5)
     assert stops == []

@@ -16,6 +16,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.learn.joints.least_norm import least_norm
+from micah_plan.learn.segmenting.pool import Pool
 
 _CHANGES = 0.02  # probability that a part that followed is held in the next step, or the other way round
 _ROUNDS = 8  # of expectation maximisation
@@ -42,6 +43,13 @@ class Along:
     action: Floats
     white: float
     drift: float
+
+
+def along_joint(pool: Pool, joint: int, action: Floats) -> Along:
+    """What a pool knows of one of its joints, in the rows that it sees."""
+    scales = pool.along.take([joint])
+    noise = float((scales.white + scales.fast)[0]), float(scales.renewed[0])
+    return Along(pool.seen.configuration[joint], action, *noise)
 
 
 def places_held(along: Along) -> Booleans:

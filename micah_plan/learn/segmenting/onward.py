@@ -21,11 +21,13 @@ from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
 from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
+from micah_plan.learn.segmenting.held import along_joint, places_held
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.motion import FEWEST_ACTED
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, noises_left
 from micah_plan.learn.segmenting.occam import parameter_count
-from micah_plan.learn.segmenting.pool import Hypotheses, refitted, window_hypotheses, windows
+from micah_plan.learn.segmenting.pool import Hypotheses, pool_of, refitted, window_hypotheses, windows
 from micah_plan.learn.segmenting.running_evidence import RunningEvidence
 from micah_plan.learn.segmenting.segmentation import segment_track
 from micah_plan.learn.segmenting.segmented import Segmented
@@ -105,7 +107,7 @@ def segment_onward(
 def _with_rests(track: PartTrack, known: KnownJoints, settings: LearnSettings, rng: np.random.Generator) -> Segmented:
     """The segments of known joints and of rests, which need to be found anew."""
     noise = first_noise(track, settings)
-    owner, rows = _where_known(known, len(track))
+    owner, rows = _where_known(known, track, noise)
     pool = Hypotheses(known.joints.take(owner), rows)
     if "rigid" in settings.kinds:
         pool = pool.joined(window_hypotheses(track, ("rigid",), noise))
@@ -126,17 +128,27 @@ def _with_rests(track: PartTrack, known: KnownJoints, settings: LearnSettings, r
     return found
 
 
-def _where_known(known: KnownJoints, rows: int) -> tuple[Ints, Booleans]:
+def _where_known(known: KnownJoints, track: PartTrack, noise: NoiseModel) -> tuple[Ints, Booleans]:
     """Known joints, each once for every stretch of the window in which it may hold, and these rows.
 
-    How fast a part moves, and what actions say of it, is learned where its joint holds and not where the part rests.
+    How fast a part moves, and what actions say of it, is learned where its joint holds and not where the part rests:
+    where the actions tell that the part was held, in all other rows, too.
     """
+    rows = len(track)
     spans = [(a, b) for a, b in windows(rows) if 4 * (b - a + 1) >= rows - 4]
     owner = [i for i, moves in enumerate(known.joints.moving) for _ in (spans if moves else spans[:1])]
     inside = np.zeros((len(owner), rows), dtype=bool)
     stretches = [span for moves in known.joints.moving for span in (spans if moves else spans[:1])]
     for one, (start, end) in zip(inside, stretches, strict=True):
         one[start : end + 1] = True
+    if track.action is not None:
+        every = np.ones((len(known.joints), rows), dtype=bool)
+        pool = pool_of(Hypotheses(known.joints, every), track, noise)
+        for i in np.flatnonzero(pool.moving).tolist():
+            places = places_held(along_joint(pool, i, track.action))
+            beside = np.asarray(~places.any(axis=0))
+            if len(places) and beside.sum() >= FEWEST_ACTED:
+                owner, inside = [*owner, i], np.concatenate([inside, beside[None]])
     return np.array(owner, dtype=np.int64), inside
 
 
@@ -156,10 +168,11 @@ def _selected(
     """
     prior = LengthPrior.of_rows(track, settings)
     trust = trust_in(first_noise(track, settings), settings)
-    table = _paid(tabulated(pool, track, noise, settings.rest, trust, known.first >= 0), owner, known.first, prior)
+    table = tabulated(pool, track, noise, settings.rest, trust, known.first >= 0)
+    table = _paid(table, owner, known.first, prior, len(settings.kinds))
     k = len(owner)
     every = range(len(pool))
-    apart = most_probable(RunningEvidence(table, settings.kinds, every, range(k)), prior, rng, settings.particles)
+    apart = most_probable(RunningEvidence(table, settings.kinds, every), prior, rng, settings.particles)
     new = sorted({piece.hypothesis for piece in apart.pieces if piece.hypothesis >= k})
     best = _charged(apart, table, k) if not new else _shared(table, k, new, prior, settings, rng)
     while new:
@@ -182,7 +195,7 @@ def _shared(
 ) -> Segmentation:
     """The most probable segments under the known joints and new ones, whose parameters are paid once."""
     members = [*range(known), *new]
-    found = most_probable(RunningEvidence(table, settings.kinds, members, members), prior, rng, settings.particles)
+    found = most_probable(RunningEvidence(table, settings.kinds, members, new), prior, rng, settings.particles)
     return _charged(found, table, known)
 
 
@@ -193,8 +206,9 @@ def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentat
         rows[piece.hypothesis] = rows.get(piece.hypothesis, 0) + piece.end - piece.start + 1
     moving = table.pool.moving
     held = bool(moving[list(rows)].any() or moving[:known].any())
-    cost = table.cost(np.array(list(rows)), np.array(list(rows.values()), dtype=float), held).sum()
-    further = sum(bool(moving[i]) for i in rows if i >= known)
+    new = [i for i in rows if i >= known]
+    cost = table.cost(np.array(new, dtype=int), np.array([float(rows[i]) for i in new]), held).sum()
+    further = sum(bool(moving[i]) for i in new)
     further -= not moving[:known].any() and further > 0
     # A part does not get from one rest to another without a motion.
     rigid = [not moving[piece.hypothesis] for piece in found.pieces]
@@ -203,16 +217,16 @@ def _charged(found: Segmentation, table: EvidenceTable, known: int) -> Segmentat
     return Segmentation(merged(found.pieces), log_probability)
 
 
-def _paid(table: EvidenceTable, owner: Ints, first: int, prior: LengthPrior) -> EvidenceTable:
-    """The same densities, with the known joints free of cost.
+def _paid(table: EvidenceTable, owner: Ints, first: int, prior: LengthPrior, kinds: int) -> EvidenceTable:
+    """The same densities, with the known joints free of cost: of their parameters, and of the choice of their kinds.
 
     What holds where the window begins was found with the rows before it in view, which tell a rest from a motion that
     has not begun. Another joint pays for the changepoint and for being overlooked.
     """
     k = len(owner)
     costs = {name: getattr(table, name).copy() for name in ("parameters", "occam", "held")}
-    for values in costs.values():
-        values[:k] = 0.0
+    for name, values in costs.items():
+        values[:k] = 0.0 if name == "parameters" else -np.log(kinds)
     density = table.log_density.copy()
     if first >= 0:
         other = np.ones(density.shape[2], dtype=bool)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
-from micah_plan.learn.segmenting.held import Along, places_held
+from micah_plan.learn.segmenting.held import along_joint, places_held
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.motion import FEWEST_ACTED
 from micah_plan.learn.segmenting.noise import NoiseModel
@@ -41,10 +41,7 @@ def with_rests(found: Segmented, prior: LengthPrior, settings: LearnSettings) ->
     joints = [i for i in used if table.pool.moving[i]]
     if track.action is None or "rigid" not in settings.kinds or len(joints) != 1:
         return None
-    scales = table.pool.along.take(joints)
-    configuration = table.pool.seen.configuration[joints[0]]
-    noise = float((scales.white + scales.fast)[0]), float(scales.renewed[0])
-    inside = places_held(Along(configuration, track.action, *noise))
+    inside = places_held(along_joint(table.pool, joints[0], track.action))
     outside = np.asarray(rows.any(axis=0) & ~inside.any(axis=0))
     rests = refitted(["rigid"] * len(inside), inside, track, found.noise) if len(inside) else None
     if rests is None or outside.sum() < FEWEST_ACTED:
