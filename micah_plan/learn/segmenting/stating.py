@@ -36,17 +36,19 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     moving = table.pool.moving
     moves = [i for i in used if moving[i]]
     index = np.arange(len(moving))
-    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves)
+    of_kind = float(np.log(len(settings.kinds)))  # paid once, too, as in the answer
+    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves) + of_kind
     # As in the answer: for the rows that they explain, however few they were fitted to.
     explained = np.array([sum(p.end - p.start + 1.0 for p in pieces if p.hypothesis == one) for one in used])
-    paid = float(table.cost(np.array(used), explained, bool(moves)).sum()) + ANOTHER_JOINT * max(len(moves) - 1, 0)
+    paid = float(table.cost(np.array(used), explained, bool(moves)).sum()) + of_kind * len(used)
+    paid += ANOTHER_JOINT * max(len(moves) - 1, 0)
     cost[used] = 0.0
     worth = table.sums - cost[:, None, None]
     spare = ~moving
     spare[used] = False
     rests = worth[spare]
     if "rigid" in settings.kinds:
-        ends = rests_in_the_end(table, moves, found.track, found.noise, settings.rest)
+        ends = rests_in_the_end(table, moves, found.track, found.noise, settings.rest) - of_kind
         rests = np.concatenate([rests, ends])
     # Rests fitted to much the same rows are one rest, told by the best of them.
     worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
@@ -56,7 +58,7 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     # A part does not get from one rest to another without a motion.
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
     prior = prior_of_lengths(found.track, settings)
-    result = changepoint_posterior(worth, apart, prior, len(settings.kinds), len(pieces) - 1)
+    result = changepoint_posterior(worth, apart, prior, 1, len(pieces) - 1)
     return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
 
 
