@@ -26,7 +26,7 @@ _SLIPPED = 5.0  # stds by which a row misses both what follows and what is held:
 _LEAST_INFORMATION = 1e-6  # relative; in a direction of less, actions say nothing
 _SAME_PLACE = 0.03  # of the travel; rests at an end differ by what the end, the joint and the tracker give
 _FEWEST_STEPS = 2  # of a rest
-FEWEST_FOLLOWED = 8  # steps from which a channel is told
+_FEWEST_FOLLOWED = 8  # steps from which a channel is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def places_held(along: Along) -> Booleans:
     order = np.argsort(middle, kind="stable")
     apart = np.diff(middle[order]) > _SAME_PLACE * np.ptp(along.configuration)
     place = np.concatenate([[0], np.cumsum(apart)])
-    return np.array([rests[order[place == one]].any(axis=0) for one in range(place[-1] + 1)])
+    return np.array([rests[order[place == k]].any(axis=0) for k in range(place[-1] + 1)])
 
 
 def held_rows(along: Along) -> Booleans:
@@ -84,32 +84,32 @@ def held_steps(along: Along) -> Floats:
     followed = (asked & (np.abs(smooth) > _MOVED * typical)).astype(float)
     held = np.zeros(len(step))
     for _ in range(_ROUNDS):
-        if followed.sum() < FEWEST_FOLLOWED:
+        if followed.sum() < _FEWEST_FOLLOWED:
             return np.zeros(len(step))
         weighted = action * followed[:, None]
         gain = least_norm((weighted.T @ action)[None], (weighted.T @ step)[None], _LEAST_INFORMATION)[0]
-        told = action @ gain
-        left = float(followed @ (step - told) ** 2 / followed.sum())
-        before, held = held, _smoothed(along, told, max(left - 2 * along.white, 0.0))
+        expected = action @ gain
+        left = float(followed @ (step - expected) ** 2 / followed.sum())
+        before, held = held, _smoothed(along, expected, max(left - 2 * along.white, 0.0))
         followed = asked * (1 - held)
         if np.abs(held - before).max() < 0.01:
             break
     return held
 
 
-def _smoothed(along: Along, told: Floats, loose: float) -> Floats:
-    """(n - 1,) probability of being held, given the steps told (n - 1,) and the variance by which they are missed."""
-    measured, rows = along.configuration.tolist(), told.tolist()
+def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
+    """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance by which they are missed."""
+    measured, rows = along.configuration.tolist(), expected.tolist()
     mean, variance, chance = measured[0], along.white, 0.5
     odds = []
-    for seen, by_action in zip(measured[1:], rows, strict=True):
+    for value, by_action in zip(measured[1:], rows, strict=True):
         quiet = variance + along.drift
         # As loosely as it follows on average, by what is asked of it: nothing asked is nothing done.
         free = quiet + loose * min(1.0, by_action**2 / max(loose, 1e-30))
         total_held, total_free = quiet + along.white, free + along.white
-        miss_held, miss_free = seen - mean, seen - mean - by_action
+        miss_held, miss_free = value - mean, value - mean - by_action
         if miss_held**2 > _SLIPPED**2 * total_held and miss_free**2 > _SLIPPED**2 * total_free:
-            mean, variance = seen, along.white
+            mean, variance = value, along.white
             odds.append(0.0)
             continue
         tells = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
@@ -131,13 +131,13 @@ def _forward_backward(odds: Floats) -> Floats:
     likely = np.exp(odds / 2).tolist(), np.exp(-odds / 2).tolist()
     keeps, changes = 1 - _CHANGES, _CHANGES
     forward, chance = [], 0.5
-    for one, other in zip(*likely, strict=True):
+    for held, free in zip(*likely, strict=True):
         prior = chance * keeps + (1 - chance) * changes
-        chance = prior * one / (prior * one + (1 - prior) * other)
+        chance = prior * held / (prior * held + (1 - prior) * free)
         forward.append(chance)
     backward, later = [0.5], 0.5
-    for one, other in zip(likely[0][:0:-1], likely[1][:0:-1], strict=True):
-        a, b = later * one, (1 - later) * other
+    for held, free in zip(likely[0][:0:-1], likely[1][:0:-1], strict=True):
+        a, b = later * held, (1 - later) * free
         a, b = keeps * a + changes * b, changes * a + keeps * b
         later = a / (a + b)
         backward.append(later)
