@@ -98,7 +98,7 @@ def held_steps(along: Along) -> Floats:
 
 
 def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
-    """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance by which they are missed."""
+    """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance that they leave."""
     measured, rows = along.configuration.tolist(), expected.tolist()
     mean, variance, chance = measured[0], along.white, 0.5
     odds = []
