@@ -40,14 +40,11 @@ def commands(text: str) -> list[Command]:
     """The commands of a page's text, in their order."""
     of_page = []
     for block in _BLOCK.finditer(text):
-        with_output = block[1] == "console"
-        prompt = "$ " if with_output else ""
-        lines = re.finditer(rf"^{re.escape(prompt)}(micah-plan .*)\n((?:(?!\$ ).*\n)*)", block[2], flags=re.MULTILINE)
-        for match in lines:
-            output = match[2] if with_output else None
-            of_page.append(Command(match[1], output, block.start(2) + match.start(2)))
-            if not with_output:  # the lines below are commands too
-                of_page += [Command(line, None, 0) for line in match[2].splitlines() if line.startswith("micah-plan ")]
+        if block[1] == "bash":
+            of_page += [Command(line, None, 0) for line in block[2].splitlines() if line.startswith("micah-plan ")]
+            continue
+        for match in re.finditer(r"^\$ (micah-plan .*)\n((?:(?!\$ ).*\n)*)", block[2], flags=re.MULTILINE):
+            of_page.append(Command(match[1], match[2], block.start(2) + match.start(2)))
     return of_page
 
 

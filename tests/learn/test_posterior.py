@@ -181,7 +181,7 @@ def test_of_what_is_said_of_counts_so_much_is_true(reliability: ModuleType, orie
         assert abs((true - probability)[inside].sum()) < 3 * spread + 0.05 * inside.sum()
 
 
-def enumerated(log_density, cost, apart, prior: LengthPrior, kinds: int, most: int) -> tuple[np.ndarray, np.ndarray]:
+def enumerated(log_density, cost, apart, prior: LengthPrior, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Log weights (c, ...) of all segmentations with up to `most` segments: totals by count, and by count and row."""
     order, n, h = log_density.shape[0] - 1, *log_density.shape[1:]
     totals: list[list[float]] = [[] for _ in range(most)]
@@ -195,7 +195,7 @@ def enumerated(log_density, cost, apart, prior: LengthPrior, kinds: int, most: i
                     length = stop - start
                     weight += float(prior.log_survival(length - 1) if stop == n else prior.log_probability(length))
                     weight += sum(log_density[min(t - start, order), t, used[j]] for t in range(start, stop))
-                    weight -= cost[used[j]] + np.log(kinds)
+                    weight -= cost[used[j]]
                     weight -= apart[used[j - 1], used[j]] if j else 0.0
                 totals[m - 1].append(weight)
                 for j, cut in enumerate(cuts):
@@ -220,9 +220,9 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     np.fill_diagonal(apart, np.inf)
     worth = table.sums - cost[:, None, None]
     for changepoints in (0, 1, 2):
-        found: ChangepointPosterior = changepoint_posterior(worth, apart, prior, 4, changepoints)
+        found: ChangepointPosterior = changepoint_posterior(worth, apart, prior, changepoints)
         most = len(found.counts)
-        totals, rows = enumerated(table.log_density, cost, apart, prior, 4, most)
+        totals, rows = enumerated(table.log_density, cost, apart, prior, most)
         assert found.log_evidence == pytest.approx(logsumexp(totals))
         np.testing.assert_allclose(found.counts, np.exp(totals - logsumexp(totals)), atol=1e-10)
         expected = np.exp(rows[changepoints, :changepoints] - totals[changepoints])
@@ -246,28 +246,35 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
         assert told == pytest.approx(answer.log_probability, abs=1e-6)
 
 
-def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take_over() -> None:
-    """Not only at the likeliest: every place written out, for two joints and for a return to the first."""
+@pytest.mark.parametrize("returns", [False, True])
+def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take_over(returns: bool) -> None:
+    """Not only at the likeliest: every place written out, for two joints and for a return to the first.
+
+    The choice of a kind is paid for once per joint, not each time that the part returns to it.
+    """
     turn = recorded([(JOINTS["revolute"], np.linspace(0, 1, 9))], np.random.default_rng(1)).position
     slide = recorded([(JOINTS["prismatic"], np.linspace(0, 0.3, 7))], np.random.default_rng(1)).position
-    recording = recorded([(JOINTS["prismatic"], np.zeros(16))], np.random.default_rng(1))
-    recording = replace(recording, position=np.concatenate([turn, turn[-1] + slide]))
+    there = np.concatenate([turn, turn[-1] + slide])
+    position = np.concatenate([there, there[::-1]]) if returns else there
+    recording = recorded([(JOINTS["prismatic"], np.zeros(len(position)))], np.random.default_rng(1))
+    recording = replace(recording, position=position)
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings()
     noise, prior, n = first_noise(track, settings), prior_of_lengths(track, settings), len(track)
     joints = ["revolute", "prismatic"]
-    used = np.array([np.arange(n) < 9, np.arange(n) >= 9])
+    turning = (np.arange(n) < 9) | (np.arange(n) >= 23)
+    used = np.array([turning, ~turning])
     table = tabulated(refitted(joints, used, track, noise), track, noise, settings.rest, 0.5)
     answer = shared(table, [0, 1], prior, settings)
     order = [piece.hypothesis for piece in answer.pieces]
-    assert len(order) > 1
+    assert len(order) == 2 + returns
     weights = []
     for cuts in itertools.combinations(range(1, n), len(order) - 1):
         pieces = list(zip((0, *cuts), (*cuts, n), order, strict=True))
         lengths = [float(prior.log_probability(b - a)) for a, b, _ in pieces[:-1]]
         lengths.append(float(prior.log_survival(n - pieces[-1][0] - 1)))
         rows = [float(table.sums[one, a, b - 1]) for a, b, one in pieces]
-        weights.append(sum(lengths) + sum(rows) - len(order) * np.log(len(settings.kinds)))
+        weights.append(sum(lengths) + sum(rows) - 2 * np.log(len(settings.kinds)))
     explained = np.array([float(sum(p.end - p.start + 1 for p in answer.pieces if p.hypothesis == i)) for i in (0, 1)])
     paid = float(table.cost(np.arange(2), explained).sum()) + ANOTHER_JOINT
     assert answer.log_probability == pytest.approx(logsumexp(weights) - paid, abs=1e-9)

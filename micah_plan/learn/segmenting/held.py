@@ -99,48 +99,40 @@ def held_steps(along: Along) -> Floats:
 
 def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
     """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance that they leave."""
-    measured, rows = along.configuration.tolist(), expected.tolist()
+    measured = along.configuration.tolist()
     mean, variance, chance = measured[0], along.white, 0.5
-    odds = []
-    for value, by_action in zip(measured[1:], rows, strict=True):
+    forward, odds = [], []
+    for value, by_action in zip(measured[1:], expected.tolist(), strict=True):
+        chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
         quiet = variance + along.drift
         # As loosely as it follows on average, by what is asked of it: nothing asked is nothing done.
-        free = quiet + loose * min(1.0, by_action**2 / max(loose, 1e-30))
+        free = quiet + min(loose, by_action**2)
         total_held, total_free = quiet + along.white, free + along.white
         miss_held, miss_free = value - mean, value - mean - by_action
-        if miss_held**2 > _SLIPPED**2 * total_held and miss_free**2 > _SLIPPED**2 * total_free:
-            mean, variance = value, along.white
-            odds.append(0.0)
-            continue
-        tells = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
-        tells = min(max(tells, -_FARTHEST), _FARTHEST)
-        odds.append(tells)
-        prior = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
-        share = prior / (prior + (1 - prior) * exp(-tells))
-        kept_held, kept_free = quiet / total_held, free / total_free
-        mean_held, mean_free = mean + kept_held * miss_held, mean + by_action + kept_free * miss_free
-        mean_new = share * mean_held + (1 - share) * mean_free
-        variance = share * (quiet * (1 - kept_held) + (mean_held - mean_new) ** 2)
-        variance += (1 - share) * (free * (1 - kept_free) + (mean_free - mean_new) ** 2)
-        mean, chance = mean_new, share
-    return _forward_backward(np.array(odds))
-
-
-def _forward_backward(odds: Floats) -> Floats:
-    """(k,) probability of the first of two states that rarely change, from log odds of what is seen in each step."""
-    likely = np.exp(odds / 2).tolist(), np.exp(-odds / 2).tolist()
-    keeps, changes = 1 - _CHANGES, _CHANGES
-    forward, chance = [], 0.5
-    for held, free in zip(*likely, strict=True):
-        prior = chance * keeps + (1 - chance) * changes
-        chance = prior * held / (prior * held + (1 - prior) * free)
+        if min(miss_held**2 / total_held, miss_free**2 / total_free) > _SLIPPED**2:
+            mean, variance, tells = value, along.white, 0.0
+        else:
+            tells = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
+            tells = min(max(tells, -_FARTHEST), _FARTHEST)
+            chance = chance / (chance + (1 - chance) * exp(-tells))
+            kept_held, kept_free = quiet / total_held, free / total_free
+            mean_held, mean_free = mean + kept_held * miss_held, mean + by_action + kept_free * miss_free
+            mean = chance * mean_held + (1 - chance) * mean_free
+            variance = chance * (quiet * (1 - kept_held) + (mean_held - mean) ** 2)
+            variance += (1 - chance) * (free * (1 - kept_free) + (mean_free - mean) ** 2)
         forward.append(chance)
-    backward, later = [0.5], 0.5
-    for held, free in zip(likely[0][:0:-1], likely[1][:0:-1], strict=True):
-        a, b = later * held, (1 - later) * free
-        a, b = keeps * a + changes * b, changes * a + keeps * b
-        later = a / (a + b)
-        backward.append(later)
-    ahead, behind = np.array(forward), np.array(backward[::-1])
+        odds.append(tells)
+    ahead, behind = np.array(forward), _from_later(odds)
     together = ahead * behind
     return np.asarray(together / (together + (1 - ahead) * (1 - behind)))
+
+
+def _from_later(odds: list[float]) -> Floats:
+    """(k,) probability that a part is held in each step, by the later ones alone, from what each tells [nats]."""
+    chance = 0.5
+    backward = [chance]
+    for tells in odds[:0:-1]:
+        chance = chance / (chance + (1 - chance) * exp(-tells))
+        chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
+        backward.append(chance)
+    return np.array(backward[::-1])

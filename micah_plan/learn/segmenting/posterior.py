@@ -41,9 +41,7 @@ def without_changepoints(found: ChangepointPosterior, probability: float) -> Cha
     return replace(found, counts=counts, changepoint=(1 - probability) * found.changepoint)
 
 
-def changepoint_posterior(
-    worth: Floats, apart: Floats, prior: LengthPrior, kinds: int, changepoints: int
-) -> ChangepointPosterior:
+def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, changepoints: int) -> ChangepointPosterior:
     """Sum over segmentations with up to a few more changepoints than the most probable one.
 
     Args:
@@ -51,7 +49,6 @@ def changepoint_posterior(
             [nats].
         apart: (h, h) what it costs that a segment of one hypothesis is followed by one of another; inf if it cannot.
         prior: of segment lengths.
-        kinds: number of candidate kinds.
         changepoints: c, of the most probable segmentation.
     """
     n = worth.shape[1]
@@ -59,8 +56,8 @@ def changepoint_posterior(
     every = np.arange(1, n + 1)
     lengths = np.arange(n)[None] - np.arange(n)[:, None]
     of_length = np.where(lengths >= 0, prior.log_probability(every)[np.maximum(lengths, 0)], -np.inf)
-    inner = worth - np.log(kinds) + of_length
-    last = worth[:, :, -1] - np.log(kinds) + prior.log_survival(every - 1)[::-1]
+    inner = worth + of_length
+    last = worth[:, :, -1] + prior.log_survival(every - 1)[::-1]
     best_before = reached(inner)
     # Everything is counted relative to the best segments before a row: sums are products of matrices then, and what is
     # too small for a number is too small to matter.

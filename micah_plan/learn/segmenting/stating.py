@@ -58,7 +58,7 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     # A part does not get from one rest to another without a motion.
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
     prior = prior_of_lengths(found.track, settings)
-    result = changepoint_posterior(worth, apart, prior, 1, len(pieces) - 1)
+    result = changepoint_posterior(worth, apart, prior, len(pieces) - 1)
     return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
 
 

@@ -34,21 +34,24 @@ _LONGEST = 0.6  # of the rows
 def with_rests(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented | None:
     """The most probable segments if the part was held wherever the actions say that it was, on its one moving joint.
 
-    None if they say so nowhere, or if not one joint moves the part.
+    Rests that there are already stay among those to choose from. None if the actions say so nowhere, or if not one
+    joint moves the part.
     """
     table, track = found.table, found.track
     used, rows = rows_of_joints(found)
     joints = [i for i in used if table.pool.moving[i]]
+    rests = [i for i in used if not table.pool.moving[i]]
     if track.action is None or "rigid" not in settings.kinds or len(joints) != 1:
         return None
     inside = places_held(along_joint(table.pool, joints[0], track.action))
-    outside = np.asarray(rows.any(axis=0) & ~inside.any(axis=0))
-    rests = refitted(["rigid"] * len(inside), inside, track, found.noise) if len(inside) else None
-    if rests is None or outside.sum() < FEWEST_ACTED:
+    outside = rows[[used.index(joints[0])]] & ~inside.any(axis=0)
+    if not len(inside) or outside.sum() < FEWEST_ACTED:
         return None
-    alike = Hypotheses(table.pool.hypotheses.joints.take(joints), outside[None])
-    tried = tabulated(alike.joined(rests), track, found.noise, settings.rest, table.trust)
-    return replace(found, table=tried, segmentation=few(tried, list(range(len(rests) + 1)), prior, settings))
+    pool = Hypotheses(table.pool.hypotheses.joints.take(joints), outside)
+    pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, found.noise))
+    pool = pool.joined(table.pool.hypotheses.take(rests))
+    tried = tabulated(pool, track, found.noise, settings.rest, table.trust)
+    return replace(found, table=tried, segmentation=few(tried, list(range(len(pool))), prior, settings))
 
 
 def rests_in_the_end(
