@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -151,8 +152,15 @@ def _cycle(edges: Mapping[str, set[str]]) -> list[str]:
     return []
 
 
-TREES = _sources(PACKAGE)
-EDGES = _edges(TREES)
+@cache
+def _trees() -> Mapping[str, ast.Module]:
+    """Of the package: parsed by the process that runs these tests, not by all that collect them."""
+    return _sources(PACKAGE)
+
+
+@cache
+def _imports() -> Mapping[str, set[str]]:
+    return _edges(_trees())
 
 
 def test_the_tools_of_this_file_see_cycles_hidden_in_functions_but_not_those_of_types(tmp_path: Path) -> None:
@@ -168,16 +176,17 @@ def test_the_tools_of_this_file_see_cycles_hidden_in_functions_but_not_those_of_
 
 
 def test_every_imported_module_of_the_package_exists() -> None:
-    assert {name: targets - TREES.keys() for name, targets in EDGES.items() if targets - TREES.keys()} == {}
+    unknown = {name: targets - _trees().keys() for name, targets in _imports().items()}
+    assert {name: targets for name, targets in unknown.items() if targets} == {}
 
 
 def test_no_import_cycle() -> None:
-    assert not _cycle(EDGES)
+    assert not _cycle(_imports())
 
 
 def test_imports_only_go_down_the_layers() -> None:
     wrong = []
-    for module, targets in EDGES.items():
+    for module, targets in _imports().items():
         if not module:  # the package itself is a shop window over all layers; cycles through it are found above
             continue
         level, entry = _layer(module)
@@ -191,7 +200,7 @@ def test_imports_only_go_down_the_layers() -> None:
 @pytest.mark.parametrize("library", IMPORTERS)
 def test_each_heavy_library_has_one_importer(library: str) -> None:
     allowed, one_file = IMPORTERS[library]
-    users = {module for module, tree in TREES.items() if library in {name.split(".")[0] for name in _imported(tree)}}
+    users = {module for module, tree in _trees().items() if library in {name.split(".")[0] for name in _imported(tree)}}
     assert not {module for module in users if not module.startswith(allowed)}
     assert not one_file or len(users) <= 1
 
@@ -199,7 +208,7 @@ def test_each_heavy_library_has_one_importer(library: str) -> None:
 def test_only_the_command_line_loads_code_that_is_not_the_packages() -> None:
     """Above everything that reads files: no problem, sweep or plan can have code loaded."""
     loaders = {"spec_from_file_location", "entry_points", "run_path", "SourceFileLoader"}
-    users = {module for module, tree in TREES.items() if loaders & {n.rpartition(".")[2] for n in _imported(tree)}}
+    users = {module for module, tree in _trees().items() if loaders & {n.rpartition(".")[2] for n in _imported(tree)}}
     assert users == {"cli.own_plant"}
 
 
@@ -242,14 +251,16 @@ def test_the_package_imports_without_any_heavy_library() -> None:
 
 
 def test_the_lower_layers_import_without_any_heavy_library() -> None:
-    light = [module for module in TREES if any(module == name or module.startswith(f"{name}.") for name in LIGHT)]
+    light = [module for module in _trees() if any(module == name or module.startswith(f"{name}.") for name in LIGHT)]
     assert len(light) > len(LIGHT)
     assert _import_without(SLOW_TO_LOAD, [_full(module) for module in light]) == ""
 
 
 def test_all_but_one_file_imports_without_the_extra_for_simulation() -> None:
-    users = {module for module, tree in TREES.items() if "mujoco" in {name.split(".")[0] for name in _imported(tree)}}
-    assert _import_without(("mujoco",), [_full(module) for module in TREES if module not in users]) == ""
+    users = {
+        module for module, tree in _trees().items() if "mujoco" in {name.split(".")[0] for name in _imported(tree)}
+    }
+    assert _import_without(("mujoco",), [_full(module) for module in _trees() if module not in users]) == ""
 
 
 def test_importing_the_package_loads_few_modules() -> None:
@@ -336,7 +347,7 @@ def test_no_function_is_over_60_lines(repository: Path) -> None:
 def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) -> None:
     pages = "\n".join(page.read_text(encoding="utf-8") for page in (repository / "docs" / "reference").glob("*.md"))
     documented = {line.removeprefix("::: ").strip() for line in pages.splitlines() if line.startswith("::: ")}
-    top = {_full(module.split(".")[0]) for module in TREES if module not in {"", "__main__"}}
+    top = {_full(module.split(".")[0]) for module in _trees() if module not in {"", "__main__"}}
     assert {
         name for name in top if name not in documented and not any(d.startswith(f"{name}.") for d in documented)
     } == set()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.link_motion import link_motions
+from micah_plan.automaton.region import box
 
 SLIDE, TURN = 0.3, 0.9
 
@@ -65,3 +68,14 @@ def test_tangents_are_derivatives_of_poses():
     c = np.array([0.1, 0.29, 0.31, 1.0])
     change = path.poses(c + 1e-6).translation - path.poses(c - 1e-6).translation
     assert path.tangents(c)[:, 3:] == pytest.approx(change / 2e-6, abs=1e-6)
+
+
+def test_joints_whose_ranges_meet_but_for_round_off_follow_each_other():
+    slide = prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    arc = revolute((0.0, 0.0, 1.0), (SLIDE, -0.5, 0.0), (SLIDE, 0.0, 0.0))
+    parts = (segment(slide, 0.0, SLIDE, 0), segment(arc, SLIDE, SLIDE + TURN, 10))
+    automaton = build_automaton(KinematicGraph((KinematicEdge(BASE, "drawer", parts),)))
+    first, second = automaton.modes
+    longer = replace(first, invariant=box([0.0], [SLIDE + 1e-9], 1, ["drawer"]))
+    (path,) = link_motions(replace(automaton, modes=(longer, second)))
+    assert [joint.kind for joint in path.joints] == ["prismatic", "revolute"]

@@ -9,6 +9,8 @@ import pytest
 from planning_examples import door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 from scipy.linalg import solve_discrete_are
 
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.region import HalfSpace, Region, input_above
 from micah_plan.planning.feedback import belief_lqr, feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of
@@ -64,6 +66,12 @@ def test_max_step_from_settings_then_inputs_then_range() -> None:
     assert limits_of(with_settings(door, max_step=(0.02,))).max_step == pytest.approx(0.02)
     assert limits_of(door).max_step == pytest.approx(0.06)
     assert limits_of(drawer).max_step == pytest.approx(0.35 / 20)
+
+
+def test_a_step_beyond_a_saturation_is_not_used() -> None:
+    drawer = drawer_problem(0.0, 0.3)
+    held = with_effect(drawer.automaton, Effect("saturation", "drawer", (("largest", 0.01),)))
+    assert limits_of(replace(drawer, automaton=held)).max_step == pytest.approx(0.01)
 
 
 def test_limited_input_respects_step_and_admissible_inputs() -> None:
