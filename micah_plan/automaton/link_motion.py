@@ -23,6 +23,9 @@ from micah_plan.automaton.memo import memoised
 # Lever arm about which nothing can turn [m].
 _NO_LEVER = 1e-6
 _SAME = 1e-6
+_TURN = 2.0 * np.pi
+# Of a turn: what a run may lie beyond its range by noise, or because the range is shorter than what the part can do.
+_BESIDE = 0.25
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,12 @@ class LinkMotion:
     Attributes:
         joints: in order of configuration.
         ends: (low, high) of each [rad or m]; the first has no lower end and the last no upper end.
+        range: (low, high) that modes let the configuration have [rad or m]; infinite where nothing ends it.
     """
 
     joints: tuple[Joint, ...]
     ends: tuple[tuple[float, float], ...]
+    range: tuple[float, float]
 
     def number(self, c: Floats) -> Ints:
         """(k,) which joint governs the configurations c (k,)."""
@@ -58,10 +63,15 @@ class LinkMotion:
         every = np.stack([jacobian(joint, c) for joint in self.joints])
         return np.asarray(every[self.number(c), np.arange(len(c))])
 
-    def configurations(self, position: Floats, rotation: Rotation | None) -> Floats:
-        """(k,) configurations closest to measured poses: positions (k, 3) [m] and orientations."""
+    def configurations(self, position: Floats, rotation: Rotation | None, near: Floats | None = None) -> Floats:
+        """(k,) configurations closest to the measured poses of one run: positions (k, 3) [m] and orientations.
+
+        Args:
+            near: (k,) configurations to choose whole turns by, where they are known; else the range and the rows before
+                tell them.
+        """
         if len(self.joints) == 1:
-            return np.asarray(inverse(self.joints[0], position, rotation))
+            return self._turned(self.joints[0], position, rotation, near)
         tried, misses = [], []
         for joint, (low, high) in zip(self.joints, self.ends, strict=True):
             c = np.clip(self._on(joint, low, high, position, rotation), low, high)
@@ -114,6 +124,23 @@ class LinkMotion:
             best, missed = np.where(better, there - c, best), np.where(better, away, missed)
         return best
 
+    def _turned(self, joint: Joint, position: Floats, rotation: Rotation | None, near: Floats | None) -> Floats:
+        """Configurations of a run along a single joint.
+
+        A pose of a hinge belongs to many configurations, whole turns apart. Of a range shorter than a turn, one of them
+        is in it or nearest to it; in a longer one each row goes on from the row before, in the turn closest to the
+        first pose's that keeps the run in the range.
+        """
+        low, high = self.range
+        if joint.kind != "revolute" or near is not None or not len(position):
+            return inverse(joint, position, rotation, near=near)
+        if high - low < _TURN:
+            return self._on(joint, low, high, position, rotation)
+        own = np.unwrap(inverse(joint, position, rotation))
+        least, most = (low - own.min()) / _TURN - _BESIDE, (high - own.max()) / _TURN + _BESIDE
+        turns = np.clip(0.0, np.ceil(least), np.floor(most)) if least <= most else np.round(0.5 * (least + most))
+        return np.asarray(own + _TURN * turns)
+
     def _on(self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None) -> Floats:
         """Configurations along one joint, whole turns counted from the middle of its range."""
         known = [end for end in (low, high) if np.isfinite(end)]
@@ -129,19 +156,20 @@ def link_motions(automaton: HybridAutomaton) -> tuple[LinkMotion, ...]:
 def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
     coordinate = automaton.links[number].coordinate
     found: dict[Joint, tuple[float, float]] = {}
-    for mode in automaton.modes:
+    intervals = [mode.interval(coordinate) for mode in automaton.modes]
+    whole = min(low for low, _ in intervals), max(high for _, high in intervals)
+    for mode, (low, high) in zip(automaton.modes, intervals, strict=True):
         joint = mode.joints[number]
         if joint.moves:
-            low, high = mode.interval(coordinate)
             before = found.get(joint, (low, high))
             found[joint] = min(before[0], low), max(before[1], high)
     order = sorted(found.items(), key=lambda item: item[1])
     follow = all(a[1][1] <= b[1][0] + _SAME for a, b in pairwise(order))
     if len(order) < 2 or not follow:
         # Modes with joints of their own over the same range do not follow each other: the first that moves measures.
-        return LinkMotion((automaton.moving_joint(number),), ((-np.inf, np.inf),))
+        return LinkMotion((automaton.moving_joint(number),), ((-np.inf, np.inf),), whole)
     ends = [-np.inf, *(0.5 * (a[1][1] + b[1][0]) for a, b in pairwise(order)), np.inf]
-    return LinkMotion(tuple(joint for joint, _ in order), tuple(pairwise(ends)))
+    return LinkMotion(tuple(joint for joint, _ in order), tuple(pairwise(ends)), whole)
 
 
 def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:

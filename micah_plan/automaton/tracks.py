@@ -116,7 +116,7 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
             )
     named = dict(zip(names, by_link, strict=True))
     relative, position, quaternion, x = _seen(automaton, named)
-    since, believed = time - time[:1], _believed(automaton, named)
+    since, believed = time - time[:1], _believed(automaton, named, x)
     if is_outside and believed is not None:
         believed = read_by_sensors(automaton, believed, since)
     else:
@@ -129,18 +129,22 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
 
 
 def _seen(
-    automaton: HybridAutomaton, named: dict[str, Recording]
+    automaton: HybridAutomaton, named: dict[str, Recording], near: Floats | None = None
 ) -> tuple[list[Recording], Floats, Floats | None, Floats]:
     """Each link's rows relative to its parent, their positions and quaternions, and the configurations they show."""
     relative = [_relative(named, link) for link in automaton.links]
     position = np.stack([r.position for r in relative], axis=1)
     quaternions = [r.quaternion for r in relative if r.quaternion is not None]
     quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
-    return relative, position, quaternion, configurations(automaton, position, quaternion)
+    return relative, position, quaternion, configurations(automaton, position, quaternion, near)
 
 
-def _believed(automaton: HybridAutomaton, named: dict[str, Recording]) -> Floats | None:
-    """(T, n) configurations that the controller believed, NaN where a pose is missing; None if all are."""
+def _believed(automaton: HybridAutomaton, named: dict[str, Recording], x: Floats) -> Floats | None:
+    """(T, n) configurations that the controller believed, NaN where a pose is missing; None if all are.
+
+    Args:
+        x: (T, n) measured ones, in whose turn believed ones are.
+    """
     poses = {name: part.believed() for name, part in named.items()}
     told = {name: part for name, part in poses.items() if part is not None}
     if len(told) < len(poses):
@@ -149,7 +153,7 @@ def _believed(automaton: HybridAutomaton, named: dict[str, Recording]) -> Floats
     if not is_known.any():
         return None
     found = np.full((len(is_known), automaton.n), np.nan)
-    found[is_known] = _seen(automaton, {name: part.rows(is_known) for name, part in told.items()})[3]
+    found[is_known] = _seen(automaton, {name: part.rows(is_known) for name, part in told.items()}, x[is_known])[3]
     return found
 
 
@@ -213,12 +217,19 @@ def _relative_actions(
     return np.stack(actions, axis=1)
 
 
-def configurations(automaton: HybridAutomaton, position: Floats, quaternion: Floats | None) -> Floats:
-    """(T, n) configurations of measured poses: position (T, l, 3) [m] and quaternion (T, l, 4) per link."""
+def configurations(
+    automaton: HybridAutomaton, position: Floats, quaternion: Floats | None, near: Floats | None = None
+) -> Floats:
+    """(T, n) configurations of the measured poses of one run: position (T, l, 3) [m], quaternion (T, l, 4) per link.
+
+    Args:
+        near: (T, n) configurations to choose the whole turns of hinges by; None: the range and the run tell them.
+    """
     x = np.zeros((len(position), automaton.n))
     for number, link in measuring_links(automaton):
         rotation = None if quaternion is None else Rotation.from_quat(quaternion[:, number])
-        x[:, link.coordinate] = link_motions(automaton)[number].configurations(position[:, number], rotation)
+        turns = None if near is None else near[:, link.coordinate]
+        x[:, link.coordinate] = link_motions(automaton)[number].configurations(position[:, number], rotation, turns)
     return x
 
 

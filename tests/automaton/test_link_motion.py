@@ -14,7 +14,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.link_motion import link_motions
-from micah_plan.automaton.region import box
+from micah_plan.automaton.region import Region, above, below, box
 
 SLIDE, TURN = 0.3, 0.9
 
@@ -79,3 +79,54 @@ def test_joints_whose_ranges_meet_but_for_round_off_follow_each_other():
     longer = replace(first, invariant=box([0.0], [SLIDE + 1e-9], 1, ["drawer"]))
     (path,) = link_motions(replace(automaton, modes=(longer, second)))
     assert [joint.kind for joint in path.joints] == ["prismatic", "revolute"]
+
+
+def hinge(low, high):
+    """How a part turns about a hinge between `low` and `high`, infinite where nothing ends it."""
+    turn = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
+    automaton = build_automaton(KinematicGraph((KinematicEdge(BASE, "lid", (segment(turn, 0.0, 1.0, 0),)),)))
+    ends = [one for one in ((above, low), (below, high)) if np.isfinite(one[1])]
+    region = Region(tuple(side(0, end, 1, 1, name="lid") for side, end in ends))
+    (mode,) = automaton.modes
+    (motion,) = link_motions(replace(automaton, modes=(replace(mode, invariant=region),), edges=()))
+    return motion
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "start", "end"),
+    [
+        (0.0, 1.2, 1.2, 0.0),
+        (0.0, 3.9, 0.0, 3.9),
+        (0.0, 3.9, 3.9, 3.3),  # begins beyond half a turn
+        (-4.0, 0.0, -3.5, -0.1),
+        (0.0, 20.0, 0.0, 20.0),
+        (-20.0, 0.0, 0.0, -19.0),
+        (0.0, 20.0, 19.0, 0.5),  # only one turn keeps all of it in the range
+        (2.0, 30.0, 2.5, 11.0),
+        (0.0, np.inf, 0.2, 40.0),
+        (-np.inf, 3.0, 2.0, -9.0),
+        (-np.inf, np.inf, -1.0, 17.0),
+    ],
+)
+@pytest.mark.parametrize("with_rotation", [True, False])
+def test_a_run_of_a_hinge_goes_on_from_row_to_row_whatever_its_range(low, high, start, end, with_rotation):
+    path, c = hinge(low, high), np.linspace(start, end, 60)
+    there_and_back = np.concatenate([c, c[::-1]])
+    seen = there_and_back + 0.003 * np.sin(17.0 * np.arange(120))  # beyond an end by noise
+    poses = path.poses(seen)
+    assert path.configurations(poses.translation, poses.rotation if with_rotation else None) == pytest.approx(seen)
+
+
+def test_a_row_that_was_read_wrongly_does_not_turn_those_after_it_where_the_range_is_short():
+    path, c = hinge(0.0, 3.9), np.linspace(0.0, 3.8, 50)
+    c[20] += 3.0
+    assert np.delete(path.configurations(path.poses(c).translation, None) - c, 20) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_turns_that_are_known_from_elsewhere_are_kept():
+    path, c = hinge(0.0, 40.0), np.linspace(14.0, 16.0, 20)
+    assert path.configurations(path.poses(c).translation, None, c + 0.5) == pytest.approx(c)
+
+
+def test_no_rows_have_no_configurations():
+    assert hinge(0.0, 40.0).configurations(np.zeros((0, 3)), None).shape == (0,)
