@@ -18,7 +18,6 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
-from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun
@@ -29,7 +28,7 @@ from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of, sw
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.short_runs import cut_into_runs, one_after_another
-from micah_plan.learn.track import PartTrack, part_track
+from micah_plan.learn.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.value import Recording
 
 Progress = Callable[[str, float], None]

@@ -24,7 +24,6 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.actions.channel import with_delayed_actions
-from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.onward_run import KnownJoint, LearnedWindow, OpenState, first_window, learn_onward
 from micah_plan.learn.row_window import RowWindow, WindowRows
 from micah_plan.learn.run import LearnedRun
@@ -32,7 +31,7 @@ from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import Usual
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, sweeps_of
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learn.track import PartTrack, measured_track
+from micah_plan.learn.track import PartTrack, find_inliers, measured_track
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 Method = Literal["champ", "act-champ"]

@@ -12,7 +12,6 @@ from micah_plan.automaton.certainty import RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.joint_arrays import arrays_of
 from micah_plan.learn.row_window import WindowRows
 from micah_plan.learn.run import LearnedRun, fitted_pieces
@@ -23,6 +22,7 @@ from micah_plan.learn.segmenting.stating import kind_probabilities
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.segments import FittedPiece, chained, to_segment
 from micah_plan.learn.settings import LearnSettings
+from micah_plan.learn.track import find_inliers
 
 Kinds = tuple[tuple[JointKind, float], ...]
 

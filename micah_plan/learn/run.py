@@ -12,7 +12,6 @@ from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
@@ -24,7 +23,7 @@ from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import PartTrack
+from micah_plan.learn.track import PartTrack, find_inliers
 
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.learn.inliers import find_inliers
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.spread import bends, extent, white_std
-from micah_plan.learn.track import PartTrack, part_track
+from micah_plan.learn.track import PartTrack, find_inliers, part_track
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 

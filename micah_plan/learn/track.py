@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.settings import FEWEST_ROWS
+from micah_plan.recording.continuity import continuity
 from micah_plan.recording.value import Recording
 
 
@@ -86,6 +87,11 @@ class PartTrack:
             both(self.quaternion, other.quaternion),
             both(self.action, other.action),
         )
+
+
+def find_inliers(track: PartTrack) -> Booleans:
+    """(n,) rows that are measurements of one continuous motion: neither repeated nor where the part cannot get."""
+    return continuity(track.time, track.position, track.quaternion, track.action).is_measured
 
 
 def part_track(recording: Recording, run: int, part: str) -> PartTrack:

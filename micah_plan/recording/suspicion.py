@@ -8,7 +8,7 @@ Rules, each of them with what it cannot see:
   that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
   its rows, so that outliers do not count), or is farther than `FARTHEST_M` from the origin in most rows, was probably
   given in millimetres. A part that moves by less than 20 mm close to the origin does not show it.
-- **Outliers.** A row farther than `LARGEST_EXTENT_M` from where its part is in the middle of its rows was not measured.
+- **Continuity.** Rows that are no measurements of one continuous motion, see `breaks`.
 - **Actions.** A hand that is told to move more than `LARGEST_ACTION_M` per row, and a hundred times as far as the part
   moves (90 % of the rows each), was probably told millimetres. Parts that move less than 0.3 mm per row do not show it.
 - **Gaps.** One row more than `LONGEST_GAP_S` after the one before, in the same run, is a clock that was set or two
@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import percent, quantity
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.value import Recording
 
 LARGEST_EXTENT_M = 20.0
@@ -54,9 +55,9 @@ def suspicions(recording: Recording) -> tuple[str, ...]:
     found: list[str] = []
     for part in recording.parts:
         rows = recording.select(part=part)
-        lines = (_length(rows, part) or _outlier(rows, part), _actions(rows, part), _quaternion(rows, part))
+        lines = (_length(rows, part), _actions(rows, part), _quaternion(rows, part))
         found += [line for line in lines if line]
-    return (*found, *([line] if (line := _time(recording)) else []))
+    return (*found, *breaks(recording), *([line] if (line := _time(recording)) else []))
 
 
 def _length(rows: Recording, part: str) -> str:
@@ -69,17 +70,6 @@ def _length(rows: Recording, part: str) -> str:
     else:
         return ""
     return f"{seen}; positions and actions are in m: are these millimetres? then divide x,y,z (and ax,ay,az) by 1000"
-
-
-def _outlier(rows: Recording, part: str) -> str:
-    distance = np.linalg.norm(rows.position - np.median(rows.position, axis=0), axis=1)
-    far = np.flatnonzero(distance > LARGEST_EXTENT_M)
-    if not len(far) or len(rows) < _FEWEST_ROWS:
-        return ""
-    first = int(far[0])
-    others = f" (and in {len(far) - 1} more rows)" if len(far) > 1 else ""
-    seen = f"part '{part}' is {quantity(float(distance[first]), 'm')} away from its other rows"
-    return f"{seen} at t = {rows.time[first]:g}{others}; was it lost by the tracker? then remove the row"
 
 
 def _actions(rows: Recording, part: str) -> str:

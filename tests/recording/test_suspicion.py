@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.suspicion import suspicions
 from micah_plan.recording.value import Recording
@@ -75,14 +76,14 @@ def test_outliers_alone_are_no_unit() -> None:
     position = door().position.copy()
     position[::10] += 500.0
     (line,) = suspicions(replace(door(), position=position, quaternion=None))
-    assert line.startswith("part 'part' is 866 m away from its other rows at t = 0 (and in 7 more rows); was it lost")
+    assert line.startswith("part 'part' is 866 m away in row 0 (t = 0 s) (and in 7 more pieces), where it cannot get")
 
 
 def test_one_row_far_away_is_told_with_its_time() -> None:
     position = door().position.copy()
     position[40, 1] += 100.0
     (line,) = suspicions(replace(door(), position=position, quaternion=None))
-    assert line.startswith("part 'part' is 100 m away from its other rows at t = 4.05063; was it lost by the tracker?")
+    assert line.startswith("part 'part' is 100 m away in row 40 (t = 4.051 s), and comes back: was it lost by the")
 
 
 def with_actions(factor: float) -> Recording:
@@ -170,10 +171,15 @@ def recordings_in(folder: Path) -> list[Recording]:
 
 
 def test_measured_recordings_are_as_they_should_be(shared_data: Path, repository: Path) -> None:
-    """No false alarm on any real recording, and each of them would be noticed in millimetres."""
+    """No false alarm on any real recording, and each of them would be noticed in millimetres.
+
+    The tags of the kitchen's videos do flip and get lost, which is told and is all that is.
+    """
+    filmed = recordings_in(shared_data / "tracks" / "kitchen")
     found = recordings_in(shared_data) + recordings_in(repository / "examples" / "demonstrations")
     assert len(found) > 30
-    assert {line for recording in found for line in suspicions(recording)} == set()
+    of_films = {line for recording in filmed for line in breaks(recording)}
+    assert {line for recording in found for line in suspicions(recording)} == of_films
     assert all(any("millimetres" in line for line in suspicions(in_millimetres(recording))) for recording in found)
 
 

@@ -1,0 +1,141 @@
+"""What is told of rows that are no measurements of one continuous motion, see `continuity`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from micah_plan.quantities import count, quantity
+from micah_plan.recording.continuity import FLOORS, Continuity, away, continuity_of, stretches
+from micah_plan.recording.value import Recording
+
+_FEW, _RARE = 3, 0.05
+"""Repeats of so few rows at a time, that are so rare, are dropped frames, which nobody has to know."""
+
+_OVERLAP = 0.8
+"""Of the rows of two parts that strayed together, for one to be taken for the other."""
+
+_CLOSER = 0.25
+"""Of the way to its own place is the way of a stray to the place of the part that it is taken for."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """One part in one run: where it is in the recording, its rows, and which are measurements."""
+
+    name: str
+    index: tuple[int, ...]
+    rows: Recording
+    seen: Continuity
+
+    def says(self, first: int, last: int) -> str:
+        """Rows as they are numbered in the recording, and their times."""
+        number = f"rows {self.index[first]} to {self.index[last]}" if last > first else f"row {self.index[first]}"
+        begin, end = self.rows.time[[first, last]].tolist()
+        return f"{number} (t = {begin:.4g}" + (f" to {end:.4g} s)" if last > first else " s)")
+
+    def beside(self, first: int, last: int) -> int:
+        """The measured row next to rows that are none: before them or, at the start, behind them."""
+        measured = np.flatnonzero(self.seen.is_measured)
+        before = measured[measured < first]
+        return int(before[-1] if len(before) else measured[measured > last][0])
+
+
+def breaks(recording: Recording) -> tuple[str, ...]:
+    """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
+    found: list[str] = []
+    number = np.arange(len(recording))
+    names = np.array(recording.part)
+    for run in recording.runs:
+        tracks = []
+        for part in recording.parts:
+            index = number[(recording.run == run) & (names == part)]
+            if len(index):
+                rows = recording.select(run=run, part=part)
+                tracks.append(_Track(f"part '{part}'", tuple(index.tolist()), rows, continuity_of(rows)))
+        lines = [line for track in tracks for line in (*_repeat_lines(track), *_jump_lines(track))]
+        lines += _stray_lines(tracks)
+        found += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
+    return tuple(found)
+
+
+def _repeat_lines(track: _Track) -> list[str]:
+    strays = np.zeros(len(track.rows), dtype=bool)
+    for first, last in track.seen.strays:
+        strays[first : last + 1] = True
+    found = stretches(track.seen.repeats & ~strays)
+    if not found or (max(b - a for a, b in found) + 1 < _FEW and track.seen.repeats.mean() < _RARE):
+        return []
+    first, last = max(found, key=lambda own: own[1] - own[0])
+    total = sum(b - a + 1 for a, b in found)
+    longest = "" if len(found) == 1 else f", most of them {track.says(first, last)}"
+    where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
+    pose = f"the pose of row {track.index[first - 1]}" if len(found) == 1 else "the pose of the row before"
+    at = f", {track.says(first, last)}" if len(found) == 1 else longest
+    return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
+
+
+def _jump_lines(track: _Track) -> list[str]:
+    if not track.seen.jumps:
+        return []
+    jump = max(track.seen.jumps, key=lambda own: own.distance)
+    others = len(track.seen.jumps) - 1
+    more = f" (and at {count(others, 'more row')})" if others else ""
+    return [
+        f"{track.name} jumps by {_size(jump.distance, jump.angle)} at {track.says(jump.row, jump.row)}{more}, faster "
+        "than it moves anywhere else: are rows missing, or was the tracker started anew? In the latter case leave out "
+        "the rows before or after it"
+    ]
+
+
+def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
+    """Strays of all parts of a run; of two that stray to each other's place the names were exchanged."""
+    every = [(track, first, last) for track in tracks for first, last in track.seen.strays]
+    exchanged = [(a, b) for a, b in permutations(every, 2) if a[0] is not b[0] and _is_taken_for(a, b)]
+    pairs = [(a, b) for a, b in exchanged if (b, a) in exchanged and every.index(a) < every.index(b)]
+    lines = [
+        f"{a[0].name} and {b[0].name} are exchanged in {a[0].says(*a[1:])}: these rows are not used" for a, b in pairs
+    ]
+    told = [own for pair in pairs for own in pair]
+    for track in tracks:
+        left = [own for own in every if own[0] is track and own not in told]
+        if left:
+            lines.append(_stray_line(track, [(first, last) for _, first, last in left]))
+    return lines
+
+
+def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
+    """The longest of the strays of a track, and how many there are."""
+    first, last = max(strays, key=lambda own: own[1] - own[0])
+    size = _size(*away(track.rows, track.beside(first, last), first))
+    is_at_end = first == 0 or last == len(track.rows) - 1
+    more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
+    return (
+        f"{track.name} is {size} away in {track.says(first, last)}{more}, "
+        f"{'where it cannot get' if is_at_end else 'and comes back'}: was it lost by the tracker, or mistaken? "
+        "These rows are not used"
+    )
+
+
+def _size(distance: float, angle: float) -> str:
+    """A distance and an angle in words, without what is nothing beside the other."""
+    shown = [quantity(distance, "m", digits=2)] if distance > 0.1 * FLOORS[0] else []
+    shown += [quantity(angle, "rad", digits=2)] if angle > 0.1 * FLOORS[1] else []
+    return " and ".join(shown)
+
+
+def _is_taken_for(own: tuple[_Track, int, int], other: tuple[_Track, int, int]) -> bool:
+    """Whether a stray of one part is where another part, which strays in the same rows, was before."""
+    (track, first, last), (place, begin, end) = own, other
+    time, span = track.rows.time, place.rows.time
+    shared = min(time[last], span[end]) - max(time[first], span[begin])
+    longest = max(time[last] - time[first], span[end] - span[begin])
+    if shared < _OVERLAP * longest:
+        return False
+    here = track.rows.position[first]
+    from_own = np.linalg.norm(here - track.rows.position[track.beside(first, last)])
+    from_other = np.linalg.norm(here - place.rows.position[place.beside(begin, end)])
+    return bool(from_other < _CLOSER * from_own)

@@ -1,0 +1,231 @@
+"""Which rows of a track are measurements of one continuous motion.
+
+A tracker that is lost writes zeros or its last pose again; one that mistakes a marker, an edge or another body reads
+poses that the part cannot get to and back from. Two questions are asked of every row before anything is fitted:
+
+- **Is it the same reading as before?** Rows that repeat the row before to the bit are no measurements where noise would
+  make that a miracle: where the noise of the other rows is not small against the grid on which values lie. A part at
+  rest that is read without noise, or by a coarse encoder, is measured in every row.
+- **Can the part get there?** A step to the next reading is a *jump* if it is several times as fast as nearly all steps
+  of the track and as the steps next to it that go the same way, and no action commands it. Jumps cut the track into
+  pieces, of which the most rows are kept that follow one another: past a piece that the part gets around in the time,
+  or over a jump, which costs some rows. So a piece from which the track comes back is left out, and one from which it
+  does not is kept, but told: rows may be missing there, or the tracker was started anew with an offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.recording.value import Recording
+
+FLOORS = (0.03, 0.3)
+"""Smallest jump [m, rad]: what is closer disturbs no fit that allows for noise."""
+
+_FASTER = 4.0
+"""Times the speed of nearly all steps, and of those before and after it that go the same way."""
+
+_NEARLY_ALL = 0.75
+"""Of the steps: strays in a tenth of the rows make a fifth of the steps jumps."""
+_JUMP_COSTS = 0.1
+"""Of the rows of a track: a longer piece that the track comes back from, or ends with, is believed."""
+
+_DETOUR = 2.0
+"""Times as long as the way without it is the way over a stray."""
+
+_MIRACLE = 1e-3
+_ORDERS = (2, 3, 4, 5, 6)
+_FEWEST = 8
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A step that is kept though the part does not move so: to `row`, by a distance [m] and an angle [rad]."""
+
+    row: int
+    distance: float
+    angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class Continuity:
+    """What the rows of one part in one run are.
+
+    Attributes:
+        is_measured: (n,) rows to learn from.
+        repeats: (n,) rows that say again what the one before says.
+        strays: (first, last) rows that are left out since the part cannot get there, with those that repeat them.
+        jumps: steps that are kept though the part does not move so.
+    """
+
+    is_measured: Booleans
+    repeats: Booleans
+    strays: tuple[tuple[int, int], ...]
+    jumps: tuple[Jump, ...]
+
+
+def continuity(time: Floats, position: Floats, quaternion: Floats | None, action: Floats | None = None) -> Continuity:
+    """Tell measurements of one motion from repeated rows and strays.
+
+    Args:
+        time: (n,) [s]; position: (n, 3) [m]; quaternion: (n, 4) unit, scalar last, or None.
+        action: (n, 3) commanded displacement to the next row [m], in any frame, NaN or 0 where there is none; or None.
+    """
+    repeats = _repeated(position, quaternion)
+    fresh = np.flatnonzero(~repeats)
+    if len(fresh) < _FEWEST:
+        return Continuity(~repeats, repeats, (), ())
+    commanded = np.zeros(len(fresh) - 1)
+    if action is not None:
+        so_far = np.concatenate([np.zeros((1, 3)), np.cumsum(np.nan_to_num(action), axis=0)])
+        commanded = np.linalg.norm(np.diff(so_far[fresh], axis=0), axis=1)
+    steps = _Steps.of(time[fresh], position[fresh], None if quaternion is None else quaternion[fresh])
+    edges = [0, *(np.flatnonzero(steps.jumps(commanded)) + 1).tolist(), len(fresh)]
+    pieces = list(pairwise(edges))
+    kept = _kept(steps, pieces, _JUMP_COSTS * len(fresh))
+    is_measured = np.zeros(len(time), dtype=bool)
+    for number in kept:
+        is_measured[fresh[slice(*pieces[number])]] = True
+    left_out = np.array([int(fresh[a]) for k, (a, _) in enumerate(pieces) if k not in kept], dtype=np.int64)
+    within = [(left_out[(left_out >= a) & (left_out <= b)], b) for a, b in stretches(~is_measured)]
+    strays = tuple((int(own[0]), b) for own, b in within if len(own))
+    over = [pieces[now][0] for before, now in pairwise(kept) if now == before + 1]
+    jumps = tuple(Jump(int(fresh[k]), *steps.between(k - 1, k)) for k in over)
+    return Continuity(is_measured, repeats, strays, jumps)
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Readings one after another, and the steps between them.
+
+    Attributes:
+        time: (k,) in rows of the usual pause; lengths: (k-1,) of position [m] and, if measured, rotation [rad].
+        over_two: (k-2,) length of two steps together, of position and, if measured, rotation.
+        usual: what nearly all steps stay below, per row.
+    """
+
+    time: Floats
+    position: Floats
+    rotation: Rotation | None
+    lengths: tuple[Floats, ...]
+    over_two: tuple[Floats, ...]
+    usual: tuple[float, ...]
+
+    @classmethod
+    def of(cls, time: Floats, position: Floats, quaternion: Floats | None) -> _Steps:
+        rotation = None if quaternion is None else Rotation.from_quat(quaternion)
+
+        def apart(lag: int) -> tuple[Floats, ...]:
+            found: tuple[Floats, ...] = (np.linalg.norm(position[lag:] - position[:-lag], axis=1),)
+            return found if rotation is None else (*found, (rotation[lag:] * rotation[:-lag].inv()).magnitude())
+
+        pause = np.diff(time)
+        # A pause that is shorter than usual is one of the clock, not of the hand.
+        rows = np.concatenate([[0.0], np.cumsum(np.maximum(pause / np.median(pause), 1.0))])
+        lengths = apart(1)
+        usual = tuple(float(np.quantile(length / np.diff(rows), _NEARLY_ALL)) for length in lengths)
+        return cls(rows, position, rotation, lengths, apart(2), usual)
+
+    def jumps(self, commanded: Floats) -> Booleans:
+        """(k-1,) steps that the part does not make."""
+        found, rows = np.zeros(len(self.time) - 1, dtype=bool), np.diff(self.time)
+        for number, (length, usual, floor) in enumerate(zip(self.lengths, self.usual, FLOORS, strict=False)):
+            speed = length / rows
+            # Two steps that lead further than each of them; directions of half turns would not tell.
+            goes_on = self.over_two[number] > np.maximum(length[1:], length[:-1])
+            beside = np.zeros_like(speed)
+            beside[:-1] = np.where(goes_on, speed[1:], 0.0)
+            beside[1:] = np.maximum(beside[1:], np.where(goes_on, speed[:-1], 0.0))
+            own = (length > floor) & (speed > _FASTER * np.maximum(usual, beside))
+            found |= own & (commanded < 0.5 * length) if number == 0 else own
+        return found
+
+    def between(self, a: int, b: int) -> tuple[float, float]:
+        """Distance [m] and angle [rad] from one reading to another."""
+        angle = 0.0 if self.rotation is None else float((self.rotation[b] * self.rotation[a].inv()).magnitude())
+        return float(np.linalg.norm(self.position[b] - self.position[a])), angle
+
+    def comes_back(self, leaves: int, first: int, last: int, back: int) -> bool:
+        """Whether readings from `first` to `last` lie beside the way from the reading before to the one behind them.
+
+        The part must get from there to here in the time, and the way over them must be much longer: what lies on the
+        way was measured, though rows are missing before and behind it.
+        """
+        rows, away = self.time[back] - self.time[leaves], self.between(leaves, back)[: len(self.usual)]
+        reach = (max(floor, _FASTER * usual) + rows * usual for floor, usual in zip(FLOORS, self.usual, strict=False))
+        if any(own > most for own, most in zip(away, reach, strict=True)):
+            return False
+        over = np.add(self.between(leaves, first), self.between(last, back))
+        return bool(np.any((over > 2.0 * np.array(FLOORS)) & (over > _DETOUR * np.array(self.between(leaves, back)))))
+
+
+def away(rows: Recording, a: int, b: int) -> tuple[float, float]:
+    """Distance [m] and angle [rad] of row b from row a; an angle of 0 where orientation was not measured."""
+    angle = 0.0
+    if rows.quaternion is not None:
+        angle = 2.0 * float(np.arccos(np.clip(abs(rows.quaternion[a] @ rows.quaternion[b]), 0.0, 1.0)))
+    return float(np.linalg.norm(rows.position[b] - rows.position[a])), angle
+
+
+def continuity_of(rows: Recording) -> Continuity:
+    """Of the rows of one part in one run."""
+    return continuity(rows.time, rows.position, rows.quaternion, rows.action)
+
+
+def _kept(steps: _Steps, pieces: list[tuple[int, int]], cost: float) -> list[int]:
+    """Numbers of the pieces with the most rows that follow one another; going over a jump costs so many rows."""
+    if len(pieces) == 1:
+        return [0]
+    best, before = np.zeros(len(pieces)), np.full(len(pieces), -1)
+    for now, (start, end) in enumerate(pieces):
+        best[now] = end - start
+        for last in range(now):
+            leaves, first, back = pieces[last][1] - 1, pieces[last][1], pieces[now - 1][1] - 1
+            lost = cost if last == now - 1 or not steps.comes_back(leaves, first, back, start) else 0.0
+            if best[last] + end - start - lost > best[now]:
+                best[now], before[now] = best[last] + end - start - lost, last
+    chain = [int(np.argmax(best))]
+    while before[chain[-1]] >= 0:
+        chain.append(int(before[chain[-1]]))
+    return chain[::-1]
+
+
+def _repeated(position: Floats, quaternion: Floats | None) -> Booleans:
+    """(n,) rows that are the reading of the row before, not a new one that happens to be equal."""
+    values = position if quaternion is None else np.hstack([position, quaternion])
+    same = np.zeros(len(values), dtype=bool)
+    same[1:] = (values[1:] == values[:-1]).all(axis=1)
+    fresh = values[~same]
+    if not same.any() or len(fresh) < _FEWEST:
+        return np.zeros(len(values), dtype=bool)
+    chance = float(np.prod([_chance_of_equal(column) for column in fresh.T]))
+    return same if chance < _MIRACLE else np.zeros(len(values), dtype=bool)
+
+
+def _chance_of_equal(column: Floats) -> float:
+    """Probability that two readings (n,) of the same value are equal: the grid that they lie on over their noise.
+
+    Noise is what differences of every order show; what only the lower ones show is motion.
+    """
+    noise: float = min(_white_std(column, order) for order in _ORDERS)
+    levels = np.unique(column)
+    if noise == 0.0 or len(levels) == 1:
+        return 1.0
+    return min(1.0, float(np.diff(levels).min()) / (2.0 * float(np.sqrt(np.pi)) * noise))
+
+
+def _white_std(column: Floats, order: int) -> float:
+    differences = np.abs(np.diff(column, order))
+    return float(1.4826 * np.median(differences)) / float(np.sqrt(comb(2 * order, order))) if len(differences) else 0.0
+
+
+def stretches(rows: Booleans) -> list[tuple[int, int]]:
+    """(first, last) of every stretch of rows (n,) that are true."""
+    edges: Ints = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
