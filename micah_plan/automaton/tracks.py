@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.errors import InputError, shown
+from micah_plan.recording.continuity import continuity_of
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 
@@ -30,6 +31,7 @@ class Track:
         action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
         believed: (T, n) configuration that the controller believed, NaN where it is not told; None if it never is.
         is_outside: whether `x` was measured by something else than the controller's own sensor, such as a ruler.
+        is_measured: (T,) rows whose poses are measurements, see `recording.continuity`; the others have their commands.
     """
 
     run: int
@@ -38,6 +40,7 @@ class Track:
     quaternion: Floats | None
     x: Floats
     u: Floats | None
+    is_measured: Booleans
     action: Floats | None = None
     believed: Floats | None = None
     is_outside: bool = False
@@ -125,7 +128,9 @@ def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[s
     if all(part.action is not None for part in by_link):
         actions = _relative_actions(automaton, by_link, relative, x)
         u = displacements(automaton, x, actions)
-    return Track(run, time, position, quaternion, x, u, actions, believed, is_outside and believed is not None)
+    is_measured = np.all([continuity_of(part).is_measured for part in by_link], axis=0)
+    is_outside = is_outside and believed is not None
+    return Track(run, time, position, quaternion, x, u, is_measured, actions, believed, is_outside)
 
 
 def _seen(

@@ -190,7 +190,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         notes=(
             *notes_on(traces),
             *(f"{one}: no effect has that name" for one in known.beside),
-            *told_of_rows(beyond, measured),
+            *told_of_rows(beyond, measured, known.late),
             *told_of_beliefs(corrected, known.seen, measured),
         ),
         experiment=_next_experiment(found, traces),

@@ -15,14 +15,14 @@ import numpy as np
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import Track, tracks
+from micah_plan.automaton.tracks import Track
 from micah_plan.recording.value import Recording
 from micah_plan.residual.geometry import Beside, DirectFinding, geometry_findings, lying_beside
 from micah_plan.residual.lane import lanes
 from micah_plan.residual.leftover import Leftover
 from micah_plan.residual.reading import reading_findings
 from micah_plan.residual.search import Search
-from micah_plan.residual.seen import Beyond, beyond_range, opened
+from micah_plan.residual.seen import Beyond, at_measurements, beyond_range, opened, read_tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,7 @@ class Examined:
         searches: of every coordinate that moves; none for a model that is not one input per coordinate.
         beside: how poses lie beside the joints, whatever joints have been changed.
         is_readable: whether each coordinate has an input of its own, and some move.
+        late: by how many rows actions were stored after those that they moved; they were taken back.
     """
 
     automaton: HybridAutomaton
@@ -47,6 +48,7 @@ class Examined:
     searches: tuple[Search, ...]
     beside: tuple[Beside, ...]
     is_readable: bool
+    late: int
 
     @property
     def direct(self) -> tuple[DirectFinding, ...]:
@@ -75,11 +77,12 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     Raises:
         InputError: if the recording has other parts than the model.
     """
-    seen = tracks(automaton, recording)
+    every, late = read_tracks(automaton, recording)
+    seen = tuple(map(at_measurements, every))
     geometry, read = geometry_findings(automaton, seen), reading_findings(automaton, seen)
     corrected = with_effect(automaton, *(found.effect for found in (*geometry, *read)))
-    measured = tuple(track for track in tracks(corrected, recording) if len(track.time) > 1)
-    beyond = beyond_range(corrected, [track.x for track in measured]) if measured else ()
+    measured = tuple(track for track in read_tracks(corrected, recording)[0] if len(track.time) > 1)
+    beyond = beyond_range(corrected, [at_measurements(track).x for track in measured]) if measured else ()
     told, corrected = corrected, opened(corrected, beyond)
     able = lanes(corrected, measured, told) if measured and _has_own_inputs(corrected) else ()
     return Examined(
@@ -90,8 +93,9 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         measured=measured,
         beyond=beyond,
         searches=tuple(Search(lane) for lane in able if lane.counted.any()),
-        beside=lying_beside(corrected, measured) if measured else (),
+        beside=lying_beside(corrected, tuple(map(at_measurements, measured))) if measured else (),
         is_readable=bool(able),
+        late=late,
     )
 
 

@@ -13,6 +13,7 @@ from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.leftover import Circumstances, Leftover, lagged, leftover
+from micah_plan.residual.notes import told_of_late
 from micah_plan.residual.prediction import RunPrediction
 
 
@@ -76,6 +77,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     one_step, rollout = _floors(automaton, runs, known)
     seen = examined(automaton, recording)
     told = _sentence(seen)
+    told = f"{told_of_late(seen.late)}. {told}" if seen.late else told
     follows = tuple((search.lane.coordinate, *one) for search, left in seen.left if left for one in left.follows)
     return Judgement(one_step, rollout, seen.is_noise, told, follows, correlation, changes)
 

@@ -31,6 +31,8 @@ _LONGEST_ROLLOUT = 3000
 # With fewer runs than this, stretches of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
+# Variance, over that of others, of a measurement that says nothing.
+UNSEEN = 1e9
 # Correlation of place and time from which on they say the same.
 _ALIKE = 0.95
 
@@ -60,7 +62,8 @@ class Lane:
         rows: of the recording, before stretches were chosen.
         modes: names of the automaton's modes.
         motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
-        noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count.
+        noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count; `UNSEEN`
+            where a row is no measurement.
         is_outside: whether commands lead from what was believed, and something else measured the part.
         effects: on the motion, that the model has already.
         whole: the same rows in uncut runs, for roll-outs of their full length.
@@ -104,7 +107,7 @@ class Lane:
     def with_noise(self, motion: float, *, is_alike: bool = False) -> Lane:
         """The lane, and its whole runs, with a share of noise that commands make, and all rows measured alike."""
         whole = None if self.whole is None else self.whole.with_noise(motion, is_alike=is_alike)
-        noise = np.ones_like(self.noise) if is_alike else self.noise
+        noise = np.where(self.is_measured, 1.0, self.noise) if is_alike else self.noise
         return replace(self, motion_noise=motion, noise=noise, whole=whole)
 
     @property
@@ -115,11 +118,21 @@ class Lane:
     @cached_property
     def blur(self) -> float:
         """Std of a measurement whose `noise` is 1, if the part did as it was told in most steps [rad or m]."""
-        starts = self.counted_starts
+        rows = np.arange(self.z.shape[1])
+        latest = np.maximum.accumulate(np.where(self.is_measured, rows, -1), axis=1)
+        before = np.concatenate([np.full((len(self.z), 1), -1), latest[:, :-1]], axis=1)
+        s, now = np.nonzero(self.counted & self.is_measured & (before >= 0))
+        then = before[s, now]
+        asked = np.cumsum(self.u, axis=1) - self.u
+        moved = self.z[s, now] - self.z[s, then] - (asked[s, now] - asked[s, then])
         # An error from one measured row to the next has the noise of two.
-        both = np.sqrt(self.noise + np.roll(self.noise, -1, axis=1))
-        error = ((np.roll(self.z, -1, axis=1) - self.z - self.u) / both)[starts]
+        error = moved / np.sqrt(self.noise[s, now] + self.noise[s, then])
         return float(robust_std(error))
+
+    @property
+    def is_measured(self) -> Booleans:
+        """(S, T) rows that are measurements of the part."""
+        return self.noise < UNSEEN
 
     def visits_end(self) -> bool:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
@@ -223,7 +236,7 @@ def _lane(
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
         mode[s, :count] = seen[piece.track].modes[rows]
-        noise[s, :count] = seen[piece.track].stds[rows, i] ** 2
+        noise[s, :count] = np.where(track.is_measured[rows], seen[piece.track].stds[rows, i] ** 2, np.inf)
         if track.u is not None:
             u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
         place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
@@ -264,10 +277,10 @@ def _lane(
 
 
 def _relative(variance: Floats, counted: Booleans) -> Floats:
-    """(S, T) variances over their mean; 1 where nothing is measured."""
-    known = np.isfinite(variance)
+    """(S, T) variances over their mean, `UNSEEN` where nothing is measured."""
     mean = float(np.mean(variance[counted])) if counted.any() else 0.0
-    return np.where(known, variance, mean) / mean if mean > 0 else np.ones_like(variance)
+    relative = variance / mean if mean > 0 else np.ones_like(variance)
+    return np.where(np.isfinite(variance), relative, UNSEEN)
 
 
 def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:

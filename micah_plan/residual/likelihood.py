@@ -6,12 +6,15 @@ Source: Lange, Little and Taylor, "Robust statistical modeling using the t distr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import gammaln
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.residual.simulation import Prediction
+
+if TYPE_CHECKING:
+    from micah_plan.residual.simulation import Prediction
 
 _ROUNDS, _REGRESSION_ROUNDS = 12, 30
 SMALLEST_SCALE = 1e-9

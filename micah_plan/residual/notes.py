@@ -35,11 +35,23 @@ def told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: 
     return notes
 
 
-def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track]) -> list[str]:
-    """What rows lie beyond the range, and that others are missing."""
+def told_of_late(late: int) -> str:
+    """That actions are stored in later rows than those that they move."""
+    rows = count(late, "row")
+    return (
+        f"the part moves {rows} before its command: actions are stored {rows} late. They were taken {rows} earlier; "
+        "store the action of a row with the pose that it starts from"
+    )
+
+
+def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track], late: int) -> list[str]:
+    """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
     missing = sum(len(sections(track.time)) - 1 for track in measured)
     gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
-    return [*map(str, beyond), *([gaps] if missing else [])]
+    unseen = sum(int((~track.is_measured).sum()) for track in measured)
+    repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
+    told = [*([told_of_late(late)] if late else []), *map(str, beyond)]
+    return [*told, *([gaps] if missing else []), *([repeated] if unseen else [])]
 
 
 def _at_bounds(one: LaneTrace) -> list[str]:

@@ -14,7 +14,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.link_motion import link_motions
-from micah_plan.automaton.tracks import Track, configurations, tracks
+from micah_plan.automaton.tracks import Track, configurations
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
@@ -22,7 +22,7 @@ from micah_plan.errors import InputError
 from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.geometry import beside
-from micah_plan.residual.seen import beyond_range, noise_of, opened, without_gaps
+from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened, read_tracks, without_gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +55,11 @@ class PredictionError:
 
 @dataclass(frozen=True, eq=False)
 class RunPrediction:
-    """Both predictions of one run.
+    """Both predictions of one run, at the rows that are measurements.
 
     Attributes:
         time: (K + 1,) of its rows since its first [s]; x: (K + 1, n) measured configuration.
-        v: (K, n) commanded displacement of each coordinate, in the modes that move it.
+        v: (K, n) commanded displacement of each coordinate from each row to the next, in the modes that move it.
         believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
             never is. Effects of sensors are taken out, see `tracks`.
         beside: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry.beside`.
@@ -83,7 +83,8 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
     A run with gaps in its times is predicted in its consecutive parts, and joints go on where the recording goes beyond
-    a range that no mode ends (see `seen`).
+    a range that no mode ends (see `seen`). Over rows that are no measurements the prediction goes on, to the next that
+    is one.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -94,10 +95,10 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
-    usable = [own for track in tracks(automaton, recording) for own in without_gaps(track)]
+    usable = [own for track in read_tracks(automaton, recording)[0] for own in without_gaps(track)]
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    reaching = opened(automaton, beyond_range(automaton, [track.x for track in usable]))
+    reaching = opened(automaton, beyond_range(automaton, [at_measurements(track).x for track in usable]))
     return tuple(_predicted(reaching, track) for track in usable)
 
 
@@ -125,46 +126,55 @@ def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None
 def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
     moving = [next((m for m in automaton.modes if m.driven[i]), None) for i in range(automaton.n)]
     rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
+    measured = at_measurements(track)
     return RunPrediction(
         run=track.run,
-        time=track.time - track.time[0],
-        x=track.x,
-        v=inputs_of(track) @ np.stack(rows, axis=1),
-        believed=None if track.believed is None else track.believed - track.x,
-        beside=np.stack([beside(automaton, track, number) for number in range(len(automaton.links))], axis=1),
-        one_step=_one_step(automaton, track),
-        rollout=_rollout(automaton, track),
+        time=measured.time - track.time[0],
+        x=measured.x,
+        v=inputs_of(measured) @ np.stack(rows, axis=1),
+        believed=None if measured.believed is None else measured.believed - measured.x,
+        beside=np.stack([beside(automaton, measured, number) for number in range(len(automaton.links))], axis=1),
+        one_step=_error(automaton, measured, *_one_step(automaton, track)),
+        rollout=_error(automaton, measured, *_rollout(automaton, track)),
     )
 
 
-def _one_step(automaton: HybridAutomaton, track: Track) -> PredictionError:
+def _one_step(automaton: HybridAutomaton, track: Track) -> tuple[Floats, tuple[str, ...]]:
+    """(K, n) configurations and modes predicted for each measured row from the one before it."""
     u = inputs_of(track)
     belief = first_belief(automaton, track)
     predicted, modes = [], []
     channel = InputChannel(automaton)
+    reached = None
     for k in range(len(u)):
-        mode = automaton.modes[belief.most_likely]
-        passed = channel.pass_on(towards(automaton, track.origin[k], track.x[k], u[k]), mode.name, track.x[k])
-        reached = step(automaton, mode.name, _within(mode, track.x[k]), passed)
-        predicted.append(reached.x)
-        modes.append(reached.mode)
-        belief = update(automaton, predict(automaton, belief, passed), track.x[k + 1])
-    return _error(automaton, track, np.array(predicted), tuple(modes))
+        mode, x = automaton.modes[belief.most_likely], track.x[k]
+        if not track.is_measured[k] and reached is not None:
+            mode, x = automaton.mode(reached.mode), reached.x
+        passed = channel.pass_on(towards(automaton, track.origin[k], x, u[k]), mode.name, x)
+        reached = step(automaton, mode.name, _within(mode, x), passed)
+        belief = predict(automaton, belief, passed)
+        if track.is_measured[k + 1]:
+            predicted.append(reached.x)
+            modes.append(reached.mode)
+            belief = update(automaton, belief, track.x[k + 1])
+    return np.array(predicted), tuple(modes)
 
 
-def _rollout(automaton: HybridAutomaton, track: Track) -> PredictionError:
+def _rollout(automaton: HybridAutomaton, track: Track) -> tuple[Floats, tuple[str, ...]]:
+    """(K, n) configurations and modes predicted for each measured row from the first one."""
     belief = first_belief(automaton, track)
     first = automaton.modes[belief.most_likely]
     mode, x = first.name, _within(first, track.x[0])
     predicted, modes = [], []
     channel = InputChannel(automaton)
-    for origin, u in zip(track.origin, inputs_of(track), strict=False):
-        given = channel.pass_on(towards(automaton, origin, x, u), mode, x)
+    for k, u in enumerate(inputs_of(track)):
+        given = channel.pass_on(towards(automaton, track.origin[k], x, u), mode, x)
         reached = step(automaton, mode, x, given)
         mode, x = reached.mode, reached.x
-        predicted.append(x)
-        modes.append(mode)
-    return _error(automaton, track, np.array(predicted), tuple(modes))
+        if track.is_measured[k + 1]:
+            predicted.append(x)
+            modes.append(mode)
+    return np.array(predicted), tuple(modes)
 
 
 def _within(mode: Mode, x: Floats) -> Floats:

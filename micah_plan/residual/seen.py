@@ -18,8 +18,10 @@ from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.tracks import Track
+from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.quantities import quantity
+from micah_plan.recording.value import Recording
+from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 
 # Rows that a run needs to show its own noise.
 _ROWS_FOR_NOISE = 8
@@ -29,6 +31,13 @@ _ROWS_BEYOND, _STDS_BEYOND = 3, 5.0
 _ONWARD = 0.5
 # A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
 _LONGER, _STDS_LONGER = 1.5, 6.0
+# Actions are stored at most so many rows late; commands before one's own that a motion may remember.
+_MOST_LATE, _PAST = 3, 2
+# Columns of a constant and commands, latest first: those up to a motion's own row, and as many up to the next.
+_COMPARED = (0, 2, 3, 4), (0, 1, 2, 3)
+_FEWEST_STEPS, _FREEDOM = 20, 4.0
+# What a later row must foretell better [nats], altogether and per step, and its share of all that commands do.
+_LATE_EVIDENCE, _LATE_PER_ROW, _OWN_SHARE = 8.0, 0.05, 0.3
 _STOP, _SHIFT = "limit", "guard_shift"
 
 
@@ -76,6 +85,69 @@ class Beyond:
         ended, reached = quantity(self.end, self.unit), quantity(self.reached, self.unit)
         told = f"{self.name} was measured up to {reached}, beyond the model's range, which ends at {ended} with no stop"
         return f"{told}; all rows lie there: this may be another object" if self.is_all else told
+
+
+def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
+    """Every run of a recording from its first measured row to its last, with actions in the rows that they move.
+
+    Returns:
+        The runs, and by how many rows all actions were stored after those rows.
+
+    Raises:
+        InputError: see `tracks`.
+    """
+    found = []
+    for track in tracks(automaton, recording):
+        rows = np.flatnonzero(track.is_measured)
+        found.append(_rows(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
+    late = rows_late(found)
+    return tuple(_taken_back(track, late) for track in found), late
+
+
+def _taken_back(track: Track, late: int) -> Track:
+    """A run whose actions are stored `late` rows after those that they move: the last rows then have none."""
+    if not late or track.u is None or track.action is None:
+        return track
+    shorter = _rows(track, 0, len(track.time) - late)
+    return replace(shorter, u=track.u[late:], action=track.action[late:])
+
+
+def rows_late(runs: Sequence[Track]) -> int:
+    """By how many rows actions are stored after those that they move.
+
+    The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
+    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign.)
+    """
+    late = 0
+    while late < _MOST_LATE and any(_is_foretold_later(runs, late, i) for i in range(runs[0].x.shape[1])):
+        late += 1
+    return late
+
+
+def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
+    """Whether a coordinate's motion follows the command `late` + 1 rows later, rather than those up to `late`."""
+    designs, moved = [], []
+    for track in runs:
+        if track.u is None or track.u.shape[1] != track.x.shape[1]:
+            return False
+        dx, u = np.diff(track.x[:, i]), track.u[:, i]
+        steps = np.arange(_PAST, len(dx) - late - 1)
+        if len(steps):
+            designs.append(np.stack([u[steps + late + 1 - k] for k in range(_PAST + 2)], axis=1))
+            moved.append(dx[steps])
+    if not designs:
+        return False
+    design, now = np.concatenate(designs), np.concatenate(moved)
+    known = np.isfinite(design).all(axis=1)
+    design, now = np.column_stack([np.ones(known.sum()), design[known]]), now[known]
+    if len(now) < _FEWEST_STEPS or not np.any(now):
+        return False
+    least = 1e-3 * float(np.std(now)) + SMALLEST_SCALE
+    own, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
+    if later - own < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
+        return False
+    response = np.linalg.lstsq(design[:, _COMPARED[1]], now, rcond=None)[0][1:]
+    return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
 
 
 def beyond_range(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[Beyond, ...]:
@@ -167,4 +239,30 @@ def _rows(track: Track, first: int, end: int) -> Track:
         u=None if track.u is None else track.u[steps],
         action=None if track.action is None else track.action[steps],
         believed=None if track.believed is None else track.believed[own],
+        is_measured=track.is_measured[own],
+    )
+
+
+def at_measurements(track: Track) -> Track:
+    """The measured rows of a run alone, with all that was commanded from each to the next."""
+    if track.is_measured.all():
+        return track
+    rows = np.flatnonzero(track.is_measured)
+
+    def between(commands: Floats | None) -> Floats | None:
+        if commands is None:
+            return None
+        so_far = np.concatenate([np.zeros_like(commands[:1]), np.cumsum(commands, axis=0)])
+        return np.asarray(np.diff(so_far[rows], axis=0))
+
+    return replace(
+        track,
+        time=track.time[rows],
+        position=track.position[rows],
+        quaternion=None if track.quaternion is None else track.quaternion[rows],
+        x=track.x[rows],
+        u=between(track.u),
+        action=between(track.action),
+        believed=None if track.believed is None else track.believed[rows],
+        is_measured=track.is_measured[rows],
     )

@@ -181,7 +181,7 @@ class _Run:
             return error, spread
         gone = self._let_go(t, error, slope) if self.is_held else None
         if kind == "one_step":
-            self.c = self.c + error / slope
+            self.c = np.where(self.lane.is_measured[:, t], self.c + error / slope, self.c)
             return error, spread
         gain = self.variance * slope / spread
         if gone is not None:
