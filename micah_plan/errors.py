@@ -6,6 +6,7 @@ The command line turns them into exit codes: 2 for bad input, 1 where no plan, j
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,6 +91,17 @@ def together(errors: Sequence[InputError]) -> InputError:
 
 class MissingDependencyError(MicahError):
     """An optional library is not installed; the message says which extra brings it."""
+
+
+def printable(text: str) -> str:
+    """A text with its control characters shown instead of sent to a terminal; lines and tabs stay.
+
+    Directions of writing are control characters too: they make a name look like another.
+    """
+    return "".join(
+        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf") else c.encode("unicode_escape").decode()
+        for c in text
+    )
 
 
 def shown(value: object) -> str:

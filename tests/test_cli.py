@@ -121,6 +121,18 @@ def test_show_writes_a_page(micah, road, shown, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["[/foo]", "[link=http://x.y]door", ":door:", "a\x1b[31mb", "\u202erood"])
+def test_names_are_printed_as_they_are(micah, repository, tmp_path, name):
+    rows = (repository / "examples" / "demonstrations" / "microwave.csv").read_text().splitlines()
+    named = [("part," if k == 0 else f"{name},") + row for k, row in enumerate(rows)]
+    (tmp_path / "named.csv").write_text("\n".join(named) + "\n", encoding="utf-8")
+    done = micah("learn", tmp_path / "named.csv", "-o", tmp_path / "model.yaml")
+    assert done.returncode in (0, 2), done.stderr
+    printed = name.replace("\x1b", r"\x1b").replace("\u202e", r"\u202e")
+    assert printed in done.stdout + done.stderr
+    assert "\x1b" not in done.stdout + done.stderr
+
+
 def test_the_same_seed_gives_the_same_bytes(micah, road, tmp_path):
     micah("learn", "examples/demonstrations/microwave.csv", "--parts", "models/parts/microwave.yaml", "--seed", 3,
           "-o", tmp_path / "model.yaml")  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import traceback
 from typing import Annotated, Any, NoReturn
@@ -56,6 +57,7 @@ for _command in COMMANDS:
 
 def main() -> None:
     """Entry point of `micah-plan`: runs a command and turns errors into one line and an exit code."""
+    _end_as_interrupted()
     try:
         code = app(prog_name="micah-plan", standalone_mode=False) or 0
     except _UsageError as error:
@@ -77,6 +79,17 @@ def main() -> None:
     sys.exit(code)
 
 
+def _end_as_interrupted() -> None:
+    """What ends a process ends a command as Ctrl-C does: plants are closed, logs are written, no file is half-written.
+
+    A signal that is ignored stays so: `nohup` asks for a command that outlives its terminal.
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+
+
 def _usage_line(error: Any) -> InputError:
     """The message of click about wrong usage, in the form of all other errors."""
     text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
@@ -94,7 +107,7 @@ def _say(error: MicahError | str) -> None:
     if "--json" in sys.argv:
         faults = [fault(one) for one in error.each()] if isinstance(error, InputError) else [{"message": text}]
         print(json.dumps({"error": text, "errors": faults}))
-    err.print(f"error: {text}", markup=False, style="red")
+    err.print(f"error: {text}", style="red")
 
 
 @app.callback(invoke_without_command=True)

@@ -60,12 +60,12 @@ def fault(error: InputError) -> dict[str, Any]:
 def _print_checked(found: Sequence[FileCheck]) -> None:
     for item in found:
         for fault in item.faults:
-            out.print(f"error: {fault}", markup=False, style="red")
+            out.print(f"error: {fault}", style="red")
         for warning in item.warnings:
-            out.print(f"warning: {item.file}: {warning}", markup=False, style="yellow")
+            out.print(f"warning: {item.file}: {warning}", style="yellow")
         if not item.faults:
             article = "an" if item.kind == "experiment" else "a"
-            out.print(f"{item.file}: {article} {item.kind} that can be used", markup=False)
+            out.print(f"{item.file}: {article} {item.kind} that can be used")
 
 
 def diff(
@@ -104,13 +104,13 @@ def doctor(as_json: JsonFlag = False) -> None:
 
 
 def _print_environment(found: Environment) -> None:
-    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}", markup=False)
+    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}")
     shown = table("library", "version", "state", "for", "extra")
     for item in found.libraries:
         library = item.library
         shown.add_row(library.name, item.version or "-", item.state, library.purpose, library.extra)
     out.print(shown)
-    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}", markup=False)
-    out.print(f"browser: {found.browser or 'none'}", markup=False)
+    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}")
+    out.print(f"browser: {found.browser or 'none'}")
     for line in found.advice:
-        out.print(line, markup=False, style="yellow")
+        out.print(line, style="yellow")

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
-from micah_plan.errors import MicahError
+from micah_plan.errors import MicahError, printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,8 +27,20 @@ BAD_INPUT = 2
 OUR_BUG = 70
 """A bug: an error that no input should cause (EX_SOFTWARE of sysexits.h)."""
 
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+class _PlainConsole(Console):
+    """Prints texts as they are, whoever wrote them: brackets and colons mean nothing, control characters are shown."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, soft_wrap=True, highlight=False, markup=False, emoji=False)
+
+    def render_str(self, text: str, **style: Any) -> Text:
+        """What every string becomes before it is printed, in a table too."""
+        return super().render_str(printable(text), **style)
+
+
+out = _PlainConsole()
+err = _PlainConsole(stderr=True)
 
 
 class Interrupted(MicahError):  # noqa: N818 - it is no mistake
@@ -42,10 +55,10 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True) as bars:
         task = bars.add_task("starting", total=1.0)
-        yield lambda message, fraction: bars.update(task, description=message, completed=fraction)
+        yield lambda message, fraction: bars.update(task, description=printable(message), completed=fraction)
 
 
 def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -> None:
@@ -64,7 +77,7 @@ def title_of(file: Path) -> str:
 def print_warnings(warnings: Iterable[str]) -> None:
     """One line each on stderr."""
     for warning in warnings:
-        err.print(f"warning: {warning}", markup=False, style="yellow")
+        err.print(f"warning: {warning}", style="yellow")
 
 
 def table(*columns: str, **style: Any) -> Table:
@@ -78,11 +91,11 @@ def table(*columns: str, **style: Any) -> Table:
 def print_lines(lines: Iterable[str]) -> None:
     """Lines as they are."""
     for line in lines:
-        out.print(line, markup=False)
+        out.print(line)
 
 
 def print_files(files: Iterable[Path | None]) -> None:
     """Prints which files were written."""
     for path in files:
         if path is not None:
-            out.print(f"wrote {path}", markup=False)
+            out.print(f"wrote {path}")

@@ -84,7 +84,7 @@ def run_demo(place: Path, output: Path, *, quiet: bool = False) -> int:
     for number, (sentence, command) in enumerate(steps, start=1):
         arguments = command.format(out=output)
         if not quiet:
-            out.print(f"\n[{number}/{len(steps)}] {sentence}\n$ micah-plan {arguments}", markup=False)
+            out.print(f"\n[{number}/{len(steps)}] {sentence}\n$ micah-plan {arguments}")
         line = [sys.executable, "-m", "micah_plan", *shlex.split(arguments)]
         code = subprocess.run(line, cwd=place, check=False, stdout=subprocess.DEVNULL if quiet else None).returncode  # noqa: S603
         if code:

@@ -86,5 +86,5 @@ def _explored(found: Exploration) -> dict[str, Any]:
 def _print_explored(found: Exploration, files: tuple[Path, ...]) -> None:
     from micah_plan.front.words import explored_lines
 
-    out.print("\n".join(explored_lines(found)), markup=False)
+    out.print("\n".join(explored_lines(found)))
     print_files(files)

@@ -199,7 +199,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     if learned.graph.probability is not None:
         out.print(f"this tree of parts: {percent(min(learned.graph.probability, SUREST), 0)} sure")
     if learned.automaton is None:
-        out.print(f"no model: {learned.reason}", markup=False, style="yellow")
+        out.print(f"no model: {learned.reason}", style="yellow")
     else:
         modes = count(len(learned.automaton.modes), "mode")
         out.print(f"learned {modes} in {duration(learned.seconds)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -121,7 +120,7 @@ def _arm(arm: ArmTrajectory) -> dict[str, Any]:
 def _print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) -> None:
     """Outcome and figures of a plan; of one that failed, what stands in the way."""
     solved = plan.outcome == "solved"
-    out.print(f"{plan.outcome}: {plan.reason}", markup=False, style="green" if solved else "yellow")
+    out.print(f"{plan.outcome}: {plan.reason}", style="green" if solved else "yellow")
     if not solved:
         from micah_plan.planning.explain import explain as explanation_of
 
@@ -290,9 +289,8 @@ def _print_executed(lines: Sequence[str], files: tuple[Path | None, ...]) -> Non
 
 @contextmanager
 def _kept_logs(output: Path) -> Iterator[list[Recording]]:
-    """A block that fills a list with logs. SIGTERM ends it as Ctrl-C does: plants are closed and logs are written."""
+    """A block that fills a list with logs, which are written also if something breaks it off."""
     logs: list[Recording] = []
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield logs
     except BaseException as error:
@@ -300,8 +298,6 @@ def _kept_logs(output: Path) -> Iterator[list[Recording]]:
         if stopped is error:
             raise
         raise stopped from error
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:

@@ -165,12 +165,12 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
         floors = [(c["noise_floor"][k], c["unit"]) for c in own]
         shown.add_row("  noise alone", *(_amounts(floor, floors) if floor else ("unknown",) * (2 + len(own))))
     out.print(shown)
-    out.print(summary["whiteness"]["verdict"], markup=False)
+    out.print(summary["whiteness"]["verdict"])
     if "estimate" in summary:
         size, last = (
             quantity(summary["estimate"][key], summary["configuration_unit"]) for key in ("rmse", "final_error")
         )
-        out.print(f"what the controller believed was {size} beside what was measured, at the end {last}", markup=False)
+        out.print(f"what the controller believed was {size} beside what was measured, at the end {last}")
     print_lines(tuple(one["sentence"] for one in summary["beyond_range"]))
     gaps = sum(run["gaps"] for run in summary["per_run"])
     if gaps:
@@ -257,6 +257,10 @@ def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
         "residual": {
             "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
             "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
+            "new_model": {
+                coordinate.name: {"one_step_rmse": own.one_step, "rollout_rmse": own.rollout}
+                for coordinate, own in zip(found.automaton.coordinates, found.written, strict=True)
+            },
             "noise_floor": found.noise_floor,
             "rollout_noise_floor": found.rollout_floor,
         },
@@ -329,7 +333,7 @@ def _print_calibrated(
     """Verdict, effects and errors of a calibration."""
     from micah_plan.residual.verdict import SENTENCES
 
-    out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}", markup=False)
+    out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}")
     if summary["effects"]:
         shown = table("effect", "parameters", "evidence \\[nats]", "or instead")
         for effect in summary["effects"]:
@@ -339,13 +343,13 @@ def _print_calibrated(
             shown.add_row(name, ", ".join(values), plain(effect["evidence"]), ", ".join(effect["tied_with"]))
         out.print(shown)
     print_lines(errors)
-    out.print(f"  left unexplained: {percent(summary['unexplained_fraction'], 0)}", markup=False)
+    out.print(f"  left unexplained: {percent(summary['unexplained_fraction'], 0)}")
     for note in summary["notes"]:
-        out.print(f"  note: {note}", markup=False)
-    out.print(f"  next: {summary['next_experiment']}", markup=False)
+        out.print(f"  note: {note}")
+    out.print(f"  next: {summary['next_experiment']}")
     if "experiment" in summary:
         none = "not written: no commands along a joint would tell more"
-        out.print(f"  experiment {summary['experiment']['sentence'] if summary['experiment'] else none}", markup=False)
-    out.print("changes of the model:" if changes else "the model stays as it is", markup=False)
+        out.print(f"  experiment {summary['experiment']['sentence'] if summary['experiment'] else none}")
+    out.print("changes of the model:" if changes else "the model stays as it is")
     print_lines(tuple(f"  {change}" for change in changes))
     print_files(files)

@@ -101,7 +101,7 @@ def _swept(done: SweepResults, seconds: float) -> dict[str, Any]:
 def _print_counted(summary: dict[str, Any]) -> None:
     values = [f"{number} of {key}" for key, number in summary["grid"].items()]
     factors = [count(summary["problems"], "problem"), *values, count(summary["seeds"], "seed")]
-    out.print(f"{count(summary['cases'], 'case')}: {' x '.join(factors)}", markup=False)
+    out.print(f"{count(summary['cases'], 'case')}: {' x '.join(factors)}")
     out.print(f"  finished  {summary['finished']:,}")
 
 

@@ -17,7 +17,7 @@ from micah_plan.documents.problem import StartDocument, check_start
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file, write_yaml
 from micah_plan.errors import InputError
-from micah_plan.task.experiment import Experiment, Motion
+from micah_plan.task.experiment import SMALLER, Experiment, Motion, too_large
 
 EXPERIMENT_FORMAT = "micah-plan/experiment/1"
 _MOST_STEPS = 100_000
@@ -81,6 +81,8 @@ def load_experiment(path: str | Path) -> Experiment:
     own = document.meanings(located, scope_of(automaton))
     for number, motion in enumerate(own["motions"]):
         check_start(motion.start, automaton, located.at("motions", number))
+        if fault := too_large(automaton, motion):
+            raise located.at("motions", number, "commands").error(fault, SMALLER)
     return Experiment(automaton, tuple(own["motions"]), own["repetitions"], own["plant"])
 
 

@@ -147,6 +147,14 @@ def error_lines(found: Calibration) -> list[str]:
             lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
         floors = (quantity(floor, own.unit) for floor in (own.noise_floor, own.rollout_floor))
         lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
+    if found.automaton is found.told:
+        return lines
+    for coordinate, size in zip(found.automaton.coordinates, found.written, strict=True):
+        sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))
+        told = (
+            "new model on these runs: " if found.automaton.n == 1 else f"new model on these runs, {coordinate.name}: "
+        )
+        lines.append(f"  {told}{' (one step), '.join(sizes)} (roll-out)")
     return lines
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +25,7 @@ from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_
 from micah_plan.residual.interval import CONFIDENCE
 from micah_plan.residual.lane import MOST_ROWS, Lane
 from micah_plan.residual.notes import notes_on, told_of_beliefs, told_of_rows
-from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.prediction import predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.seen import Beyond, closed, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
@@ -138,6 +138,17 @@ class Calibration:
         )
 
     @cached_property
+    def written(self) -> tuple[ResidualSize, ...]:
+        """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
+
+        `after` is of rows that the parameters were not fitted to, and of effects since when they were seen; what is
+        written has all effects from the start.
+        """
+        runs = predict_recording(self.automaton, self.recording)
+        sizes = (rmse_of_coordinates([getattr(run, name) for run in runs]) for name in ("one_step", "rollout"))
+        return tuple(ResidualSize(*own) for own in zip(*sizes, strict=True))
+
+    @cached_property
     def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
         """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of some runs."""
         sizes = [_pose_sizes(model, self.recording, _POSE_ROWS) for model in (self.told, self.automaton)]
@@ -166,8 +177,12 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     found = [_direct_effect(own) for own in known.direct]
     found += [own for one in traces for own in _all_found(one, beyond)]
     found.sort(key=lambda effect: -effect.evidence)
-    added = with_shifts(_to_add(traces), beyond)
-    improved = with_effect(closed(corrected, beyond, added), *without_old_ends(added, beyond))
+    improved, refusing = _written(corrected, beyond, with_shifts(_to_add(traces), beyond), recording)
+    kept_out = {(one.name, one.coordinate, one.modes) for one in refusing}
+    found = [
+        replace(one, is_added=False) if (one.effect.name, one.effect.coordinate, one.effect.modes) in kept_out else one
+        for one in found
+    ]
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
     floors = [_together(own, traces) for own in zip(*((one.floor, one.rollout_floor) for one in traces), strict=True)]
     if known.geometry:
@@ -190,12 +205,40 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         notes=(
             *notes_on(traces),
             *(f"{one}: no effect has that name" for one in known.beside),
+            *map(_told_of_since, (one for one in found if one.since is not None and one.is_added)),
+            *(f"{one.name} of {one.coordinate} was not added: {reason}" for one, reason in refusing.items()),
             *told_of_rows(beyond, measured, known.late),
             *told_of_beliefs(corrected, known.seen, measured),
         ),
         experiment=_next_experiment(found, traces),
         told=automaton,
         recording=recording,
+    )
+
+
+def _written(
+    corrected: HybridAutomaton, beyond: Sequence[Beyond], added: Sequence[Effect], recording: Recording
+) -> tuple[HybridAutomaton, dict[Effect, str]]:
+    """The new automaton, and the effects that it cannot have, since with them it refuses what it was calibrated on."""
+    kept, refusing = list(added), dict[Effect, str]()
+
+    def made(effects: Sequence[Effect]) -> HybridAutomaton:
+        return with_effect(closed(corrected, beyond, effects), *without_old_ends(effects, beyond))
+
+    while kept and (reason := refused(made(kept), recording)):
+        without = {one: [other for other in kept if other is not one] for one in kept}
+        one = next((one for one, left in without.items() if not refused(made(left), recording)), kept[-1])
+        refusing[one] = f"with it the model refuses these runs ({reason})"
+        kept = without[one]
+    return made(kept), refusing
+
+
+def _told_of_since(found: FoundEffect) -> str:
+    run, time = found.since or (0, 0.0)
+    when = f"run {run}" if time == 0.0 else f"{quantity(time, 's')} into run {run}"
+    return (
+        f"{found.effect.name} of {found.effect.coordinate} was seen from {when} on; the new model has it from the "
+        "start: it is the object as it was in the end"
     )
 
 

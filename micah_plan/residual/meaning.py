@@ -9,8 +9,8 @@ measured poses do where the noise of a tracker wanders. Roll-outs cannot decide,
 since places contain the measured poses that they are relative to; but where commands were relative to what a controller
 believed, and something else measured the part, they can, and do.
 
-The response to a place is one family (`follow`): a share of the way per row, and an offset; then delay, momentum
-(second order), gain and a dead zone, each where it predicts clearly better and makes whole roll-outs shorter.
+The response to a place is one family (`follow`): a share of the way per row, and an offset; with delay, momentum
+(second order), gain and a dead zone, alone or together, where that predicts held-out rows clearly better.
 
 Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures, their selection on held-out data).
 """
@@ -18,6 +18,7 @@ Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures,
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -46,9 +47,6 @@ _FREEDOM, _FINEST = 2.0, 1e-3
 
 # Share of what a sequence of commands says by being irregular that counts: its rows are no independent witnesses.
 _HEARD = 0.25
-
-# What one more parameter may leave of the squared errors of whole roll-outs: a place is for going far without looking.
-_PAYS = 0.95
 
 
 def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
@@ -82,20 +80,22 @@ def _regularity(lane: Lane) -> float:
 
 
 def followed(search: Search) -> Scored:
-    """The best response to commands that are places."""
+    """The best response to commands that are places: of all forms of the family, each with all its parameters free.
+
+    One parameter at a time would miss those that pay together only, such as a gain and a dead zone.
+    """
     lane, term = search.lane, Term(form(FOLLOW))
     starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
-    best = search.score((Candidate(term, starts, (_SHARE, _OFFSET), _scale(lane, (_SHARE, _OFFSET))),))
-    left = set(_STARTS)
-    while left:
-        grown = {column: search.score((_freed(best.parts[0], column, lane),)) for column in sorted(left)}
-        found = ranked(list(grown.values()))[0]
-        rolled, other = (search.squares(one, "whole") for one in (found, best))
-        # No one-step errors here: from two measured rows a velocity is mostly noise, whoever is right.
-        if not (is_worth(found, best, lane) and rolled < _PAYS * other):
-            break
-        best = found
-        left -= {column for column, one in grown.items() if one is found}
+    plain = (_SHARE, _OFFSET)
+    forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(lane, plain)),))}
+    best = forms[frozenset()]
+    for size in range(1, len(_STARTS) + 1):
+        for columns in map(frozenset, combinations(_STARTS, size)):
+            column = max(columns, key=lambda one: float(forms[columns - {one}].density.sum()))
+            forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, lane),))
+        found = ranked([one for columns, one in forms.items() if len(columns) == size])[0]
+        if is_worth(found, best, lane):
+            best = found
     return best
 
 

@@ -12,8 +12,16 @@ from micah_plan.quantities import count, percent, plain, quantity
 from micah_plan.residual.growth import LEAST_EVIDENCE
 from micah_plan.residual.lane import ENOUGH_RUNS
 from micah_plan.residual.seen import Beyond, sections
-from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.trace import Finding, LaneTrace
 
+# Gains of commands that are written in other units than m, and the coordinates that may have them.
+_UNITS = {
+    "millimetres": (1e-3, ""),
+    "centimetres": (1e-2, ""),
+    "inches": (0.0254, ""),
+    "degrees": (np.pi / 180.0, "rad"),
+}
+_SAME_UNIT = 0.1
 # Share of what is large for a parameter within which it is at a bound.
 _AT_BOUND = 1e-3
 
@@ -54,6 +62,25 @@ def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track], late: int)
     return [*told, *([gaps] if missing else []), *([repeated] if unseen else [])]
 
 
+def _units(one: LaneTrace) -> list[str]:
+    """Gains that are no property of an object, but of the units that commands were written in."""
+    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", one.lane.unit)}
+    notes = []
+    for finding in one.findings:
+        gain = _gain_of(finding)
+        for name, size in names.items():
+            if abs(gain / size - 1.0) < _SAME_UNIT:
+                told = f"{one.lane.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
+                notes.append(f"{told}: actions are in m; convert the columns ax, ay, az")
+    return notes
+
+
+def _gain_of(finding: Finding) -> float:
+    """The gain that an effect gives commands; 1 if it has none."""
+    names = [parameter.name for parameter in finding.part.term.form.parameters]
+    return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
+
+
 def _at_bounds(one: LaneTrace) -> list[str]:
     """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
     notes = []
@@ -73,7 +100,7 @@ def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
     """What was seen too little of, what was left out and why, and what remains."""
     notes = []
     for one in traces:
-        notes += _at_bounds(one)
+        notes += [*_units(one), *_at_bounds(one)]
         lane, name = one.lane, one.lane.coordinate
         runs = len(np.unique(lane.run))
         if runs < ENOUGH_RUNS:

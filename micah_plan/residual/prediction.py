@@ -95,11 +95,29 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
-    usable = [own for track in read_tracks(automaton, recording)[0] for own in without_gaps(track)]
+    reaching, usable = _usable(automaton, recording)
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    reaching = opened(automaton, beyond_range(automaton, [at_measurements(track).x for track in usable]))
     return tuple(_predicted(reaching, track) for track in usable)
+
+
+def refused(automaton: HybridAutomaton, recording: Recording) -> str:
+    """Why `predict_recording` refuses a recording with actions: a run starts where no mode allows; empty if not."""
+    reaching, usable = _usable(automaton, recording)
+    for track in usable:
+        try:
+            first_belief(reaching, track)
+        except InputError as error:
+            return error.problem
+    return ""
+
+
+def _usable(automaton: HybridAutomaton, recording: Recording) -> tuple[HybridAutomaton, list[Track]]:
+    """The automaton with joints that go on as far as the recording, and the consecutive parts of its runs."""
+    usable = [own for track in read_tracks(automaton, recording)[0] for own in without_gaps(track)]
+    if not usable:
+        return automaton, []
+    return opened(automaton, beyond_range(automaton, [at_measurements(track).x for track in usable])), usable
 
 
 def rmse(errors: list[Floats]) -> float:
@@ -221,18 +239,21 @@ def inputs_of(track: Track) -> Floats:
 def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str, ...]) -> PredictionError:
     offset = np.zeros((len(x), len(automaton.links), 3))
     turn = None if track.quaternion is None else np.zeros_like(offset)
-    shown = _as_measured(automaton, track, x)
-    for k, mode in enumerate(modes):
+    shown, of_mode = _as_measured(automaton, track, x), np.array(modes)
+    for mode in dict.fromkeys(modes):
         for number, link in enumerate(automaton.links):
-            c = shown[k : k + 1, link.coordinate]
-            joint = automaton.mode(mode).joints[number]
-            is_shown = c[0] != x[k, link.coordinate] and not joint.moves
-            pose = link_motions(automaton)[number].poses(c) if is_shown else forward(joint, c)
-            frame = pose.rotation[0].inv()
-            offset[k, number] = frame.apply(pose.translation[0] - track.position[k + 1, number])
-            if turn is not None and track.quaternion is not None:
-                measured = Rotation.from_quat(track.quaternion[k + 1, number])
-                turn[k, number] = frame.apply((pose.rotation[0] * measured.inv()).as_rotvec())
+            joint, rows = automaton.mode(mode).joints[number], np.flatnonzero(of_mode == mode)
+            is_shown = (shown[rows, link.coordinate] != x[rows, link.coordinate]) & (not joint.moves)
+            for own, is_path in ((rows[is_shown], True), (rows[~is_shown], False)):
+                if not len(own):
+                    continue
+                c = shown[own, link.coordinate]
+                pose = link_motions(automaton)[number].poses(c) if is_path else forward(joint, c)
+                frame, measured = pose.rotation.inv(), own + 1
+                offset[own, number] = frame.apply(pose.translation - track.position[measured, number])
+                if turn is not None and track.quaternion is not None:
+                    back = Rotation.from_quat(track.quaternion[measured, number]).inv()
+                    turn[own, number] = frame.apply((pose.rotation * back).as_rotvec())
     return PredictionError(offset, turn, x - track.x[1:], modes)
 
 

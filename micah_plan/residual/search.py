@@ -92,17 +92,14 @@ class Search:
         number = np.array([runs[run] for run in lane.run.tolist()]) if by_run else np.arange(count)
         self.fold: Ints = number % self.folds
         self.lane, self.freedom = self._suited_noise()
-        self._spread, self._spread_whole = self._precision()
+        self._spread = self._precision()
         self.nominal = self.score(())
 
-    def _precision(self) -> tuple[Floats, Floats]:
-        """Relative stds of innovations under the model as it is: (S, T) of the lane, and (N,) of its whole runs."""
+    def _precision(self) -> Floats:
+        """(S, T) relative stds of innovations under the model as it is."""
         problem = self.problem(())
         fit = optimise(problem, self._starts(()), np.full(1, _START_SHARES[0]), self._all(1), _ROUNDS)
-        whole = self.lane.whole
-        if whole is None or whole.stretch is None:
-            return (own := _spread(problem, fit)), own[self.lane.counted]
-        return _spread(problem, fit), _spread(replace(problem, lane=whole), fit)[whole.counted]
+        return _spread(problem, fit)
 
     def leads_to_places(self, scored: Scored) -> bool:
         """Whether commands are places to the model."""
@@ -159,10 +156,13 @@ class Search:
         return _spread(self.problem(scored.parts), scored.fit)
 
     def squares(self, scored: Scored, kind: Errors) -> float:
-        """Sum of squared errors, held out, each by its row's precision under the model as it is."""
-        if kind != "whole":
-            return float(np.sum((self.errors(scored, kind) / self._spread) ** 2))
-        return float(np.sum((self.rollout_errors(scored) / self._spread_whole) ** 2))
+        """Sum of squared errors, held out: of steps each by its row's precision under the model as it is.
+
+        The precision of one step says nothing of a roll-out: weighted by it, rows at rest would decide.
+        """
+        if kind == "whole":
+            return float(np.sum(self.rollout_errors(scored) ** 2))
+        return float(np.sum((self.errors(scored, kind) / (self._spread if kind == "one_step" else 1.0)) ** 2))
 
     def noise_floor(self, scored: Scored) -> float:
         """Root mean square of a one-step error that noise alone would leave, if this model were true.

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
+from micah_plan.quantities import quantity
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
@@ -22,6 +26,24 @@ class Motion:
 
     start: Start
     commands: tuple[tuple[float, ...], ...]
+
+
+SMALLER = "divide the motion into steps that the object can make; are these m and rad?"
+
+
+def too_large(automaton: HybridAutomaton, motion: Motion) -> str:
+    """What is wrong with the first command that is larger than all that the object can move; empty if none is."""
+    for i, coordinate in enumerate(automaton.coordinates):
+        low, high = range_of(automaton, i)
+        moving = next((mode for mode in automaton.modes if mode.driven[i]), None)
+        if moving is None or not (np.isfinite(high - low) and high > low):
+            continue
+        moved = np.array(motion.commands).reshape(-1, automaton.m) @ np.array(moving.B[i])
+        large = np.flatnonzero(~(np.abs(moved) <= high - low))
+        if len(large):
+            size, whole = (quantity(value, coordinate.unit) for value in (float(moved[large[0]]), high - low))
+            return f"command {large[0]} moves '{coordinate.name}' by {size}, the whole range of the object is {whole}"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -45,6 +67,9 @@ class Experiment:
             raise InputError("an experiment needs a motion and a repetition. Got none")
         if any(len(row) != self.automaton.m for motion in self.motions for row in motion.commands):
             raise InputError(f"commands must have {self.automaton.m} inputs each")
+        for number, motion in enumerate(self.motions):
+            if fault := too_large(self.automaton, motion):
+                raise InputError(f"motion {number}: {fault}", remedy=SMALLER)
 
     def problem(self, number: int) -> Problem:
         """What a plant is made of for a motion: there is no goal."""

@@ -11,7 +11,6 @@ from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from socketserver import ThreadingTCPServer
 from threading import Lock
-from urllib.parse import urlsplit
 
 from micah_plan.errors import InputError, MicahError
 
@@ -67,7 +66,7 @@ class PageServer(ThreadingTCPServer):
         """
         if host not in (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}"):
             return 403, "text/plain", "served to this machine only\n"
-        if urlsplit(path).path != "/":
+        if path.partition("?")[0] != "/":
             return 404, "text/plain", "the page is at /\n"
         try:
             with self._lock:

@@ -52,6 +52,8 @@ motions:
         ("mean: {drawer: 0.2}", "mean: {drawer: 9.0}", "motions.1.start.mean", "lies in no mode's invariant"),
         ("drawer: [-0.03,", "drawer: [fast,", "motions.1.commands.drawer.0", "number"),
         ("models/drawer.yaml", "models/absent.yaml", "model", "absent.yaml"),
+        ("drawer: [0.03,", "drawer: [30.0,", "motions.0.commands", "command 0 moves 'drawer' by 30 m, the whole range"),
+        ("-0.03, -0.03, -0.03,", "-0.03, -899996.0, -0.03,", "motions.1.commands", "command 1 moves"),
         ("repetitions: 3", "repeat: 3", "repeat", "unknown key"),
     ],
 )
@@ -65,6 +67,13 @@ def test_mistakes_are_told(shipped, repository, tmp_path, old, new, where, told)
     assert where in str(caught.value)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_command_over_the_whole_range_is_an_experiment(shipped, repository, tmp_path) -> None:
+    text = shipped.read_text().replace("../../models", str(repository / "models"))
+    file = tmp_path / "experiment.yaml"
+    file.write_text(text.replace("drawer: [0.03,", "drawer: [0.27,"))
+    assert load_experiment(file).motions[0].commands[0] == (0.27,)
 
 
 def test_inputs_need_equally_many_commands(repository, tmp_path) -> None:

@@ -56,6 +56,14 @@ class Terminated(Own):
     def mistake(self):
         os.kill(os.getpid(), signal.SIGTERM)
 
+class HungUp(Own):
+    def mistake(self):
+        os.kill(os.getpid(), signal.SIGHUP)
+
+class Rude(Own):
+    def mistake(self):
+        raise PlantError("\x1b]0;title\x07 [/red] the gripper")
+
 class Dead(Own):
     def reset(self, rng):
         if self.step:
@@ -151,6 +159,7 @@ def test_a_plant_that_a_package_registered_is_known_by_its_name(run, place):
         ("own.py:Dead", 1, ["error: the protective stop is pressed; what was logged until then is in "], 14),
         ("own.py:Stopped", 130, ["error: interrupted; what was logged until then is in "], 3),
         ("own.py:Terminated", 130, ["error: interrupted; what was logged until then is in "], 3),
+        ("own.py:HungUp", 130, ["error: interrupted; what was logged until then is in "], 3),
     ],
 )
 def test_what_breaks_an_execution_off_is_one_line_and_the_log_is_kept(run, tmp_path, plant, code, said, rows):
@@ -167,6 +176,12 @@ def test_what_breaks_an_execution_off_is_json_too_when_asked(run):
     done = run("own.py:Broken", "--json")
     assert done.returncode == 2
     assert "Broken.apply raised ValueError" in json.loads(done.stdout)["error"]
+
+
+def test_what_a_machine_says_is_shown_and_not_sent_to_the_terminal(run):
+    done = run("own.py:Rude", "--trials", "1")
+    assert "\x1b" not in done.stdout + done.stderr
+    assert r"\x1b]0;title\x07 [/red] the gripper" in done.stdout
 
 
 def test_a_machine_that_fails_is_a_failed_trial(run):

@@ -90,7 +90,9 @@ def test_an_unchanged_file_is_not_read_twice(file: Path) -> None:
 
 
 def test_other_paths_and_other_names_for_this_machine_are_refused(server: PageServer) -> None:
-    assert answer(server.port, "/../../etc/passwd")[0] == 404
+    for path in ("/../../etc/passwd", "/x?y"):
+        assert answer(server.port, path)[0] == 404, path
+    assert answer(server.port, "/?again") == (200, "first")
     assert answer(server.port, Host=f"localhost:{server.port}") == (200, "first")
     for name in ("evil.example", f"evil.example:{server.port}", "127.0.0.1", ""):
         assert answer(server.port, Host=name)[0] == 403, name
@@ -103,6 +105,7 @@ def test_what_is_no_request_harms_nobody(server: PageServer, capsys: pytest.Capt
         b"GET / HTTP/9.9\r\n\r\n",
         b"GET /" + b"a" * 100_000,
         b"POST / HTTP/1.1\r\n\r\n",
+        b"GET http://[ HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % server.port,
     ):
         with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
             connection.sendall(sent)

@@ -30,8 +30,8 @@ class Delay(EffectForm):
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent = (v, *memory)
-        # Of one delay only the whole steps before and after it count; many at once share the line.
-        ages = range(len(sent)) if np.ndim(p[0]) else range(int(p[0]), min(int(p[0]) + 2, len(sent)))
+        # Only the whole steps before and after a delay count; many at once share the line.
+        ages = range(int(np.min(p[0])), min(int(np.max(p[0])) + 2, len(sent)))
         late = 0.0 * v
         for age in ages:
             late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]

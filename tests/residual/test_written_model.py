@@ -1,0 +1,55 @@
+"""The model that a calibration writes: it takes the runs that it was calibrated on, and is as good as is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.prediction import predict_recording, refused, rmse
+
+
+@pytest.fixture(scope="module")
+def honest():
+    return plants.door_recording(plants.runs_of(plants.honest, 6, 50, 0))
+
+
+def test_the_error_of_the_new_model_is_what_predict_says(door) -> None:
+    def dropping(c, u, _, memory):
+        return c + (0.85 if memory["run"] >= 5 else 1.0) * u
+
+    recording = plants.door_recording(plants.runs_of(dropping, 10, 50, 0))
+    found = calibrate(door, recording)
+    runs = predict_recording(found.automaton, recording)
+    (written,) = found.written
+    assert written.one_step == rmse([run.one_step.configuration for run in runs])
+    assert written.rollout == rmse([run.rollout.configuration for run in runs])
+    (effect,) = found.effects
+    assert effect.since is not None
+    # The rows before it was seen are predicted as the object is now, and that is said.
+    assert written.rollout > 2.0 * found.after.rollout
+    assert any("has it from the start" in note for note in found.notes)
+
+
+def test_a_model_that_refuses_runs_says_which(door, honest) -> None:
+    assert refused(door, honest) == ""
+    shifted = with_effect(door, Effect("guard_shift", "door", (("shift", 0.7), ("side", -1.0))))
+    begun = plants.door_recording([(np.array([0.2, 0.8, 0.85, 0.9]), np.array([0.6, 0.05, 0.05, 0.0]))])
+    assert refused(door, begun) == ""
+    assert "starts at" in refused(shifted, begun)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
+    found = calibrate(door, replace(honest, action=factor * np.array(honest.action)))
+    assert any(unit in note for note in found.notes)
+
+
+def test_a_weak_motor_is_no_unit(door) -> None:
+    found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 6, 50, 0)))
+    assert not any("convert" in note for note in found.notes)
