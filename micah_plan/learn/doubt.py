@@ -27,6 +27,7 @@ from micah_plan.learn.track import PartTrack
 
 _RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
 _BEYOND_NOISE = 3.0  # times what rows scatter by
+_CURVED = 2.0  # the same without wander, of a curve that comes back: handheld cameras bend hinges by up to once that
 _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
 
 
@@ -66,25 +67,33 @@ def doubt_of(
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    scatter = _scatter(track, inlier, noise, settings)
-    if not (_missed(fitted, track, inlier) > scatter).any():
+    # A path that agrees with itself in every pass is no wander of the tracker; free motion may be.
+    scatter, steady = (_scatter(track, inlier, noise, settings, steady=one) for one in (False, True))
+    missed = _missed(fitted, track, inlier)
+    if not (missed > steady).any():
         return None
     single = best_single(segmented, settings)
-    if not (_missed_by(single) > _BEYOND_NOISE * scatter).any():
+    missed_by_one = _missed_by(single)
+    if not (missed_by_one > _CURVED * steady).any():
         return None
+    may_be_free = (missed > scatter).any() and (missed_by_one > _BEYOND_NOISE * scatter).any()
     steps, trust = segmented.track, segmented.table.trust
     rough = first_noise(steps, settings)
     free = free_log_probability(steps, rough, trust)
     found = likeliest_path(steps, rough, trust) if settings.paths else None
     if found is not None and found.log_probability <= free:
         found = None
+    if found is None and not may_be_free:
+        return None
     told = (free if found is None else found.log_probability) - _RARE
     answer = segmented.log_probability
     if told > answer:
         answer = log_probability_at_most(segmented, settings)
     if told <= answer:
-        return Doubt(told - answer, answer)
+        return Doubt(told - answer, answer) if may_be_free else None
     log_odds = told - max(single.log_probability, answer)
+    if log_odds <= 0 and not may_be_free:
+        return None
     if log_odds <= 0:
         return Doubt(log_odds, single.log_probability, single)
     if found is None:
@@ -127,13 +136,19 @@ def _missed_by(answer: Segmented) -> Floats:
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 
 
-def _scatter(track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings) -> Floats:
+def _scatter(
+    track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings, *, steady: bool = False
+) -> Floats:
     """(2,) or (1,) how far rows lie off a joint that holds: rotation [rad], if it was measured, and position [m].
 
     By their noise, of which a few rows leave open how much it is, and because neither joints nor trackers are ideal. A
     rotation is forgiven what segments are: small parts of a turn are told as slides there, and that is another mistake.
+
+    Args:
+        steady: whether the tracker's wander is none of it.
     """
     rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
     position = np.hypot(max(noise.position_white, rough.position_white), settings.position_misfit)
-    rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), settings.rotation_wander)
+    allowed = settings.rotation_misfit if steady else settings.rotation_wander
+    rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), allowed)
     return np.asarray(np.sqrt(3) * np.array([rotation, position] if track.quaternion is not None else [position]))
