@@ -17,7 +17,7 @@ from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
 from micah_plan.explore.chain import Chain, opening
 from micah_plan.explore.choice import SEEN, best_push, largest_lead
-from micah_plan.explore.hand import stiffest
+from micah_plan.explore.hand import UNKNOWN, stiffest
 from micah_plan.explore.kinds import judged, refitted, with_joint
 from micah_plan.explore.moves import Moves, anywhere, compass, onwards
 from micah_plan.explore.record import Record
@@ -31,6 +31,7 @@ _AHEAD = 0.02  # m
 _SURE = 0.6  # of a motion: then the handle is led on
 _CHANGE = 0.03  # probability per step that another joint takes over
 _HELD = 0.005  # that anything within the force would move it
+_AGREED = 0.7  # of the way that forces tell, what the tracker must see
 _SURELY = 0.006  # m; play and panels that bend are less
 _MOVED = 0.03  # m of way; less is no opening
 _PROGRESS = 0.004  # m
@@ -163,7 +164,7 @@ class Explorer:
 
     def _probe(self) -> Floats:
         """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
-        size, record = _FIRST_PUSH, self.record
+        size, record = min(_FIRST_PUSH, 0.5 * self.scene.largest_force / UNKNOWN.stiffness), self.record
         if record.forces:
             last = max(float(np.linalg.norm(command)) for command in record.commands)
             force = min(_PUSH_FORCE, 0.5 * self.scene.largest_force)
@@ -212,12 +213,22 @@ class Explorer:
             self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
         elif record.lost:
             self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
+        elif (pull := self._pull()) > self.scene.largest_force:
+            told = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
+            self._end("gave_up", f"{told}: even to stay would pull with {pull:.3g} N")
         elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
             self._learn()
         fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely(40)
         way = 0.0 if self.chain is None else self.sense * float(self.chain.way[-1])
         lead, force = record.leads[-1], record.forces[-1]
         self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
+
+    def _pull(self) -> float:
+        """With what force a command to stay would pull: where it counts from was measured [N]."""
+        record = self.record
+        away = record.last_seen - record.place - record.slips.expected
+        counts = record.hand.from_measured and not record.blind
+        return float(np.linalg.norm(away)) * record.hand.stiffness if counts else 0.0
 
     def _hold_at(self, slip: Floats) -> None:
         """The hand now holds the handle elsewhere, by (3,) in its frame [m]: so does all that is remembered of it."""
@@ -306,9 +317,23 @@ class Explorer:
             self.moves = self._onwards(chain)
         if record.blind or record.odd or record.doubtful:
             return  # force alone shows no motion
-        self.travel = max(self.travel, abs(way))
-        if way >= self.scene.opening:
+        expected, seen = self._moved(chain)
+        if seen >= _AGREED * expected:
+            self.travel = max(self.travel, abs(way))
+        if way < self.scene.opening:
+            return
+        if seen >= _AGREED * expected:
             self._end("opened", f"the handle went {way:.3g} m")
+        else:
+            told = f"by its force the handle went {expected:.2g} m, the tracker saw {max(seen, 0.0):.2g} m of that"
+            self._end("gave_up", f"{told}: the hand, its force sensor or the tracker is not what it was")
+
+    def _moved(self, chain: Chain) -> tuple[float, float]:
+        """How far the handle went along its chain, as the crow flies, and how much of that the tracker saw [m]."""
+        places, _, _ = chain.poses(np.array([0.0, chain.way[-1]]))
+        net = places[1] - places[0]
+        size = float(np.linalg.norm(net))
+        return size, float((self.record.last_seen - self.record.first_seen) @ net) / max(size, 1e-9)
 
     def _onwards(self, chain: Chain) -> Moves:
         """The belief of a handle that goes its way: on in the directions that it may take, as well as known."""

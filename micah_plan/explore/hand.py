@@ -36,6 +36,11 @@ class Hand:
     from_measured: bool = False
     complaint: str = ""
 
+    @property
+    def stiffness(self) -> float:
+        """K = 1/c [N/m]."""
+        return 1.0 / self.compliance
+
     def std(self, force: Floats) -> float:
         """Std of a displacement found from a force (3,), per axis [m]."""
         size = self.compliance * float(np.linalg.norm(force))

@@ -47,10 +47,12 @@ class Record:
         lost, doubtful: whether the hand surely is, or may be, off the handle: no command meets a force, and it does not
             follow them.
         notes: what went wrong, one sentence each.
+        first_seen, last_seen: (3,) places as the tracker told them, whatever was made of them since [m].
     """
 
     def __init__(self, first: Measurement) -> None:
         self.hand: Hand = UNKNOWN
+        self.first_seen = self.last_seen = first.position[0].copy()
         self.places: list[Floats] = [first.position[0].copy()]
         self.turns: list[Floats] = [Rotation.from_quat(first.quaternion[0]).as_matrix()]
         self.commands, self.leads, self.forces = list[Floats](), list[Floats](), list[Floats]()
@@ -125,7 +127,7 @@ class Record:
         if self.blind:
             self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
             self.blind = 0
-        self._reference = place.copy()
+        self._reference = self.last_seen = place.copy()
         self._doubt_hand(place)
         return None if self.doubtful else self._slip()
 
