@@ -75,6 +75,7 @@ PLANTED: dict[str, Planted] = {
     "delay": Planted(plants.late, ("delay",), "steps", 2.0),
     "lag": Planted(plants.slow, ("lag",), "steps", float(1.0 / np.log(2.0))),
     "saturation": Planted(plants.weak, ("saturation",), "largest", 0.025),
+    "direction_gain": Planted(plants.one_sided, ("direction_gain",), "forward", 0.7),
     "dead_zone": Planted(plants.sticky, ("dead_zone",), "width", 0.02),
     "backlash": Planted(plants.loose, ("backlash",), "width", 0.06),
     "spring": Planted(plants.sprung, ("spring",), "stiffness", 0.03),
@@ -92,7 +93,6 @@ PLANTED: dict[str, Planted] = {
     "gain and backlash": Planted(plants.short_and_loose, ("gain", "backlash")),
     "delay and dead_zone": Planted(plants.late_and_sticky, ("delay", "dead_zone")),
     "ripple (unknown)": Planted(plants.rippled, ()),
-    "one-sided (unknown)": Planted(plants.one_sided, ()),
     "swaying (unknown)": Planted(plants.swaying, ()),
 }
 

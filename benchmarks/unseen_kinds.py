@@ -276,7 +276,9 @@ KINDS: dict[str, Made] = {
     "ripple (?)": plain(
         door, pushed(lambda r, t, s: lambda c, u, run: 0.35 * s * float(np.sin(14.0 * c / t.length))), "?"
     ),
-    "weak one way (?)": plain(drawer, actuated(lambda r, t, s: simple(lambda u, run: 0.65 * u if u < 0 else u)), "?"),
+    "weak one way": plain(
+        drawer, actuated(lambda r, t, s: simple(lambda u, run: 0.65 * u if u < 0 else u)), "direction_gain"
+    ),
     "wobbles in time (?)": plain(door, lambda r, t, s: _swaying(s), "?", rows=90),
 }
 

@@ -43,7 +43,8 @@ from micah_plan.errors import InputError
 WEIGHTS = (-1.0, 0.0, 0.0, 0.5, 1.0)
 PLACES = (-1.0, -0.2, 0.0, 0.3)
 EFFECTS = ("gain", "bias", "delay", "lag", "backlash", "dead_zone", "saturation", "spring", "limit", "guard_shift",
-           "follow", "sensor_scale", "sensor_offset", "drift", "latch", "gravity", "stick_slip")  # fmt: skip
+           "direction_gain", "follow", "sensor_scale", "sensor_offset", "drift", "latch", "gravity",
+           "stick_slip")  # fmt: skip
 PROBLEM = """
 format: micah-plan/problem/1
 model: model.yaml

@@ -15,6 +15,11 @@ from micah_plan.recording.value import Recording
 _FEW, _RARE = 3, 0.05
 """Repeats of so few rows at a time, that are so rare, are dropped frames, which nobody has to know."""
 
+_AT_RANDOM = 1.5
+"""Of the variance is the mean square of steps, which is 2 of noise, of what says nothing of the next row."""
+
+_FEWEST = 16
+
 _OVERLAP = 0.8
 """Of the rows of two parts that strayed together, for one to be taken for the other."""
 
@@ -56,10 +61,37 @@ def breaks(recording: Recording) -> tuple[str, ...]:
             if len(index):
                 rows = recording.select(run=run, part=part)
                 tracks.append(_Track(f"part '{part}'", tuple(index.tolist()), rows, continuity_of(rows)))
-        lines = [line for track in tracks for line in (*_repeat_lines(track), *_jump_lines(track))]
+        lines = [
+            line for track in tracks for line in (*_noise_lines(track), *_repeat_lines(track), *_jump_lines(track))
+        ]
         lines += _stray_lines(tracks)
         found += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
     return tuple(found)
+
+
+def _noise_lines(track: _Track) -> list[str]:
+    """A part that is somewhere else in every row, whatever the row before said.
+
+    The mean square of successive differences is twice the variance of white noise, and less of any motion (von Neumann,
+    Annals of Mathematical Statistics 1941).
+    """
+    rows = track.rows.rows(track.seen.is_measured)
+    if len(rows) < _FEWEST:
+        return []
+    found = []
+    vectors = [(rows.position, "m", FLOORS[0])]
+    if rows.quaternion is not None:
+        turned = rows.poses().rotation
+        vectors.append((np.asarray((turned * turned.mean().inv()).as_rotvec()), "rad", FLOORS[1]))
+    for values, unit, floor in vectors:
+        spread = float(np.sqrt(values.var(axis=0).sum()))
+        steps = float((np.diff(values, axis=0) ** 2).sum(axis=1).mean())
+        if spread > floor and steps > _AT_RANDOM * spread**2:
+            found.append(
+                f"{track.name} is {quantity(spread, unit, digits=2)} (rms) elsewhere in every row, whatever the row "
+                "before said: is this noise, or are the rows out of order?"
+            )
+    return found
 
 
 def _repeat_lines(track: _Track) -> list[str]:

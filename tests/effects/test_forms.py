@@ -30,6 +30,7 @@ SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
 SAMPLES = {
     "gain": (0.8,),
     "bias": (0.01,),
+    "direction_gain": (0.9, 0.6),
     "saturation": (0.05,),
     "dead_zone": (0.02, 1.0),
     "spring": (0.1, 0.2, 0.5),

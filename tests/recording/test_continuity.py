@@ -181,3 +181,22 @@ def test_the_answer_does_not_depend_on_the_frame_or_the_clock() -> None:
         (turn * Rotation.from_quat(recording.quaternion)).as_quat(),
     )
     assert left_out(other) == left_out(recording) == [(50, 55)]
+
+
+@pytest.mark.parametrize("what", ["position", "quaternion", "shuffled"])
+def test_what_is_elsewhere_in_every_row_is_told_as_noise(what) -> None:
+    recording, rng = swing(angles()), np.random.default_rng(3)
+    columns = {"position": recording.position, "quaternion": recording.quaternion}
+    if what == "position":
+        columns["position"] = rng.standard_normal((ROWS, 3))
+    elif what == "quaternion":
+        columns["quaternion"] = Rotation.random(ROWS, rng=rng).as_quat()
+    else:
+        order = rng.permutation(ROWS)
+        columns = {name: values[order] for name, values in columns.items()}
+    assert any("is this noise" in line for line in breaks(Recording(recording.time, **columns)))
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.015])
+def test_a_part_at_rest_under_noise_is_not(noise) -> None:
+    assert breaks(swing(np.zeros(ROWS), noise=noise)) == ()

@@ -7,6 +7,9 @@ from typing import final
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.shown import Shown, Start, command_sizes
 
+# Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
+_TO_REST, _FEW = 0.05, 0.05
+
 
 @final
 class Gain(EffectForm):
@@ -20,6 +23,27 @@ class Gain(EffectForm):
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * v
+
+
+@final
+class DirectionGain(EffectForm):
+    """v -> forward v for v > 0, backward v for v < 0."""
+
+    name = "direction_gain"
+    sentence = "Motions one way are carried out by another share of the command than those the other way."
+    source = "Armstrong-Helouvry et al., Automatica 1994, section 2: friction that depends on the direction"
+    parameters = (Parameter("forward", "1", 1.0, 0.0), Parameter("backward", "1", 1.0, 0.0))
+    experiments = (("bias", "command steps of very different sizes: a gain takes a share of each, a bias the same"),)
+
+    def command(self, ops: Operations, v: Value, p: Values) -> Value:
+        return p[0] * ops.maximum(v, 0.0) + p[1] * ops.minimum(v, 0.0)
+
+    def begun(self, seen: Shown) -> Start | None:
+        u = seen.u[seen.counted_starts]
+        ways = [float((sign * u > _TO_REST * seen.command_size).mean()) for sign in (1.0, -1.0)]
+        if min(ways) < _FEW:
+            return None
+        return Start([[0.9, 0.7], [0.7, 0.9]], (0, 1), [0.3, 0.3])
 
 
 @final
