@@ -32,9 +32,9 @@ WRITING = (
     "convert {here}/runs.csv {here}/runs.npz",
     "convert {here}/model.yaml {here}/model.urdf",
     "convert {here}/model.urdf {here}/of_urdf.yaml",
+    "learn {here}/runs.csv -o {here}/learned_again.yaml",
 )
 FOLLOWING = (
-    "learn {here}/runs.csv -o {here}/learned_again.yaml",
     "learn {here}/runs.npz -o {here}/learned_of_npz.yaml",
     "solve {here}/of_model/problem.yaml -o {here}/plan_of_new.json",
     "solve problems/drawer_open.yaml --model {here}/improved.yaml -o {here}/plan_of_improved.json",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import threading
 import traceback
 from typing import Annotated, Any, NoReturn
 
@@ -84,6 +85,8 @@ def _end_as_interrupted() -> None:
 
     A signal that is ignored stays so: `nohup` asks for a command that outlives its terminal.
     """
+    if threading.current_thread() is not threading.main_thread():
+        return  # only there may signals be handled
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:

@@ -39,6 +39,9 @@ _JUMP_COSTS = 0.1
 _DETOUR = 2.0
 """Times as long as the way without it is the way over a stray."""
 
+_MOST_PIECES = 64
+"""One after another that are looked over: more strays in a row are no strays."""
+
 _MIRACLE = 1e-3
 _ORDERS = (2, 3, 4, 5, 6)
 _FEWEST = 8
@@ -96,7 +99,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
     within = [(left_out[(left_out >= a) & (left_out <= b)], b) for a, b in stretches(~is_measured)]
     strays = tuple((int(own[0]), b) for own, b in within if len(own))
     over = [pieces[now][0] for before, now in pairwise(kept) if now == before + 1]
-    jumps = tuple(Jump(int(fresh[k]), *steps.between(k - 1, k)) for k in over)
+    jumps = tuple(Jump(int(fresh[k]), *steps.between(k - 1, k).tolist()) for k in over)
     return Continuity(is_measured, repeats, strays, jumps)
 
 
@@ -105,14 +108,15 @@ class _Steps:
     """Readings one after another, and the steps between them.
 
     Attributes:
-        time: (k,) in rows of the usual pause; lengths: (k-1,) of position [m] and, if measured, rotation [rad].
+        time: (k,) in rows of the usual pause; position: (k, 3) [m]; quaternion: (k, 4), or None.
+        lengths: (k-1,) of steps of position [m] and, if measured, rotation [rad].
         over_two: (k-2,) length of two steps together, of position and, if measured, rotation.
         usual: what nearly all steps stay below, per row.
     """
 
     time: Floats
     position: Floats
-    rotation: Rotation | None
+    quaternion: Floats | None
     lengths: tuple[Floats, ...]
     over_two: tuple[Floats, ...]
     usual: tuple[float, ...]
@@ -130,7 +134,7 @@ class _Steps:
         rows = np.concatenate([[0.0], np.cumsum(np.maximum(pause / np.median(pause), 1.0))])
         lengths = apart(1)
         usual = tuple(float(np.quantile(length / np.diff(rows), _NEARLY_ALL)) for length in lengths)
-        return cls(rows, position, rotation, lengths, apart(2), usual)
+        return cls(rows, position, quaternion, lengths, apart(2), usual)
 
     def jumps(self, commanded: Floats) -> Booleans:
         """(k-1,) steps that the part does not make."""
@@ -146,23 +150,25 @@ class _Steps:
             found |= own & (commanded < 0.5 * length) if number == 0 else own
         return found
 
-    def between(self, a: int, b: int) -> tuple[float, float]:
-        """Distance [m] and angle [rad] from one reading to another."""
-        angle = 0.0 if self.rotation is None else float((self.rotation[b] * self.rotation[a].inv()).magnitude())
-        return float(np.linalg.norm(self.position[b] - self.position[a])), angle
+    def between(self, a: Ints | int, b: Ints | int) -> Floats:
+        """(2, k) distances [m] and angles [rad] from some readings to others; angles of 0 where none were measured."""
+        far = np.linalg.norm(self.position[b] - self.position[a], axis=-1)
+        if self.quaternion is None:
+            return np.stack([far, np.zeros_like(far)])
+        cosine = np.abs((self.quaternion[a] * self.quaternion[b]).sum(axis=-1))
+        return np.stack([far, 2.0 * np.arccos(np.minimum(cosine, 1.0))])
 
-    def comes_back(self, leaves: int, first: int, last: int, back: int) -> bool:
-        """Whether readings from `first` to `last` lie beside the way from the reading before to the one behind them.
+    def comes_back(self, leaves: Ints, first: Ints, last: int, back: int) -> Booleans:
+        """Whether readings from each of `first` to `last` lie beside the way from those before to the one behind them.
 
         The part must get from there to here in the time, and the way over them must be much longer: what lies on the
         way was measured, though rows are missing before and behind it.
         """
-        rows, away = self.time[back] - self.time[leaves], self.between(leaves, back)[: len(self.usual)]
-        reach = (max(floor, _FASTER * usual) + rows * usual for floor, usual in zip(FLOORS, self.usual, strict=False))
-        if any(own > most for own, most in zip(away, reach, strict=True)):
-            return False
-        over = np.add(self.between(leaves, first), self.between(last, back))
-        return bool(np.any((over > 2.0 * np.array(FLOORS)) & (over > _DETOUR * np.array(self.between(leaves, back)))))
+        rows, straight = self.time[back] - self.time[leaves], self.between(leaves, back)
+        floor, usual = np.array(FLOORS)[:, None], np.array([*self.usual, 0.0])[:2, None]
+        in_time = (straight <= np.maximum(floor, _FASTER * usual) + rows * usual).all(axis=0)
+        over = self.between(leaves, first) + self.between(last, back)[:, None]
+        return np.asarray(in_time & ((over > 2.0 * floor) & (over > _DETOUR * straight)).any(axis=0))
 
 
 def away(rows: Recording, a: int, b: int) -> tuple[float, float]:
@@ -182,14 +188,15 @@ def _kept(steps: _Steps, pieces: list[tuple[int, int]], cost: float) -> list[int
     """Numbers of the pieces with the most rows that follow one another; going over a jump costs so many rows."""
     if len(pieces) == 1:
         return [0]
-    best, before = np.zeros(len(pieces)), np.full(len(pieces), -1)
-    for now, (start, end) in enumerate(pieces):
-        best[now] = end - start
-        for last in range(now):
-            leaves, first, back = pieces[last][1] - 1, pieces[last][1], pieces[now - 1][1] - 1
-            lost = cost if last == now - 1 or not steps.comes_back(leaves, first, back, start) else 0.0
-            if best[last] + end - start - lost > best[now]:
-                best[now], before[now] = best[last] + end - start - lost, last
+    starts, ends = np.transpose(pieces)
+    best, before = (ends - starts).astype(float), np.full(len(pieces), -1)
+    for now in range(1, len(pieces)):
+        passed = np.arange(max(now - _MOST_PIECES, 0), now)
+        beside = steps.comes_back(ends[passed] - 1, ends[passed], int(ends[now - 1]) - 1, int(starts[now]))
+        beside[-1] = False
+        total = best[passed] + best[now] - np.where(beside, 0.0, cost)
+        if total.max() > best[now]:
+            best[now], before[now] = total.max(), passed[np.argmax(total)]
     chain = [int(np.argmax(best))]
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))

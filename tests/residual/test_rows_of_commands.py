@@ -32,7 +32,7 @@ def held(recording: Recording, each: int) -> Recording:
     return replace(recording, position=recording.position[first], quaternion=recording.quaternion[first])
 
 
-@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("rows", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, rows) -> None:
     recording = stored_late(plants.door_recording(plants.runs_of(plants.honest, 8, 50, 3)), rows)
     found = calibrate(door, recording)
@@ -45,6 +45,7 @@ def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, row
     assert "stored" in told.sentence
 
 
+@pytest.mark.slow
 def test_effects_are_found_in_commands_that_are_stored_late(door) -> None:
     found = calibrate(door, stored_late(plants.door_recording(plants.runs_of(plants.feeble, 10, 50, 0)), 1))
     sizes = {effect.effect.name: effect.effect.values[0] for effect in found.effects}
@@ -101,6 +102,7 @@ def test_poses_that_are_held_for_three_rows_are_no_effect(door) -> None:
     assert rmse([run.one_step.configuration for run in runs]) < 0.008
 
 
+@pytest.mark.slow
 def test_effects_are_sized_between_held_poses(door) -> None:
     found = calibrate(door, held(plants.door_recording(plants.runs_of(plants.feeble, 10, 60, 0), across=0.001), 3))
     sizes = {effect.effect.name: effect.effect.values[0] for effect in found.effects}

@@ -44,6 +44,7 @@ def test_a_true_model_leaves_noise(end) -> None:
     assert max(np.ptp(run.x) for run in predicted) > 0.9 * end
 
 
+@pytest.mark.slow
 def test_an_effect_is_sized_beyond_half_a_turn() -> None:
     found = calibrate(turning(5.5), runs(5.5, 0.8))
     (effect,) = found.effects

@@ -44,12 +44,15 @@ def test_a_model_that_refuses_runs_says_which(door, honest) -> None:
     assert "starts at" in refused(shifted, begun)
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1000.0, "millimetres"), pytest.param(100.0, "centimetres", marks=pytest.mark.slow)]
+)
 def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
     found = calibrate(door, replace(honest, action=factor * np.array(honest.action)))
     assert any(unit in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_weak_motor_is_no_unit(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 6, 50, 0)))
     assert not any("convert" in note for note in found.notes)
