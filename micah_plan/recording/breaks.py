@@ -34,7 +34,7 @@ class _Track:
     name: str
     index: tuple[int, ...]
     rows: Recording
-    seen: Continuity
+    continuity: Continuity
 
     def says(self, first: int, last: int) -> str:
         """Rows as they are numbered in the recording, and their times."""
@@ -44,14 +44,14 @@ class _Track:
 
     def beside(self, first: int, last: int) -> int:
         """The measured row next to rows that are none: before them or, at the start, behind them."""
-        measured = np.flatnonzero(self.seen.is_measured)
+        measured = np.flatnonzero(self.continuity.is_measured)
         before = measured[measured < first]
         return int(before[-1] if len(before) else measured[measured > last][0])
 
 
 def breaks(recording: Recording) -> tuple[str, ...]:
     """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
-    found: list[str] = []
+    every: list[str] = []
     number = np.arange(len(recording))
     names = np.array(recording.part)
     for run in recording.runs:
@@ -65,8 +65,8 @@ def breaks(recording: Recording) -> tuple[str, ...]:
             line for track in tracks for line in (*_noise_lines(track), *_repeat_lines(track), *_jump_lines(track))
         ]
         lines += _stray_lines(tracks)
-        found += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
-    return tuple(found)
+        every += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
+    return tuple(every)
 
 
 def _noise_lines(track: _Track) -> list[str]:
@@ -75,10 +75,10 @@ def _noise_lines(track: _Track) -> list[str]:
     The mean square of successive differences is twice the variance of white noise, and less of any motion (von Neumann,
     Annals of Mathematical Statistics 1941).
     """
-    rows = track.rows.rows(track.seen.is_measured)
+    rows = track.rows.rows(track.continuity.is_measured)
     if len(rows) < _FEWEST:
         return []
-    found = []
+    lines = []
     vectors = [(rows.position, "m", FLOORS[0])]
     if rows.quaternion is not None:
         turned = rows.poses().rotation
@@ -87,34 +87,34 @@ def _noise_lines(track: _Track) -> list[str]:
         spread = float(np.sqrt(values.var(axis=0).sum()))
         steps = float((np.diff(values, axis=0) ** 2).sum(axis=1).mean())
         if spread > floor and steps > _AT_RANDOM * spread**2:
-            found.append(
+            lines.append(
                 f"{track.name} is {quantity(spread, unit, digits=2)} (rms) elsewhere in every row, whatever the row "
                 "before said: is this noise, or are the rows out of order?"
             )
-    return found
+    return lines
 
 
 def _repeat_lines(track: _Track) -> list[str]:
     strays = np.zeros(len(track.rows), dtype=bool)
-    for first, last in track.seen.strays:
+    for first, last in track.continuity.strays:
         strays[first : last + 1] = True
-    found = stretches(track.seen.repeats & ~strays)
-    if not found or (max(b - a for a, b in found) + 1 < _FEW and track.seen.repeats.mean() < _RARE):
+    pieces = stretches(track.continuity.repeats & ~strays)
+    if not pieces or (max(b - a for a, b in pieces) + 1 < _FEW and track.continuity.repeats.mean() < _RARE):
         return []
-    first, last = max(found, key=lambda own: own[1] - own[0])
-    total = sum(b - a + 1 for a, b in found)
-    longest = "" if len(found) == 1 else f", most of them {track.says(first, last)}"
+    first, last = max(pieces, key=lambda piece: piece[1] - piece[0])
+    total = sum(b - a + 1 for a, b in pieces)
+    longest = "" if len(pieces) == 1 else f", most of them {track.says(first, last)}"
     where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
-    pose = f"the pose of row {track.index[first - 1]}" if len(found) == 1 else "the pose of the row before"
-    at = f", {track.says(first, last)}" if len(found) == 1 else longest
+    pose = f"the pose of row {track.index[first - 1]}" if len(pieces) == 1 else "the pose of the row before"
+    at = f", {track.says(first, last)}" if len(pieces) == 1 else longest
     return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
 
 
 def _jump_lines(track: _Track) -> list[str]:
-    if not track.seen.jumps:
+    if not track.continuity.jumps:
         return []
-    jump = max(track.seen.jumps, key=lambda own: own.distance)
-    others = len(track.seen.jumps) - 1
+    jump = max(track.continuity.jumps, key=lambda jump: jump.distance)
+    others = len(track.continuity.jumps) - 1
     more = f" (and at {count(others, 'more row')})" if others else ""
     return [
         f"{track.name} jumps by {_size(jump.distance, jump.angle)} at {track.says(jump.row, jump.row)}{more}, faster "
@@ -125,23 +125,23 @@ def _jump_lines(track: _Track) -> list[str]:
 
 def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
     """Strays of all parts of a run; of two that stray to each other's place the names were exchanged."""
-    every = [(track, first, last) for track in tracks for first, last in track.seen.strays]
+    every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
     exchanged = [(a, b) for a, b in permutations(every, 2) if a[0] is not b[0] and _is_taken_for(a, b)]
     pairs = [(a, b) for a, b in exchanged if (b, a) in exchanged and every.index(a) < every.index(b)]
     lines = [
         f"{a[0].name} and {b[0].name} are exchanged in {a[0].says(*a[1:])}: these rows are not used" for a, b in pairs
     ]
-    told = [own for pair in pairs for own in pair]
+    named = [stray for pair in pairs for stray in pair]
     for track in tracks:
-        left = [own for own in every if own[0] is track and own not in told]
-        if left:
-            lines.append(_stray_line(track, [(first, last) for _, first, last in left]))
+        alone = [stray for stray in every if stray[0] is track and stray not in named]
+        if alone:
+            lines.append(_stray_line(track, [(first, last) for _, first, last in alone]))
     return lines
 
 
 def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
     """The longest of the strays of a track, and how many there are."""
-    first, last = max(strays, key=lambda own: own[1] - own[0])
+    first, last = max(strays, key=lambda stray: stray[1] - stray[0])
     size = _size(*away(track.rows, track.beside(first, last), first))
     is_at_end = first == 0 or last == len(track.rows) - 1
     more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
@@ -159,9 +159,9 @@ def _size(distance: float, angle: float) -> str:
     return " and ".join(shown)
 
 
-def _is_taken_for(own: tuple[_Track, int, int], other: tuple[_Track, int, int]) -> bool:
+def _is_taken_for(stray: tuple[_Track, int, int], another: tuple[_Track, int, int]) -> bool:
     """Whether a stray of one part is where another part, which strays in the same rows, was before."""
-    (track, first, last), (place, begin, end) = own, other
+    (track, first, last), (place, begin, end) = stray, another
     time, span = track.rows.time, place.rows.time
     shared = min(time[last], span[end]) - max(time[first], span[begin])
     longest = max(time[last] - time[first], span[end] - span[begin])

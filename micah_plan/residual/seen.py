@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Floats, robust_std
+from micah_plan.arrays import Floats, Ints, robust_std
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -229,17 +229,23 @@ def without_gaps(track: Track) -> list[Track]:
 
 
 def _rows(track: Track, first: int, end: int) -> Track:
-    own, steps = slice(first, end), slice(first, end - 1)
+    steps = slice(first, end - 1)
+    u, action = (None if commands is None else commands[steps] for commands in (track.u, track.action))
+    return _taken(track, slice(first, end), u, action)
+
+
+def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | None) -> Track:
+    """Some rows of a run, with the commands from each to the next."""
     return replace(
         track,
-        time=track.time[own],
-        position=track.position[own],
-        quaternion=None if track.quaternion is None else track.quaternion[own],
-        x=track.x[own],
-        u=None if track.u is None else track.u[steps],
-        action=None if track.action is None else track.action[steps],
-        believed=None if track.believed is None else track.believed[own],
-        is_measured=track.is_measured[own],
+        time=track.time[rows],
+        position=track.position[rows],
+        quaternion=None if track.quaternion is None else track.quaternion[rows],
+        x=track.x[rows],
+        u=u,
+        action=action,
+        believed=None if track.believed is None else track.believed[rows],
+        is_measured=track.is_measured[rows],
     )
 
 
@@ -255,14 +261,4 @@ def at_measurements(track: Track) -> Track:
         so_far = np.concatenate([np.zeros_like(commands[:1]), np.cumsum(commands, axis=0)])
         return np.asarray(np.diff(so_far[rows], axis=0))
 
-    return replace(
-        track,
-        time=track.time[rows],
-        position=track.position[rows],
-        quaternion=None if track.quaternion is None else track.quaternion[rows],
-        x=track.x[rows],
-        u=between(track.u),
-        action=between(track.action),
-        believed=None if track.believed is None else track.believed[rows],
-        is_measured=track.is_measured[rows],
-    )
+    return _taken(track, rows, between(track.u), between(track.action))
