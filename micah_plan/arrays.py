@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,3 +25,12 @@ def alike(numbers: Ints) -> list[tuple[int, Ints]]:
     """Each of the numbers (k,) that occurs, with the places (c,) where it does."""
     counts = np.bincount(numbers)
     return [(number, np.flatnonzero(numbers == number)) for number in np.flatnonzero(counts).tolist()]
+
+
+def white_std(values: Floats, order: int) -> Floats:
+    """Std of white noise on rows (n, ...), along each column, as differences of an order >= 1 show it.
+
+    They lie about 0 and have comb(2 order, order) times its variance; what lower orders show of a motion is in them.
+    """
+    differences = np.diff(values, order, axis=0)
+    return np.asarray(robust_std(np.concatenate([differences, -differences])) / np.sqrt(comb(2 * order, order)))

@@ -259,7 +259,7 @@ def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
             "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
             "new_model": {
                 coordinate.name: {"one_step_rmse": own.one_step, "rollout_rmse": own.rollout}
-                for coordinate, own in zip(found.automaton.coordinates, found.written, strict=True)
+                for coordinate, own in zip(found.automaton.coordinates, found.written, strict=bool(found.written))
             },
             "noise_floor": found.noise_floor,
             "rollout_noise_floor": found.rollout_floor,

@@ -147,7 +147,7 @@ def error_lines(found: Calibration) -> list[str]:
             lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
         floors = (quantity(floor, own.unit) for floor in (own.noise_floor, own.rollout_floor))
         lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
-    if found.automaton is found.told:
+    if found.automaton is found.told or not found.written:
         return lines
     for coordinate, size in zip(found.automaton.coordinates, found.written, strict=True):
         sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations
 
 import numpy as np
 
 from micah_plan.quantities import count, quantity
-from micah_plan.recording.continuity import FLOORS, Continuity, away, continuity_of, stretches
+from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.value import Recording
 
 _FEW, _RARE = 3, 0.05
@@ -47,6 +47,10 @@ class _Track:
         measured = np.flatnonzero(self.continuity.is_measured)
         before = measured[measured < first]
         return int(before[-1] if len(before) else measured[measured > last][0])
+
+
+_Stray = tuple[_Track, int, int]
+"""A part, and the first and last row of a piece that is left out of its track."""
 
 
 def breaks(recording: Recording) -> tuple[str, ...]:
@@ -126,8 +130,12 @@ def _jump_lines(track: _Track) -> list[str]:
 def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
     """Strays of all parts of a run; of two that stray to each other's place the names were exchanged."""
     every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
-    exchanged = [(a, b) for a, b in permutations(every, 2) if a[0] is not b[0] and _is_taken_for(a, b)]
-    pairs = [(a, b) for a, b in exchanged if (b, a) in exchanged and every.index(a) < every.index(b)]
+    pairs = [
+        (a, b)
+        for one, another in combinations(tracks, 2)
+        for a, b in _at_once(one, another)
+        if _is_taken_for(a, b) and _is_taken_for(b, a)
+    ]
     lines = [
         f"{a[0].name} and {b[0].name} are exchanged in {a[0].says(*a[1:])}: these rows are not used" for a, b in pairs
     ]
@@ -142,7 +150,7 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
 def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
     """The longest of the strays of a track, and how many there are."""
     first, last = max(strays, key=lambda stray: stray[1] - stray[0])
-    size = _size(*away(track.rows, track.beside(first, last), first))
+    size = _size(*apart(track.rows.position, track.rows.quaternion, track.beside(first, last), first).tolist())
     is_at_end = first == 0 or last == len(track.rows) - 1
     more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
     return (
@@ -159,14 +167,22 @@ def _size(distance: float, angle: float) -> str:
     return " and ".join(shown)
 
 
-def _is_taken_for(stray: tuple[_Track, int, int], another: tuple[_Track, int, int]) -> bool:
+def _at_once(track: _Track, other: _Track) -> list[tuple[_Stray, _Stray]]:
+    """Strays of two parts that lie in the same rows, most of the time of the longer one."""
+    pairs = []
+    begins, ends = (other.rows.time[[stray[k] for stray in other.continuity.strays]] for k in (0, 1))
+    for first, last in track.continuity.strays:
+        begin, end = track.rows.time[[first, last]].tolist()
+        for k in range(int(np.searchsorted(ends, begin)), int(np.searchsorted(begins, end, side="right"))):
+            shared = min(end, float(ends[k])) - max(begin, float(begins[k]))
+            if shared >= _OVERLAP * max(end - begin, float(ends[k] - begins[k])):
+                pairs.append(((track, first, last), (other, *other.continuity.strays[k])))
+    return pairs
+
+
+def _is_taken_for(stray: _Stray, another: _Stray) -> bool:
     """Whether a stray of one part is where another part, which strays in the same rows, was before."""
     (track, first, last), (place, begin, end) = stray, another
-    time, span = track.rows.time, place.rows.time
-    shared = min(time[last], span[end]) - max(time[first], span[begin])
-    longest = max(time[last] - time[first], span[end] - span[begin])
-    if shared < _OVERLAP * longest:
-        return False
     here = track.rows.position[first]
     from_own = np.linalg.norm(here - track.rows.position[track.beside(first, last)])
     from_other = np.linalg.norm(here - place.rows.position[place.beside(begin, end)])

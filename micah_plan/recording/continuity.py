@@ -17,12 +17,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import comb
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import Booleans, Floats, Ints, white_std
 from micah_plan.recording.value import Recording
 
 FLOORS = (0.03, 0.3)
@@ -45,6 +43,7 @@ _MOST_PIECES = 64
 _MIRACLE = 1e-3
 _ORDERS = (2, 3, 4, 5, 6)
 _FEWEST = 8
+"""Rows: differences of the highest order need as many."""
 
 
 @dataclass(frozen=True)
@@ -123,18 +122,17 @@ class _Steps:
 
     @classmethod
     def of(cls, time: Floats, position: Floats, quaternion: Floats | None) -> _Steps:
-        rotation = None if quaternion is None else Rotation.from_quat(quaternion)
+        row, channels = np.arange(len(time)), 1 if quaternion is None else 2
 
-        def apart(lag: int) -> tuple[Floats, ...]:
-            found: tuple[Floats, ...] = (np.linalg.norm(position[lag:] - position[:-lag], axis=1),)
-            return found if rotation is None else (*found, (rotation[lag:] * rotation[:-lag].inv()).magnitude())
+        def steps(lag: int) -> tuple[Floats, ...]:
+            return tuple(apart(position, quaternion, row[:-lag], row[lag:])[:channels])
 
         pause = np.diff(time)
         # A pause that is shorter than usual is one of the clock, not of the hand.
         rows = np.concatenate([[0.0], np.cumsum(np.maximum(pause / np.median(pause), 1.0))])
-        lengths = apart(1)
+        lengths = steps(1)
         usual = tuple(float(np.quantile(length / np.diff(rows), _NEARLY_ALL)) for length in lengths)
-        return cls(rows, position, quaternion, lengths, apart(2), usual)
+        return cls(rows, position, quaternion, lengths, steps(2), usual)
 
     def jumps(self, commanded: Floats) -> Booleans:
         """(k-1,) steps that the part does not make."""
@@ -151,12 +149,8 @@ class _Steps:
         return found
 
     def between(self, a: Ints | int, b: Ints | int) -> Floats:
-        """(2, k) distances [m] and angles [rad] from some readings to others; angles of 0 where none were measured."""
-        far = np.linalg.norm(self.position[b] - self.position[a], axis=-1)
-        if self.quaternion is None:
-            return np.stack([far, np.zeros_like(far)])
-        cosine = np.abs((self.quaternion[a] * self.quaternion[b]).sum(axis=-1))
-        return np.stack([far, 2.0 * np.arccos(np.minimum(cosine, 1.0))])
+        """(2, k) from some readings to others, see `apart`."""
+        return apart(self.position, self.quaternion, a, b)
 
     def comes_back(self, leaves: Ints, first: Ints, last: int, back: int) -> Booleans:
         """Whether readings from each of `first` to `last` lie beside the way from those before to the one behind them.
@@ -171,12 +165,13 @@ class _Steps:
         return np.asarray(in_time & ((over > 2.0 * floor) & (over > _DETOUR * straight)).any(axis=0))
 
 
-def away(rows: Recording, a: int, b: int) -> tuple[float, float]:
-    """Distance [m] and angle [rad] of row b from row a; an angle of 0 where orientation was not measured."""
-    angle = 0.0
-    if rows.quaternion is not None:
-        angle = 2.0 * float(np.arccos(np.clip(abs(rows.quaternion[a] @ rows.quaternion[b]), 0.0, 1.0)))
-    return float(np.linalg.norm(rows.position[b] - rows.position[a])), angle
+def apart(position: Floats, quaternion: Floats | None, a: Ints | int, b: Ints | int) -> Floats:
+    """(2, k) distances [m] and angles [rad] from rows a to rows b; angles of 0 where orientation was not measured."""
+    far = np.linalg.norm(position[b] - position[a], axis=-1)
+    if quaternion is None:
+        return np.stack([far, np.zeros_like(far)])
+    cosine = np.abs((quaternion[a] * quaternion[b]).sum(axis=-1))
+    return np.stack([far, 2.0 * np.arccos(np.minimum(cosine, 1.0))])
 
 
 def continuity_of(rows: Recording) -> Continuity:
@@ -220,16 +215,11 @@ def _chance_of_equal(column: Floats) -> float:
 
     Noise is what differences of every order show; what only the lower ones show is motion.
     """
-    noise: float = min(_white_std(column, order) for order in _ORDERS)
+    noise = min(float(white_std(column, order)) for order in _ORDERS)
     levels = np.unique(column)
     if noise == 0.0 or len(levels) == 1:
         return 1.0
     return min(1.0, float(np.diff(levels).min()) / (2.0 * float(np.sqrt(np.pi)) * noise))
-
-
-def _white_std(column: Floats, order: int) -> float:
-    differences = np.abs(np.diff(column, order))
-    return float(1.4826 * np.median(differences)) / float(np.sqrt(comb(2 * order, order))) if len(differences) else 0.0
 
 
 def stretches(rows: Booleans) -> list[tuple[int, int]]:

@@ -142,8 +142,10 @@ class Calibration:
         """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
 
         `after` is of rows that the parameters were not fitted to, and of effects since when they were seen; what is
-        written has all effects from the start.
+        written has all effects from the start. Empty where `predict` refuses these runs.
         """
+        if refused(self.automaton, self.recording):
+            return ()
         runs = predict_recording(self.automaton, self.recording)
         sizes = (rmse_of_coordinates([getattr(run, name) for run in runs]) for name in ("one_step", "rollout"))
         return tuple(ResidualSize(*own) for own in zip(*sizes, strict=True))
@@ -207,6 +209,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             *(f"{one}: no effect has that name" for one in known.beside),
             *map(_told_of_since, (one for one in found if one.since is not None and one.is_added)),
             *(f"{one.name} of {one.coordinate} was not added: {reason}" for one, reason in refusing.items()),
+            *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
             *told_of_rows(beyond, measured, known.late),
             *told_of_beliefs(corrected, known.seen, measured),
         ),
@@ -219,12 +222,14 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
 def _written(
     corrected: HybridAutomaton, beyond: Sequence[Beyond], added: Sequence[Effect], recording: Recording
 ) -> tuple[HybridAutomaton, dict[Effect, str]]:
-    """The new automaton, and the effects that it cannot have, since with them it refuses what it was calibrated on."""
+    """The new automaton, and the effects that it cannot have, since they make it refuse what it was calibrated on."""
     kept, refusing = list(added), dict[Effect, str]()
 
     def made(effects: Sequence[Effect]) -> HybridAutomaton:
         return with_effect(closed(corrected, beyond, effects), *without_old_ends(effects, beyond))
 
+    if refused(made(()), recording):
+        return made(kept), refusing  # whatever is added
     while kept and (reason := refused(made(kept), recording)):
         without = {one: [other for other in kept if other is not one] for one in kept}
         one = next((one for one, left in without.items() if not refused(made(left), recording)), kept[-1])

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints, robust_std
+from micah_plan.arrays import Floats, Ints, robust_std, white_std
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -101,7 +101,7 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
         rows = np.flatnonzero(track.is_measured)
         found.append(_rows(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
     late = rows_late(found)
-    return tuple(_taken_back(track, late) for track in found), late
+    return tuple(_taken_back(track, late) for track in found if len(track.time) > late), late
 
 
 def _taken_back(track: Track, late: int) -> Track:
@@ -206,10 +206,7 @@ def noise_of(x: Floats) -> Floats:
     """(n,) std of measured configurations (T, n), as third differences show it: no smooth motion has any."""
     if len(x) < _ROWS_FOR_NOISE:
         return np.zeros(x.shape[1])
-    third = np.diff(x, 3, axis=0)
-    # Third differences of white noise have 1 + 9 + 9 + 1 times its variance.
-    # They lie about 0.
-    return np.asarray(robust_std(np.concatenate([third, -third])) / np.sqrt(20.0))
+    return white_std(x, 3)
 
 
 def sections(time: Floats) -> list[tuple[int, int]]:

@@ -200,3 +200,19 @@ def test_what_is_elsewhere_in_every_row_is_told_as_noise(what) -> None:
 @pytest.mark.parametrize("noise", [0.005, 0.015])
 def test_a_part_at_rest_under_noise_is_not(noise) -> None:
     assert breaks(swing(np.zeros(ROWS), noise=noise)) == ()
+
+
+def test_parts_that_are_exchanged_twice_are_named_twice_and_one_that_is_lost_is_not() -> None:
+    places = [swing(0.0 * angles(), seed=k).position + 3.0 * k * UNKNOWN for k in range(3)]
+    places[2][80:86] = 0.0
+    for rows in (slice(30, 38), slice(60, 66)):
+        places[0][rows], places[1][rows] = places[1][rows].copy(), places[0][rows].copy()
+    together = Recording(
+        np.tile(0.05 * np.arange(ROWS), 3),
+        np.concatenate(places),
+        part=tuple(name for name in "abc" for _ in range(ROWS)),
+        has_part=True,
+    )
+    lines = breaks(together)
+    assert ["are exchanged" in line for line in lines] == [True, True, False]
+    assert "part 'c' is" in lines[2]

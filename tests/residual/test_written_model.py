@@ -56,3 +56,15 @@ def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
 def test_a_weak_motor_is_no_unit(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 6, 50, 0)))
     assert not any("convert" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_what_the_model_refused_before_is_not_laid_to_an_effect(door) -> None:
+    begun = (np.array([-0.3, 0.1, 0.14, 0.18, 0.2, 0.22]), np.array([0.4, 0.05, 0.05, 0.05, 0.03, 0.0]))
+    recording = plants.door_recording([*plants.runs_of(plants.short_steps, 6, 50, 0), begun])
+    assert refused(door, recording)
+    found = calibrate(door, recording)
+    assert found.effects[0].effect.name == "gain"
+    assert found.effects[0].is_added
+    assert found.written == ()
+    assert any("predict refuses these runs" in note for note in found.notes)
