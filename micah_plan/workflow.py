@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from micah_plan import __version__
+from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.task.deadline import Deadline
@@ -24,7 +25,7 @@ from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
-    from micah_plan.automaton.graph import KinematicGraph
+    from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
     from micah_plan.automaton.hybrid import HybridAutomaton, Part
     from micah_plan.execution.plant import Plant, PlantMaker
     from micah_plan.execution.trials import Keep, TrialStatistics
@@ -51,6 +52,7 @@ class Learned:
         seconds: wall-clock time.
         reason: why there is no automaton and what to do; empty if there is one.
         warnings: what looks like a mistake in the recording (units, order of columns), or too little, one line each.
+        base: what poses are relative to: the part that was taken for the base, else "base".
     """
 
     recording: Recording
@@ -59,6 +61,11 @@ class Learned:
     seconds: float
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    base: str = BASE
+
+    def heading(self, edge: KinematicEdge) -> str:
+        """Which part moves relative to which."""
+        return f"{edge.child} relative to {self.base if edge.parent == BASE else edge.parent}"
 
 
 def read(path: str | Path, *, minimum_rows: int = 1) -> Recording:
@@ -85,6 +92,7 @@ def learn(
     seed: int = 0,
     parts: Sequence[Part] = (),
     settings: LearnSettings | None = None,
+    base: str | None = None,
     progress: Progress | None = None,
 ) -> Learned:
     """Segment a recording, fit its joints and build the hybrid automaton, or say why there is none.
@@ -95,6 +103,8 @@ def learn(
         seed: of MLESAC and of the resampling.
         parts: shapes and handles of the object's bodies, for drawing and physics.
         settings: of the learner; None: the defaults, which are meant for every recording.
+        base: a tracked part on which the object stands, as a door on a cart that is pushed: the model is in its frame,
+            and the rows that are returned are those of the other parts.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -102,17 +112,22 @@ def learn(
     """
     from micah_plan.automaton.build import build_automaton, misfit_error
     from micah_plan.learn.learn import learn_graph
+    from micah_plan.learn.parts.relative import relative_to
     from micah_plan.learn.small_motion import small_motions
     from micah_plan.recording.suspicion import suspicions
 
     begin = time.perf_counter()
+    if base is not None:
+        recording = relative_to(recording, base)
     graph = learn_graph(recording, method=method, settings=settings, seed=seed, progress=progress)
     provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
+    if base is not None:
+        provenance["frame"] = f"part {base}"
     bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
     warnings = suspicions(recording) + small_motions(recording, settings or LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
-    return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings)
+    return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings, base or BASE)
 
 
 def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, ...]:

@@ -246,7 +246,10 @@ def misfit_error(graph: KinematicGraph) -> InputError | None:
     if not found:
         return None
     more = f" (and {len(found) - 1} more such stretch{'es' if len(found) > 2 else ''})" if len(found) > 1 else ""
-    return InputError(_misfit_sentence(*found[0]) + more, remedy=_MISFIT_REMEDY)
+    part = found[0][2]
+    carried = part in {edge.parent for edge in graph.edges} and {child for *_, child in found} == {part}
+    remedy = f"learn what stands on it relative to it, as `--base {part}` does" if carried else _MISFIT_REMEDY
+    return InputError(_misfit_sentence(*found[0]) + more, remedy=remedy)
 
 
 def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:

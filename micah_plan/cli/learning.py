@@ -48,6 +48,10 @@ def learn(
     parts: Annotated[
         Path | None, typer.Option(help="Shapes and handles of the parts (YAML), added to the model.")
     ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="PART", help="Tracked part on which the object stands; the model is in its frame."),
+    ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
     seed: Seed = 0,
@@ -66,7 +70,7 @@ def learn(
     with progress_bar(as_json) as progress:
         measured = workflow.read(recording, minimum_rows=FEWEST_ROWS)
         with located_in(recording):
-            found = workflow.learn(measured, method=method, seed=seed, parts=shapes, progress=progress)
+            found = workflow.learn(measured, method=method, seed=seed, parts=shapes, base=base, progress=progress)
     print_warnings(found.warnings)
     contents: dict[Path, bytes] = {}
     if found.automaton is not None:
@@ -188,7 +192,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     line = " " if out.width >= _WIDE else "\n"
     for edge in learned.graph.edges:
         shown = table(*(name.replace("\n", line) for name in _COLUMNS), padding=(0, 1, 0, 0), title_justify="left")
-        shown.title = f"{edge.child} relative to {edge.parent}"
+        shown.title = learned.heading(edge)
         for name in _NARROW:
             shown.columns[_COLUMNS.index(name)].no_wrap = True
         for segment in edge.segments:

@@ -35,6 +35,7 @@ def learn(
     seed: int = 0,
     parts: Source | Sequence[Part] = (),
     settings: LearnSettings | None = None,
+    base: str | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> LearningResult:
@@ -46,6 +47,7 @@ def learn(
         seed: of everything random; the same seed gives the same result.
         parts: shapes and handles of the parts: a path or values.
         settings: None: the defaults.
+        base: a tracked part on which the object stands, as a door on a cart that is pushed: the model is in its frame.
         progress: called with a message and the fraction done.
         **changes: settings by name, e.g. ``kinds=("rigid", "prismatic")``.
 
@@ -54,7 +56,9 @@ def learn(
     """
     measured, shapes = inputs.demonstration_of(recording), inputs.parts_of(parts)
     chosen = inputs.learn_settings(settings, changes)
-    found = workflow.learn(measured, method=method, seed=seed, parts=shapes, settings=chosen, progress=progress)
+    found = workflow.learn(
+        measured, method=method, seed=seed, parts=shapes, settings=chosen, base=base, progress=progress
+    )
     return LearningResult(found)
 
 

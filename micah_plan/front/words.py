@@ -28,7 +28,7 @@ def learned_lines(learned: Learned) -> list[str]:
     """Segments of every part, and the modes made of them."""
     lines = [f"warning: {warning}" for warning in learned.warnings]
     for edge in learned.graph.edges:
-        lines.append(f"{edge.child} relative to {edge.parent}")
+        lines.append(learned.heading(edge))
         lines += [f"  {_segment(segment)}" for segment in edge.segments[:_MOST_SEGMENTS]]
         left = len(edge.segments) - _MOST_SEGMENTS
         lines += [f"  and {count(left, 'more segment')}"] if left > 0 else []

@@ -42,7 +42,7 @@ def learn_acted_run(
     if channel is None:
         return learned, None
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
-    step = track.duration / settings.resolution
+    step = track.duration / len(learned.segmented.track)
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
         delayed = with_delayed_actions(track, channel.delay)
         again = segment_run(delayed, settings, learned.inlier, learned.segmented)

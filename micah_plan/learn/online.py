@@ -1,7 +1,7 @@
 """Learning while rows come in: committed segments that never change, and a window of rows that is looked at again.
 
 While everything fits the window it is learned as a whole run, exactly. The window is full when the part has moved
-`MOST_SWEEPS` times there and back, or after `settings.window` rows. Then what lies before its middle is committed: a
+`WINDOW_SWEEPS` times there and back, or after `settings.window` rows. Then what lies before its middle is committed: a
 changepoint there has been looked at from as much of the future as of the past, and more rows would not move it. The
 window goes on from the segment that is open there, with the joints of committed segments known and paid for, so a part
 that returns to one has the same again. Steps have the size that the window's own motion asks for; where a joint not yet
@@ -29,7 +29,7 @@ from micah_plan.learn.row_window import RowWindow, WindowRows
 from micah_plan.learn.run import LearnedRun
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.onward import Usual
-from micah_plan.learn.segmenting.steps import MOST_SWEEPS, sweeps_of
+from micah_plan.learn.segmenting.steps import sweeps_of
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, measured_track
 from micah_plan.recording.value import DEFAULT_PART, Recording
@@ -38,6 +38,7 @@ Method = Literal["champ", "act-champ"]
 METHODS: tuple[Method, ...] = ("champ", "act-champ")
 
 _FIRST_LOOK = 64  # rows
+WINDOW_SWEEPS = 4.0  # there and back in a full window
 _LOOKS = 8  # a window is looked at again when it has grown by 1/8
 _MOST_RESTS, _MOST_MOVING = 16, 8  # known joints; the ones used last are kept
 
@@ -228,7 +229,7 @@ class OnlineLearner:
         if rows is None:
             return
         crowded = len(rows) >= self.settings.window
-        if crowded or sweeps_of(rows.track.take(np.flatnonzero(find_inliers(rows.track)))) >= MOST_SWEEPS:
+        if crowded or sweeps_of(rows.track.take(np.flatnonzero(find_inliers(rows.track)))) >= WINDOW_SWEEPS:
             self._commit(crowded)
         rows = self._window.rows()
         held = 0 if rows is None else len(rows)
@@ -244,7 +245,7 @@ class OnlineLearner:
         middle = next(i for i, piece in enumerate(window.pieces) if piece.end >= n // 2)
         piece, sure = window.pieces[middle], window.certainties[middle]
         unknown = window.known[middle] is None and sure.misfit is None and piece.joint.moves
-        fine = self.settings.resolution * MOST_SWEEPS
+        fine = self.settings.resolution * WINDOW_SWEEPS
         if crowded and unknown and middle == len(window.pieces) - 1 and window.steps < fine:
             self._window.coarsen()
             return

@@ -136,7 +136,7 @@ def learn_onward(
     steps = steps_of(track, inlier, settings)
     first = -1 if state.first is None else state.known.index(state.first)
     known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
-    found, fresh = segment_onward(steps.track, known, settings.of_steps(steps.size), rng)
+    found, fresh = segment_onward(steps.track, known, steps.assumed(settings), rng)
     noise = found.noise.of_rows(steps.size)
     settled: Sequence[KnownJoint] = state.known
     free, misfit = -np.inf, None

@@ -100,7 +100,7 @@ def segment_run(
     """
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings)
-    segmented = segment_track(steps.track, settings.of_steps(steps.size), known)
+    segmented = segment_track(steps.track, steps.assumed(settings), known)
     posterior = posterior_of(segmented, settings)
     return SegmentedRun(track, inlier, steps, segmented, posterior)
 

@@ -20,7 +20,7 @@ class ExactEvidence:
         names = table.pool.hypotheses.joints.kinds
         members = [np.flatnonzero([name == kind for name in names]) for kind in kinds]
         n = table.log_density.shape[1]
-        charged = table.charged.transpose(1, 2, 0)
+        charged = np.stack([table.charged(i) for i in range(len(table.rows))], axis=2)
         self._best = np.full((n, n, len(kinds)), -np.inf)
         self._which = np.zeros((n, n, len(kinds)), dtype=np.int64)
         for column, of_kind in enumerate(members):

@@ -22,12 +22,12 @@ from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.length_prior import LengthPrior, length_priors
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.segmentation import segment_track
-from micah_plan.learn.segmenting.segmented import Alternative, Segmented, prior_of_lengths
+from micah_plan.learn.segmenting.segmented import Alternative, Segmented
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, shared
 from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, kind_probabilities, posterior_of
 from micah_plan.learn.segmenting.steps import steps_of
@@ -237,11 +237,11 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings(kinds=("revolute",))
     noise = first_noise(track, settings)
-    prior = prior_of_lengths(track, settings)
+    prior = length_priors(track, settings)[0]
     for rows in (6, 60):
         pool = refitted(["revolute"], np.arange(60)[None] < rows, track, noise)
         table = tabulated(pool, track, noise, settings.rest, 0.5)
-        answer = Segmented(track, noise, shared(table, [0], prior, settings), table)
+        answer = Segmented(track, noise, prior, shared(table, [0], prior, settings), table)
         told = posterior_of(answer, settings).log_evidence
         assert told == pytest.approx(answer.log_probability, abs=1e-6)
 
@@ -260,7 +260,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
     recording = replace(recording, position=position)
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings()
-    noise, prior, n = first_noise(track, settings), prior_of_lengths(track, settings), len(track)
+    noise, prior, n = first_noise(track, settings), length_priors(track, settings)[0], len(track)
     joints = ["revolute", "prismatic"]
     turning = (np.arange(n) < 9) | (np.arange(n) >= 23)
     used = np.array([turning, ~turning])

@@ -25,7 +25,7 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
 
     A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
     six errors, and that one is made small: what the actions do not say of the segment's configurations is smoothed. A
-    rigid segment keeps none.
+    rigid segment keeps none. Where no joint explains how the part moves, all six are smoothed.
 
     Args:
         edge: learned from `relative`; its rows count within `relative.recording`.
@@ -33,26 +33,37 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         poses: (n,) of the whole recording, base frame.
 
     Returns:
-        (n,) poses, base frame; rows that no segment covers, or that no joint explains, are as they were.
+        (n,) poses, base frame; rows that no segment covers are as they were.
     """
     position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
     seen, seen_action = relative.recording.poses(), relative.recording.action
     for segment in edge.segments:
-        if segment.misfit is not None:
-            continue
         index = slice(segment.start, segment.end + 1)
-        rotation = seen.rotation[index] if relative.recording.has_orientation else None
-        c = inverse(segment.joint, seen.translation[index], rotation)
-        if segment.joint.kind == "revolute":
-            c = np.unwrap(c)
-        if segment.joint.moves:
-            told = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
-            c = told + _smoothed(c - told)
-        said = relative.frames[index] * forward(segment.joint, c)
+        if segment.misfit is not None:
+            local = _smoothed_freely(seen[index])
+        else:
+            rotation = seen.rotation[index] if relative.recording.has_orientation else None
+            c = inverse(segment.joint, seen.translation[index], rotation)
+            if segment.joint.kind == "revolute":
+                c = np.unwrap(c)
+            if segment.joint.moves:
+                told = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
+                c = told + _smoothed(c - told)
+            local = forward(segment.joint, c)
+        said = relative.frames[index] * local
         rows = relative.rows[index]
         position[rows] = said.translation
         quaternion[rows] = said.rotation.as_quat()
     return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+
+
+def _smoothed_freely(poses: RigidTransform) -> RigidTransform:
+    """(k,) poses, each of their six coordinates smoothed."""
+    middle = poses.rotation[len(poses) // 2]
+    turned = np.unwrap((middle.inv() * poses.rotation).as_rotvec(), axis=0)
+    position = np.stack([_smoothed(axis) for axis in poses.translation.T.copy()], axis=1)
+    rotation = middle * Rotation.from_rotvec(np.stack([_smoothed(axis) for axis in turned.T.copy()], axis=1))
+    return RigidTransform.from_components(position, rotation)
 
 
 def _told(joint: Joint, c: Floats, action: Floats) -> Floats:

@@ -5,7 +5,9 @@ Source: MICAH, section IV-A: Δ_ij = x_i ⊖ x_j is all that matters for the edg
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,15 +87,39 @@ def relative_rows(
     if not pieces:
         return None
     rows = np.concatenate([mine for _, mine, _ in pieces])
-    seen = [part for part, _, _ in pieces]
-    joined = replace(
-        recording.rows(rows),
-        position=np.concatenate([part.position for part in seen]),
-        quaternion=np.concatenate([part.quaternion for part in seen if part.quaternion is not None]),
-        action=None if recording.action is None else np.concatenate([p.action for p in seen if p.action is not None]),
-        force=None if recording.force is None else np.concatenate([p.force for p in seen if p.force is not None]),
-    )
-    return RelativeRows(parent, joined, rows, RigidTransform.concatenate([frames for _, _, frames in pieces]))
+    frames = RigidTransform.concatenate([frames for _, _, frames in pieces])
+    return RelativeRows(parent, _joined([part for part, _, _ in pieces]), rows, frames)
+
+
+def relative_to(recording: Recording, base: str) -> Recording:
+    """The parts of an object on a tracked base that moves, as that base sees them: a door on a cart that is pushed.
+
+    Args:
+        base: the part that the poses are given in afterwards; its rows are left out.
+
+    Returns:
+        the rows of the other parts, in their order, while the base was tracked; poses, actions and forces in its frame.
+
+    Raises:
+        InputError: no such part, none beside it, its orientation was not measured, or a part was never tracked
+            together with it.
+    """
+    children = [name for name in recording.parts if name != base]
+    if not children:
+        problem = f"the only part {shown(base)} is the base, so nothing is left to learn"
+        raise InputError(problem, where="column 'part'", remedy="record the parts that move on it too")
+    relative: list[RelativeRows] = []
+    for child in children:
+        rows = relative_rows(recording, base, child)
+        if rows is None:
+            raise InputError(
+                f"parts {shown(base)} and {shown(child)} have no run with {FEWEST_ROWS} rows in common",
+                where="column 'part'",
+                remedy=f"record both at the same times, or leave the rows of {shown(child)} out",
+            )
+        relative.append(rows)
+    order = np.argsort(np.concatenate([one.rows for one in relative]), kind="stable")
+    return _joined([one.recording for one in relative]).rows(order)
 
 
 def in_whole_recording(edge: KinematicEdge, relative: RelativeRows, child: str) -> KinematicEdge:
@@ -159,6 +185,23 @@ def _seen_from(frames: RigidTransform, own: Recording) -> Recording:
         quaternion=seen.rotation.as_quat(),
         action=None if own.action is None else displacements_within(frames, own.position, own.action),
         force=None if own.force is None else turned.apply(own.force.copy()),
+    )
+
+
+def _joined(pieces: Sequence[Recording]) -> Recording:
+    """The rows of several recordings with the same columns, one after the other."""
+    first = pieces[0]
+
+    def column(name: str) -> Any:
+        arrays = [getattr(one, name) for one in pieces]
+        return None if arrays[0] is None else np.concatenate(arrays)
+
+    names = ("time", "position", "quaternion", "action", "force", "run")
+    return replace(
+        first,
+        **{name: column(name) for name in names},
+        part=tuple(name for one in pieces for name in one.part),
+        extra={name: tuple(value for one in pieces for value in one.extra[name]) for name in first.extra},
     )
 
 

@@ -60,14 +60,21 @@ class EvidenceTable:
         """
         return segment_sums(self.log_density)
 
-    @cached_property
-    def charged(self) -> Floats:
-        """(h, n, n) the same, less what a segment pays for a joint of its own."""
-        h, n, _ = self.sums.shape
+    def charged(self, index: int) -> Floats:
+        """(n, n) the same of one hypothesis, less what a segment pays for a joint of its own."""
+        n = len(self.sums[index])
         lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
-        costs = np.ascontiguousarray(self.cost(np.arange(h), lengths[:, None]).T)
         # The cost of a segment depends on its length alone.
-        return np.asarray(self.sums - sliding_window_view(costs, n, axis=1)[:, ::-1])
+        costs = sliding_window_view(self.cost(np.array([index]), lengths), n)[::-1]
+        return np.asarray(self.sums[index] - costs)
+
+    @cached_property
+    def best(self) -> Floats:
+        """(n, n) the same of whichever hypothesis is best for a segment."""
+        best = self.charged(0)
+        for i in range(1, len(self.rows)):
+            np.maximum(best, self.charged(i), out=best)
+        return best
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""

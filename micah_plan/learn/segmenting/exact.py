@@ -15,6 +15,7 @@ from micah_plan.arrays import Floats
 from micah_plan.learn.segmenting.changepoints import Piece, Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.posterior import reached
 
 
 def best_segmentation(
@@ -35,16 +36,8 @@ def best_segmentation(
     models = _Models(table, members, paid)
     n = table.log_density.shape[1]
     worth = models.best + (length_terms(prior, n) - np.log(kinds))
-    # Of the rows before each, in one segment, in up to two, three, ...: as many passes as segments, each at once.
-    best_before = np.full(n + 1, -np.inf)
-    best_before[0] = 0.0
-    while True:
-        scores = worth + best_before[:-1, None]
-        after = scores.max(axis=0)
-        if np.array_equal(after, best_before[1:]):
-            break
-        best_before[1:] = after
-    last = np.append(0, scores.argmax(axis=0))
+    best_before = reached(worth)
+    last = np.append(0, (worth + best_before[:-1, None]).argmax(axis=0))
     pieces: list[Piece] = []
     end = n
     while end > 0:
@@ -74,15 +67,19 @@ class _Models:
     """
 
     def __init__(self, table: EvidenceTable, members: Sequence[int] | None, paid: Collection[int]) -> None:
-        self._layers = {
-            i: table.sums[i] if i in paid else table.charged[i]
-            for i in (range(len(table.rows)) if members is None else members)
-        }
-        first, *others = self._layers.values()
-        self.best: Floats = first.copy() if others else first
+        self._table = table
+        self._members = np.arange(len(table.rows)) if members is None else np.array(members)
+        self._charged = ~np.isin(self._members, list(paid))
+        if members is None and not paid:
+            self.best: Floats = table.best
+            return
+        first, *others = [table.sums[i] if i in paid else table.charged(i) for i in self._members.tolist()]
+        self.best = first.copy() if others else first
         for layer in others:
             np.maximum(self.best, layer, out=self.best)
 
     def which(self, start: int, end: int) -> int:
         """The hypothesis that is best for one segment."""
-        return max(self._layers, key=lambda i: float(self._layers[i][start, end]))
+        of_segment = self._table.sums[self._members, start, end]
+        of_segment -= self._charged * self._table.cost(self._members, np.array(end - start + 1.0))
+        return int(self._members[np.argmax(of_segment)])

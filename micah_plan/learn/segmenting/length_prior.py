@@ -19,18 +19,26 @@ from micah_plan.learn.track import PartTrack
 _SMALLEST = 1e-300
 
 
+def length_priors(track: PartTrack, settings: LearnSettings) -> list[LengthPrior]:
+    """Priors of the lengths of a track's segments, in its rows, the longest first: how often a part stops is unknown.
+
+    Where it moves once there and back, a segment lasts half of the track. Where it moves there and back many times it
+    may be one segment as before, or segments may last as long as they do there, or anything between: each halving is a
+    hypothesis of its own. A mean that was set is the only one.
+    """
+    if settings.mean_length is not None:
+        means = [settings.mean_length / max(track.duration, 1e-12)]
+    else:
+        means = [0.5 ** (1 + i) for i in range(1 + round(float(np.log2(max(settings.sweeps or 1.0, 1.0)))))]
+    return [LengthPrior(max(share * len(track), 1.0), settings.length_shape) for share in means]
+
+
 @dataclass(frozen=True)
 class LengthPrior:
     """β(n) = G(n) - G(n - 1) for n = 1, 2, ... rows, with G the gamma distribution of a mean [rows] and a shape."""
 
     mean: float
     shape: float
-
-    @classmethod
-    def of_rows(cls, track: PartTrack, settings: LearnSettings) -> LengthPrior:
-        """The prior of segments of a track, in its rows."""
-        share = 0.5 if settings.mean_length is None else settings.mean_length / max(track.duration, 1e-12)
-        return cls(max(share * len(track), 1.0), settings.length_shape)
 
     def __post_init__(self) -> None:
         if not (self.mean > 0 and self.shape > 0):

@@ -22,7 +22,7 @@ from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
 from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.held import along_joint, places_held
-from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.length_prior import LengthPrior, length_priors
 from micah_plan.learn.segmenting.motion import FEWEST_ACTED
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, noises_left
@@ -166,7 +166,7 @@ def _selected(
     Args:
         owner: which known joint each of the first hypotheses is.
     """
-    prior = LengthPrior.of_rows(track, settings)
+    prior = length_priors(track, settings)[0]
     trust = trust_in(first_noise(track, settings), settings)
     table = tabulated(pool, track, noise, settings.rest, trust, known.first >= 0)
     table = _paid(table, owner, known.first, prior, len(settings.kinds))
@@ -182,7 +182,7 @@ def _selected(
         if tried[i].log_probability <= best.log_probability:
             break
         new, best = fewer[i], tried[i]
-    return Segmented(track, noise, best, table)
+    return Segmented(track, noise, prior, best, table)
 
 
 def _shared(

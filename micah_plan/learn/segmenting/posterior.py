@@ -58,7 +58,7 @@ def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, chan
     of_length = np.where(lengths >= 0, prior.log_probability(every)[np.maximum(lengths, 0)], -np.inf)
     inner = worth + of_length
     last = worth[:, :, -1] + prior.log_survival(every - 1)[::-1]
-    best_before = reached(inner)
+    best_before = reached(inner.max(axis=0))
     # Everything is counted relative to the best segments before a row: sums are products of matrices then, and what is
     # too small for a number is too small to matter.
     best = float((last + best_before[:-1]).max())
@@ -81,8 +81,8 @@ def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, chan
 
 
 def reached(worth: Floats) -> Floats:
-    """(n + 1,) ln probability of the rows before each under their best segments (h, n, n), whatever follows what."""
-    columns = np.ascontiguousarray(worth.max(axis=0).T)
+    """(n + 1,) ln probability of the rows before each under their best segments (n, n), whatever follows what."""
+    columns = np.ascontiguousarray(worth.T)
     best = np.zeros(len(columns) + 1)
     for row, column in enumerate(columns):
         best[row + 1] = (best[: row + 1] + column[: row + 1]).max()

@@ -11,16 +11,11 @@ from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.coarsening import trust_in
 from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, tabulated
-from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.learn.segmenting.length_prior import LengthPrior, length_priors
 from micah_plan.learn.segmenting.noise import NoiseModel, stacked
 from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
 from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
-from micah_plan.learn.segmenting.segmented import (
-    Segmented,
-    alternative,
-    prior_of_lengths,
-    rows_of_joints,
-)
+from micah_plan.learn.segmenting.segmented import Segmented, alternative, rows_of_joints
 from micah_plan.learn.segmenting.selection import merged, selections, shared
 from micah_plan.learn.segmenting.stops import with_rests
 from micah_plan.learn.settings import LearnSettings
@@ -42,39 +37,38 @@ def segment_track(track: PartTrack, settings: LearnSettings, known: Segmented | 
     Args:
         known: what was found for the same poses with other actions: then its joints and noise start, alone.
     """
-    prior = prior_of_lengths(track, settings)
+    priors = length_priors(track, settings)
     if known is None:
-        tables = _from_two_noises(track, prior, settings)
+        tables = _from_two_noises(track, priors[0], settings)
     else:
         table = known.table
         tables = [(known.noise, tabulated(table.pool.hypotheses, track, known.noise, settings.rest, table.trust))]
-    proposals = [
-        Segmented(track, noise, one, table) for noise, table in tables for one in selections(table, prior, settings)
-    ]
+    proposals = [one for noise, table in tables for one in _proposed(track, noise, table, priors, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
-    outcomes = _settled(proposals, prior, settings)
+    outcomes = _settled(proposals, settings)
     best = max(outcomes, key=lambda one: one.log_probability)
-    more = [one for one in [with_rests(best, prior, settings)] if one is not None]
-    neighbours = _settled([*more, *_without_a_rest(best)], prior, settings)
-    held, doubted = neighbours[: len(more)], neighbours[len(more) :]
-    pieces = len(best.segmentation.pieces)
-    outcomes += [one for one in held if len(one.segmentation.pieces) > pieces]
-    outcomes += [one for one in doubted if len(one.segmentation.pieces) < pieces]
+    held = with_rests(best, priors, settings)
+    doubted = _settled(_without_a_rest(best), settings)
+    outcomes += [] if held is None else _settled([held], settings)
+    outcomes += [one for one in doubted if len(one.segmentation.pieces) < len(best.segmentation.pieces)]
     best = max(outcomes, key=lambda one: one.log_probability)
     others = tuple(alternative(one) for one in outcomes if one is not best)
     return replace(_beside_rivals(best, settings), others=others)
 
 
 def _without_a_rest(found: Segmented) -> list[Segmented]:
-    """What is left of an answer if a rest is no rest: for each rest that there is."""
-    pieces, moving = found.segmentation.pieces, found.table.pool.moving
-    fewer = []
-    for i in (k for k, piece in enumerate(pieces) if not moving[piece.hypothesis]):
+    """What is left of an answer if a rest is no rest, for each of the few that the rows tell least surely."""
+    pieces, table = found.segmentation.pieces, found.table
+    fewer: list[tuple[float, Segmentation]] = []
+    for i, piece in enumerate(pieces):
         beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
-        joint = next((one for one in beside if moving[one]), None)
-        if joint is not None:
-            fewer.append(merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces))))
-    return [replace(found, segmentation=Segmentation(one, -np.inf)) for one in fewer]
+        joint = next((one for one in beside if table.pool.moving[one]), None)
+        if joint is not None and not table.pool.moving[piece.hypothesis]:
+            sure = float(np.subtract(*table.sums[[piece.hypothesis, joint], piece.start, piece.end]))
+            left = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
+            fewer.append((sure, Segmentation(left, -np.inf)))
+    fewer.sort(key=lambda one: one[0])
+    return [replace(found, segmentation=one) for _, one in fewer[:_MOST_PROPOSALS]]
 
 
 def log_probability_at_most(found: Segmented, settings: LearnSettings) -> float:
@@ -83,12 +77,12 @@ def log_probability_at_most(found: Segmented, settings: LearnSettings) -> float:
     That a tracker wanders is expected where segments are told apart, so that no wander becomes a joint. Whether there
     is any joint is asked with all scales open, as they are for free motion.
     """
-    prior, best = prior_of_lengths(found.track, settings), found.log_probability
+    prior, best = found.prior, found.log_probability
     for _ in range(_TIGHTENED):
         noise = noises_left([(found.table.pool, found.segmentation.which)], settings, any_slow=True)
         (table,) = _tables([found], noise, settings)
         own = list(range(len(rows_of_joints(found)[0])))
-        found = Segmented(found.track, noise[0], shared(table, own, prior, settings), table)
+        found = Segmented(found.track, noise[0], prior, shared(table, own, prior, settings), table)
         best = max(best, found.log_probability)
     return best
 
@@ -98,7 +92,7 @@ def best_single(found: Segmented, settings: LearnSettings) -> Segmented:
 
     Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
     """
-    track, prior = found.track, prior_of_lengths(found.track, settings)
+    track, prior = found.track, length_priors(found.track, settings)[0]
     n, trust = len(track), found.table.trust
     ones, noises = _singles(track, found.noise, settings, any_slow=True)
     alone = all_tabulated(ones, track, noises, settings.rest, trust)
@@ -109,7 +103,7 @@ def best_single(found: Segmented, settings: LearnSettings) -> Segmented:
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
     segmentation = shared(table, [best], prior, settings)
-    return Segmented(track, noise, segmentation, table)
+    return Segmented(track, noise, prior, segmentation, table)
 
 
 def _from_two_noises(
@@ -150,6 +144,15 @@ def _likeliest(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: Lea
     return int(np.argmax([shared(one, [0], prior, settings).log_probability for one in alone]))
 
 
+def _proposed(
+    track: PartTrack, noise: NoiseModel, table: EvidenceTable, priors: Sequence[LengthPrior], settings: LearnSettings
+) -> list[Segmented]:
+    """What a table proposes under each prior of lengths."""
+    # The copy ends here, and with it the evidence of all segments of all windows, which takes much memory.
+    read = replace(table)
+    return [Segmented(track, noise, prior, one, table) for prior in priors for one in selections(read, prior, settings)]
+
+
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     """The best of those that cut the track at much the same places into the same kinds, best first."""
     found: dict[tuple[tuple[str, int], ...], Segmented] = {}
@@ -161,7 +164,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(found.values())
 
 
-def _settled(starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSettings) -> list[Segmented]:
+def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segmented]:
     """Alternate between segments, their joints and the noise until no probability grows."""
     best, open_ones = list(starts), dict(enumerate(starts))
     for _ in range(_MOST_ROUNDS):
@@ -171,7 +174,8 @@ def _settled(starts: Sequence[Segmented], prior: LengthPrior, settings: LearnSet
         noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
         tables = _tables(found, noises, settings)
         for i, noise, table in zip(tuple(open_ones), noises, tables, strict=True):
-            now = Segmented(starts[0].track, noise, selections(table, prior, settings)[0], table)
+            prior = starts[i].prior
+            now = Segmented(starts[0].track, noise, prior, selections(table, prior, settings)[0], table)
             grown = now.log_probability - best[i].log_probability
             best[i], open_ones[i] = now if grown > 0 else best[i], now
             if grown <= _CONVERGED:

@@ -12,7 +12,6 @@ from micah_plan.learn.segmenting.changepoints import Segmentation
 from micah_plan.learn.segmenting.evidence import EvidenceTable
 from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise import NoiseModel
-from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 
@@ -38,6 +37,7 @@ class Segmented:
     Attributes:
         track: the rows that were segmented.
         noise: estimated together with the segments.
+        prior: of their lengths.
         segmentation: pieces, in rows of that track; those of one hypothesis share its parameters.
         table: the evidence that decided, with its pool and step models.
         others: answers that are less probable.
@@ -45,6 +45,7 @@ class Segmented:
 
     track: PartTrack
     noise: NoiseModel
+    prior: LengthPrior
     segmentation: Segmentation
     table: EvidenceTable
     others: tuple[Alternative, ...] = ()
@@ -70,9 +71,3 @@ def rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:
     for piece in pieces:
         rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
     return used, rows
-
-
-def prior_of_lengths(track: PartTrack, settings: LearnSettings) -> LengthPrior:
-    """The length prior in rows."""
-    share = 0.5 if settings.mean_length is None else settings.mean_length / max(track.duration, 1e-12)
-    return LengthPrior(max(share * len(track), 1.0), settings.length_shape)

@@ -69,7 +69,7 @@ def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPri
     used = sorted({piece.hypothesis for piece in pieces})
     worth = table.sums[used] + length_terms(prior, len(table.sums[0]))
     # Relative to the best segments before a row: sums are products of matrices then.
-    best_before = reached(worth)
+    best_before = reached(worth.max(axis=0))
     chances = np.exp(worth + (best_before[:-1, None] - best_before[1:]))
     begun = np.zeros(worth.shape[1])
     begun[0] = 1.0

@@ -12,7 +12,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learn.segmenting.segmented import Alternative, Segmented, prior_of_lengths
+from micah_plan.learn.segmenting.segmented import Alternative, Segmented
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
 from micah_plan.learn.segmenting.stops import rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
@@ -57,8 +57,7 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
         worth[rigid, 1:, -1] += _ENDS_AT_REST
     # A part does not get from one rest to another without a motion.
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
-    prior = prior_of_lengths(found.track, settings)
-    result = changepoint_posterior(worth, apart, prior, len(pieces) - 1)
+    result = changepoint_posterior(worth, apart, found.prior, len(pieces) - 1)
     return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
 
 

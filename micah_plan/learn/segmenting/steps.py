@@ -7,7 +7,7 @@ cost, and white noise is averaged before it is looked at. Changepoints are then 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import dist
 
 import numpy as np
@@ -18,7 +18,7 @@ from micah_plan.learn.spread import bends, extent, white_std
 from micah_plan.learn.track import PartTrack
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
-MOST_SWEEPS = 4.0
+MOST_SWEEPS = 16.0  # what moves to and fro more often is learned online
 _FINE_STRIDE = 0.02  # of the extent
 _GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
 _LARGEST_NOISE = 0.25  # of the extent
@@ -33,11 +33,17 @@ class Steps:
         track: (m,) steps: means of the poses of a few rows; actions command the way from a step to the next one.
         first: (m + 1,) first row of every step in the track of all rows, and the number of rows.
         size: mean number of rows of a step.
+        sweeps: how often the part moves there and back.
     """
 
     track: PartTrack
     first: Ints
     size: float
+    sweeps: float
+
+    def assumed(self, settings: LearnSettings) -> LearnSettings:
+        """What is assumed of the rows, of the steps."""
+        return replace(settings.of_steps(self.size), sweeps=max(self.sweeps, 1.0))
 
 
 def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Steps:
@@ -53,7 +59,7 @@ def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Ste
     begins = np.unique(np.linspace(0, len(used), wanted, endpoint=False).astype(np.int64))
     first = np.append(used[begins], len(track))
     first[0] = 0
-    return Steps(averaged(track, inlier, first), first, len(track) / len(begins))
+    return Steps(averaged(track, inlier, first), first, len(track) / len(begins), sweeps)
 
 
 def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:

@@ -9,6 +9,7 @@ And rests in the end: how many changepoints there may be depends on rests that t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,27 +32,27 @@ _LENGTHS = 8  # of rests in the end
 _LONGEST = 0.6  # of the rows
 
 
-def with_rests(found: Segmented, prior: LengthPrior, settings: LearnSettings) -> Segmented | None:
-    """The most probable segments if the part was held wherever the actions say that it was, on its one moving joint.
+def with_rests(found: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
+    """The most probable segments if the part was held wherever the actions say that it was, on its main joint.
 
-    Rests that there are already stay among those to choose from. None if the actions say so nowhere, or if not one
-    joint moves the part.
+    What there is already stays among what is chosen from. None if the actions say so nowhere, or if no joint moves it.
     """
     table, track = found.table, found.track
     used, rows = rows_of_joints(found)
-    joints = [i for i in used if table.pool.moving[i]]
-    rests = [i for i in used if not table.pool.moving[i]]
-    if track.action is None or "rigid" not in settings.kinds or len(joints) != 1:
+    joint = max((i for i in used if table.pool.moving[i]), key=lambda i: rows[used.index(i)].sum(), default=None)
+    if track.action is None or "rigid" not in settings.kinds or joint is None:
         return None
-    inside = places_held(along_joint(table.pool, joints[0], track.action))
-    outside = rows[[used.index(joints[0])]] & ~inside.any(axis=0)
+    inside = places_held(along_joint(table.pool, joint, track.action))
+    outside = rows[[used.index(joint)]] & ~inside.any(axis=0)
     if not len(inside) or outside.sum() < FEWEST_ACTED:
         return None
-    pool = Hypotheses(table.pool.hypotheses.joints.take(joints), outside)
+    pool = Hypotheses(table.pool.hypotheses.joints.take([joint]), outside)
     pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, found.noise))
-    pool = pool.joined(table.pool.hypotheses.take(rests))
+    pool = pool.joined(table.pool.hypotheses.take([i for i in used if i != joint]))
     tried = tabulated(pool, track, found.noise, settings.rest, table.trust)
-    return replace(found, table=tried, segmentation=few(tried, list(range(len(pool))), prior, settings))
+    every = list(range(len(pool)))
+    answers = [replace(found, table=tried, prior=one, segmentation=few(tried, every, one, settings)) for one in priors]
+    return max(answers, key=lambda one: one.log_probability)
 
 
 def rests_in_the_end(
