@@ -148,18 +148,12 @@ def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
     """Refuse a guard that holds wherever the invariant of its own mode does: the mode would be left at once, always."""
     mode = automaton.mode(edge.source)
     within = mode.invariant.half_spaces + mode.inputs.half_spaces
-    if all(is_empty(Region((*within, _opposite(half_space)))) for half_space in edge.guard.half_spaces):
+    if all(is_empty(Region((*within, half_space.opposite))) for half_space in edge.guard.half_spaces):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in edge.guard.half_spaces)
         raise InputError(
             f"edge {edge.name}: its guard holds everywhere in mode {mode.name}, which is never stayed in. Got {names}",
             remedy="move the guard to where the mode ends, or widen the mode's invariant",
         )
-
-
-def _opposite(half_space: HalfSpace) -> HalfSpace:
-    """What a half-space leaves out."""
-    a, b = (tuple(-weight for weight in weights) for weights in (half_space.a, half_space.b))
-    return HalfSpace(a, b, -half_space.c, not half_space.strict)
 
 
 def _check_effect_once(earlier: tuple[Effect, ...], effect: Effect) -> None:

@@ -14,6 +14,9 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.errors import InputError
 
+# What is left out, in the names of half-spaces; those with "=" first, as the others are parts of them.
+_OPPOSITES = ((">=", "<"), ("<=", ">"), (">", "<="), ("<", ">="))
+
 Interval = tuple[float, float]
 """Lower and upper end."""
 
@@ -72,6 +75,13 @@ class HalfSpace:
             return None
         weight = self.a[along[0]]
         return Bound(along[0], self.c / weight, weight > 0)
+
+    @cached_property
+    def opposite(self) -> HalfSpace:
+        """What it leaves out."""
+        a, b = (tuple(-weight for weight in weights) for weights in (self.a, self.b))
+        name = next((self.name.replace(old, new) for old, new in _OPPOSITES if old in self.name), f"not {self.name}")
+        return HalfSpace(a, b, -self.c, not self.strict, name)
 
     def moved(self, by: float) -> HalfSpace:
         """The half-space with its threshold `by` larger."""

@@ -24,6 +24,9 @@ class PlannerDocument(Document):
         "The planner: POMDP-HD, or a baseline to compare it with; all are verified alike.", PlannerSettings.method
     )
     samples_per_mode: Count = doc("Roadmap states per mode of the high-level search.", PlannerSettings.samples_per_mode)
+    search_limit: Count = doc(
+        "Linear programmes that the search for sequences of grasps solves at most.", PlannerSettings.search_limit
+    )
     candidates: Count = doc("How many of the cheapest mode sequences are optimised.", PlannerSettings.candidates)
     revisits: Annotated[int, Field(ge=0, le=10)] = doc(
         "How many times a mode sequence may come back to a mode that it has been in, e.g. to leave a wall.",

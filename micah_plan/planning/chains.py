@@ -1,4 +1,10 @@
-"""Chains of transitions in one instant, as edges of their own for search and transcription.
+"""Transitions as search and transcription take them: chains of those in one instant, and parts of those that others
+precede.
+
+**Parts.** Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only
+outside of those before it: where the hand lets go high above the support, the object drops; where it lets go, it
+stands. Its guard less the earlier ones is no half-space, but a union: each part has the opposite of one row of every
+earlier guard that overlaps it.
 
 A transition may lead to a state in which the next one fires at once: an almost shut stapler that touches the table is
 already past the place where its contact spreads to a surface. No motion lies between, so the mode between has no states
@@ -9,6 +15,7 @@ nothing of chains: they take each transition as it comes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +23,7 @@ from scipy.optimize import linprog
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.consistency import preceding
+from micah_plan.automaton.emptiness import is_empty
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
@@ -24,49 +32,70 @@ from micah_plan.task.start import is_final
 
 # A guard fires at once where all its margins exceed this share of the length of their weights [rad or m].
 _INSIDE = 1e-6
+# A transition that others leave more parts of is planned as if they were not there; roll-outs tell.
+_MOST_PARTS = 12
+_WHOLE, _IN_PARTS = "", "in parts"
 # Transitions in one instant; a chain of more is left to roll-outs.
 _LONGEST = 4
 
 
 @dataclass(frozen=True)
-class ChainEdge(Edge):
-    """Transitions that happen at one instant.
+class PlannedEdge(Edge):
+    """A transition with further half-spaces in its guard.
 
     Attributes:
-        entered: how many half-spaces of the guard are those of the first transition: it is they that a motion crosses.
+        entered: how many half-spaces of the guard are those of the transition itself: it is they that a motion crosses.
         stds: of the threshold of each half-space of the guard, in its unit; `threshold_std` is 0.
-        through: the modes between.
     """
 
     entered: int = 0
     stds: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class ChainEdge(PlannedEdge):
+    """Transitions that happen at one instant.
+
+    Attributes:
+        through: the modes between.
+    """
+
     through: tuple[str, ...] = ()
 
 
-def with_chains(problem: Problem) -> Problem:
-    """The problem with the edges that its model can take, and the chains that these allow behind them."""
-    automaton = _chained(problem.automaton, "\0".join(problem.goal.modes))
+def with_chains(problem: Problem, in_parts: bool = False) -> Problem:
+    """The problem with the edges that its model can take, and the chains that these allow behind them.
+
+    Args:
+        in_parts: whether transitions are divided where others listed before them happen first. Few problems need it: a
+            plan seldom leads to where two guards hold, and every part is one more way for the search.
+    """
+    automaton = _chained(problem.automaton, "\0".join((_IN_PARTS if in_parts else _WHOLE, *problem.goal.modes)))
     return problem if automaton is problem.automaton else replace(problem, automaton=automaton)
 
 
 def front_of(edge: Edge) -> tuple[HalfSpace, ...]:
     """The half-spaces of a guard through which motions enter it."""
-    return edge.guard.half_spaces[: edge.entered] if isinstance(edge, ChainEdge) else edge.guard.half_spaces
+    return edge.guard.half_spaces[: edge.entered] if isinstance(edge, PlannedEdge) else edge.guard.half_spaces
 
 
 def stds_of(edge: Edge) -> tuple[float, ...]:
     """Std of the threshold of each half-space of a guard, in its unit."""
-    return edge.stds if isinstance(edge, ChainEdge) else (edge.threshold_std,) * len(edge.guard.half_spaces)
+    return edge.stds if isinstance(edge, PlannedEdge) else (edge.threshold_std,) * len(edge.guard.half_spaces)
 
 
 @memoised
-def _chained(automaton: HybridAutomaton, goal_modes: str) -> HybridAutomaton:
-    if any(isinstance(edge, ChainEdge) for edge in automaton.edges):
+def _chained(automaton: HybridAutomaton, asked: str) -> HybridAutomaton:
+    """Args: the automaton, and joined by null bytes whether its edges are divided and the goal's modes."""
+    divided, *goal_modes = asked.split("\0")
+    if any(isinstance(edge, PlannedEdge) for edge in automaton.edges):
         return automaton
-    taken = tuple(edge for i, edge in enumerate(automaton.edges) if preceding(automaton, i) is None)
-    if len(taken) < len(automaton.edges):
+    covered = [preceding(automaton, i) is not None for i in range(len(automaton.edges))]
+    parts = [_parts(automaton, i) if divided == _IN_PARTS else [edge] for i, edge in enumerate(automaton.edges)]
+    taken = tuple(part for own, never in zip(parts, covered, strict=True) if not never for part in own)
+    if taken != automaton.edges:
         automaton = sharing_motion(replace(automaton, edges=taken), automaton)
-    after = {mode.name: _leading_on(automaton, mode.name, goal_modes.split("\0")) for mode in automaton.modes}
+    after = {mode.name: _leading_on(automaton, mode.name, goal_modes) for mode in automaton.modes}
     found: list[ChainEdge] = []
     begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]
     for _ in range(_LONGEST - 1):
@@ -75,6 +104,48 @@ def _chained(automaton: HybridAutomaton, goal_modes: str) -> HybridAutomaton:
     if not found:
         return automaton
     return sharing_motion(replace(automaton, edges=(*automaton.edges, *found)), automaton)
+
+
+def _parts(automaton: HybridAutomaton, number: int) -> list[Edge]:
+    """Where a transition is taken: itself, or its parts outside of those listed before it."""
+    edge = automaton.edges[number]
+    mode, own = automaton.mode(edge.source), edge.guard
+    if edge.is_self_transition or not own.half_spaces:
+        return [edge]
+    within = [h for h in mode.invariant.half_spaces if not any(h.excludes(g) for g in own.half_spaces)]
+    within += mode.inputs.half_spaces
+    rows = [tuple(zip(own.half_spaces, stds_of(edge), strict=True))]
+    for other in automaton.edges[:number]:
+        if other.source != edge.source or other.is_self_transition or other.guard.on_input != own.on_input:
+            continue
+        cut = []
+        for part in rows:
+            held = (*within, *(h for h, _ in part))
+            if not _overlap(held, other.guard.half_spaces):
+                cut.append(part)
+                continue
+            ways = [h.opposite for h in other.guard.half_spaces]
+            cut += [(*part, (h, other.threshold_std)) for h in ways if _overlap(held, (h,))]
+        rows = cut
+    if rows == [tuple(zip(own.half_spaces, stds_of(edge), strict=True))] or len(rows) > _MOST_PARTS:
+        return [edge]
+    front = len(own.half_spaces)
+    return [
+        PlannedEdge(
+            edge.source,
+            edge.target,
+            Region(tuple(h for h, _ in part)),
+            edge.reset,
+            entered=front,
+            stds=tuple(std for _, std in part),
+        )
+        for part in rows
+    ]
+
+
+def _overlap(first: Sequence[HalfSpace], second: Sequence[HalfSpace]) -> bool:
+    """Whether two sets have more in common than a boundary."""
+    return not is_empty(Region(tuple(replace(h, strict=True) for h in (*first, *second))))
 
 
 def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:

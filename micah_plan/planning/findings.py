@@ -134,7 +134,14 @@ def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
             )
-    if reason := _why_inside(problem, samples) or _why_excluded(problem, limits, samples.start[0]):
+    if reason := _why_inside(problem, samples):
+        return reason
+    if samples.is_cut_short:
+        return (
+            f"the search stopped after {problem.settings.search_limit:,} linear programmes, before any sequence of "
+            f"transitions led to the goal; raise search_limit"
+        )
+    if reason := _why_excluded(problem, limits, samples.start[0]):
         return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]

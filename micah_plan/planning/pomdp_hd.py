@@ -11,18 +11,23 @@ Source: Jain and Niekum, "Efficient hierarchical robot motion planning under unc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.chains import with_chains
+from micah_plan.planning.cuts import Cut, tight_places, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memory import with_input_memory, without_input_memory
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
@@ -33,6 +38,8 @@ from micah_plan.task.problem import Problem
 
 # Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
+# Searches after the first, each without the narrow places of the paths before.
+_MOST_DETOURS = 2
 # Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
 _INPUT_ROUNDING = 1e-6
 
@@ -62,41 +69,113 @@ def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
 def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
     """The algorithm; `found`: mode sequences to optimise over x, None: those that a search finds.
 
-    A memory of inputs does not change which mode sequences there are.
+    A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
+    other transitions come first, and search and optimisation are told which (`chains`).
     """
-    attempt = replace(attempt, problem=with_chains(with_input_memory(attempt.problem)))
-    if found is None:
-        attempt.progress("searching mode sequences", 0.0)
-        plain = without_input_memory(attempt.problem)
-        with attempt.clock.stage("search"):
-            found = search_modes(plain, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
-    if not found.sequences:
-        raise NoWayError(found.reason)
+    asked = attempt.problem
+    whole, divided = (with_chains(with_input_memory(asked), in_parts) for in_parts in (False, True))
+    attempt = replace(attempt, problem=whole)
+    if found is not None:
+        return _chosen(attempt, asked, _optimised_each(attempt, found.sequences, found.reason))
+    plan = _chosen(attempt, asked, _with_detours(attempt))
+    strays = plan.trajectory is not None and departure(asked, plan.trajectory) is not None
+    if not strays or divided.automaton is whole.automaton:
+        return plan
+    with suppress(NoWayError, TimeLimitError):
+        again = replace(attempt, problem=divided)
+        better = _chosen(again, asked, _with_detours(again))
+        return plan if better.trajectory is None else replace(better, alternatives=(*better.alternatives, plan))
+    return plan
+
+
+def _with_detours(attempt: Attempt) -> list[_Tried]:
+    """The belief paths through the mode sequences that a search finds, and around their narrow places.
+
+    Raises:
+        NoWayError, TimeLimitError: if there is no sequence.
+    """
+    attempt.progress("searching mode sequences", 0.0)
+    plain, cuts = without_input_memory(attempt.problem), list[Cut]()
+    limits, own = limits_of(plain), own_size(attempt.problem.automaton)
+    found = _searched(attempt, plain, cuts)
+    tried = _optimised_each(attempt, found.sequences, found.reason)
+    for _ in range(_MOST_DETOURS):
+        tight = [cut for one in tried if one.path for cut in tight_places(plain, limits, one.path, own)]
+        if len(tight) <= len(cuts):
+            break
+        cuts = tight
+        with suppress(TimeLimitError):
+            detours = [way for way in _searched(attempt, plain, cuts).sequences if not _is_known(way, tried)]
+            tried += _optimised_each(attempt, detours) if detours else []
+    return tried
+
+
+def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchResult:
+    """The mode sequences of a problem over x, with states cut out of it."""
+    attempt.deadline.check("search", "no detour was looked for", "candidates")
+    with attempt.clock.stage("search"):
+        task = without(plain, cuts) if cuts else plain
+        return search_modes(task, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
+
+
+def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
+    """Whether a path was optimised already: through the same transitions, around the same corners."""
+    return any(
+        one.sequence.edges == sequence.edges
+        and all(a.shape == b.shape and np.allclose(a, b) for a, b in zip(one.corners, sequence.waypoints, strict=True))
+        for one in tried
+    )
+
+
+def _optimised_each(attempt: Attempt, sequences: Sequence[ModeSequence], reason: str = "") -> list[_Tried]:
+    """The belief paths through mode sequences.
+
+    Raises:
+        NoWayError: if there is no sequence.
+    """
+    if not sequences:
+        raise NoWayError(reason)
     tried = []
-    for number, sequence in enumerate(found.sequences, start=1):
-        attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
-        tried.append(_low_level(attempt, with_memory(attempt.problem, sequence)))
+    for number, sequence in enumerate(sequences, start=1):
+        attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
+        one = _low_level(attempt, with_memory(attempt.problem, sequence))
+        tried.append(replace(one, corners=sequence.waypoints))
+    return tried
+
+
+def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
+    """The cheapest plan whose mean follows its own modes, with the others as its alternatives."""
     candidates = tuple(one.candidate for one in tried)
     paths = [(one.path, one.sequence) for one in tried if one.path is not None and one.path.feasible]
     if not paths:
         first, findings = candidates[0], tuple(finding for one in tried for finding in one.findings)
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
         return attempt.refused(reason, findings, candidates)
-    best, sequence = min(paths, key=lambda pair: pair[0].cost)
-    trajectory = trajectory_of(attempt.problem, attempt.limits, best)
-    which = f"cheapest of {len(tried)} mode sequences" if len(tried) > 1 else "the only mode sequence"
-    in_part = tuple(findings_of(attempt.problem, sequence.modes, best.in_part))
-    return attempt.solved(trajectory, best.cost, f", {which}: {best.message}", candidates, in_part)
+    plans = []
+    for number, (path, sequence) in enumerate(sorted(paths, key=lambda pair: pair[0].cost), start=1):
+        trajectory = trajectory_of(attempt.problem, attempt.limits, path)
+        rank = "cheapest" if number == 1 else f"number {number} by cost"
+        which = "the only candidate" if len(tried) == 1 else f"{rank} of {len(tried)} candidates"
+        in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
+        plans.append(attempt.solved(trajectory, path.cost, f", {which}: {path.message}", candidates, in_part))
+    # Between the knots other transitions may come first: what its own mean does not follow is no plan.
+    plans.sort(key=lambda one: one.trajectory is None or departure(asked, one.trajectory) is not None)
+    return replace(plans[0], alternatives=tuple(plans[1:]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A mode sequence that was optimised: the belief path, if there is any, and what stands in the way of it."""
+    """A mode sequence that was optimised: the belief path, if there is any, and what stands in the way of it.
+
+    Attributes:
+        corners: waypoints of the sequence over x, as the search found them.
+    """
 
     sequence: ModeSequence
     path: BeliefPath | None
     message: str
     findings: tuple[Finding, ...] = ()
+    corners: tuple[Floats, ...] = ()
 
     @property
     def candidate(self) -> Candidate:

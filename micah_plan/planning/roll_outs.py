@@ -14,7 +14,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.step_noise import drawn_gains
-from micah_plan.automaton.thresholds import drawn_shifts
+from micah_plan.automaton.thresholds import drawn_shifts, threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
@@ -56,12 +56,14 @@ class RollOuts:
         states: (t, n) true states [rad or m].
         beliefs: of the filters, after the last measurement.
         path: margins of the problem's constraints along the way.
+        visited: (T, t) indices of the true modes after each step of the plan.
     """
 
     modes: Ints
     states: Floats
     beliefs: BeliefBatch
     path: PathRecord
+    visited: Ints
 
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int | tuple[int, ...]) -> Chances:
@@ -91,7 +93,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     unseen, everyone = np.full((trials, whole.n - automaton.n), np.nan), np.arange(trials)
     modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
     beliefs = repeated(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
-    knots, path = time_knots(trajectory), PathRecord(problem, trials)
+    knots, path, visited = time_knots(trajectory), PathRecord(problem, trials), list[Ints]()
     for step, knot in enumerate(knots):
         deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")
         believed = beliefs.most_likely
@@ -101,6 +103,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
         given = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
         modes, x = chances.objects.step(modes, x, given, chances.process[step])
+        visited.append(modes)
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
         beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
         if problem.constraints:
@@ -111,7 +114,46 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         beliefs = predict(whole, beliefs, nothing)
         if problem.constraints:
             path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])
-    return RollOuts(modes, x, beliefs, path)
+    return RollOuts(modes, x, beliefs, path, np.array(visited).reshape(len(knots), trials))
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Where a plan, replayed without any noise, is in another mode than planned.
+
+    Attributes:
+        knot: of the plan, at the end of the step.
+        planned, visited: the modes there.
+    """
+
+    knot: int
+    planned: str
+    visited: str
+
+    @property
+    def sentence(self) -> str:
+        """What happens, in one sentence."""
+        return (
+            f"even without noise the plan is in mode '{self.visited}' at knot {self.knot} and not in '{self.planned}': "
+            "on the way there other transitions come first"
+        )
+
+
+def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
+    """Where a plan leaves its own modes if nothing is random; None if it leads into the goal, or follows them all."""
+    plain = without_input_memory(problem)
+    automaton, knots = plain.automaton, time_knots(trajectory)
+    nothing = np.zeros((knots.size, 1, automaton.n))
+    seen = np.where(np.isfinite(automaton.noise.observation_std), 0.0, np.nan)
+    start = trajectory.means[0, : automaton.n][None]
+    objects = TransitionBatch(automaton, np.zeros((1, threshold_stds(automaton).size)))
+    ends = roll_out(problem, trajectory, Chances(objects, start, nothing, nothing + seen))
+    if are_in_goal(problem, ends)[0]:
+        return None
+    for knot, mode in zip((knots + 1).tolist(), ends.visited[:, 0].tolist(), strict=True):
+        if (name := automaton.modes[mode].name) != trajectory.modes[knot]:
+            return Departure(knot, trajectory.modes[knot], name)
+    return None
 
 
 def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:

@@ -10,8 +10,9 @@ is forgotten with every one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -76,12 +77,7 @@ def verified_plan(
     most = settings.tightening_rounds if rounds is None else rounds
 
     def check(plan: Plan, seed: int) -> Plan:
-        if plan.trajectory is None:
-            return plan
-        begin = perf_counter()
-        answer = verifier(problem, plan, seed=seed, deadline=deadline)
-        spent = perf_counter() - begin
-        return replace(answer, timings=_added(answer.timings, {"verify": spent, "total": spent}))
+        return _best_verified(plan, partial(verifier, problem, seed=seed, deadline=deadline), deadline)
 
     best = check(planner(problem, deadline=deadline), seed)
     timings, confidence, pace = dict(best.timings), settings.confidence, settings.pace
@@ -106,6 +102,21 @@ def verified_plan(
             break
     is_cut = most > 0 and best.outcome == "not_verified" and deadline.is_over()
     return replace(_cut_short(best, deadline) if is_cut else best, timings=timings)
+
+
+def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadline) -> Plan:
+    """The first of a plan and its alternatives that roll-outs confirm, else the one that succeeds most often."""
+    if plan.trajectory is None:
+        return plan
+    begin, best = perf_counter(), None
+    for one in (plan, *plan.alternatives):
+        answer = replace(verified(one), alternatives=())
+        if best is None or (answer.success_probability or 0.0) > (best.success_probability or 0.0):
+            best = answer
+        if answer.outcome == "solved" or deadline.is_over():
+            break
+    spent = perf_counter() - begin
+    return replace(best or plan, timings=_added(plan.timings, {"verify": spent, "total": spent}))
 
 
 def _cut_short(plan: Plan, deadline: Deadline) -> Plan:

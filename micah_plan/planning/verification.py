@@ -18,7 +18,7 @@ from micah_plan.planning.findings import (
     moved_target,
 )
 from micah_plan.planning.path_constraints import PathRecord, joined
-from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
+from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, roll_out
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
@@ -81,6 +81,12 @@ def verify(
     clear = plain_answer(successes, done, confidence) if done < count else None
     if share >= least_share(confidence, count) if clear is None else clear:
         return answer
+    if (leaves := departure(problem, plan.trajectory)) is not None:
+        where = leaves.planned, leaves.knot
+        remedy = "give the modes more room at that transition, or raise max_knots"
+        finding = Finding("verification", leaves.sentence, remedy, plan.mode_sequence, *where, "transitions")
+        reason = f"found {' -> '.join(plan.mode_sequence)}, but {leaves.sentence}; {remedy}"
+        return replace(answer, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
     reason = (
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
         f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, or lower the "

@@ -20,16 +20,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.contacts.values import COLLIDED
-from micah_plan.automaton.hybrid import Edge, Mode
-from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning.cuts import half_space, without
 from micah_plan.planning.letting_go import with_release
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
-from micah_plan.task.start import is_final
 
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
@@ -76,7 +73,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
         if not (found := _cuts(problem, stop)):
             break
         cuts, plans = cuts + found, plans + 1
-        plan, stop = _with_arm(problem, planned(_without(problem, cuts)), seed, deadline)
+        plan, stop = _with_arm(problem, planned(without(problem, [(None, cut) for cut in cuts])), seed, deadline)
         if plan.trajectory is None:
             break
         if plan.arm is not None or stop is not None:
@@ -181,7 +178,7 @@ def _cuts(problem: Problem, stop: _Stop) -> list[Region]:
             return []
         sides = list(product(np.eye(3), (1.0, -1.0)))
         return [
-            Region(tuple(_half_space(n, m, s * axis, float(s * (axis @ x[:3])) - _AROUND, name) for axis, s in sides))
+            Region(tuple(half_space((n, m), s * axis, float(s * (axis @ x[:3])) - _AROUND, name) for axis, s in sides))
         ]
     path = tool_path(problem, [stop.mode], x[None])
     from_hand = (path.tool.translation - path.parts[problem.grasp.part].translation)[0]
@@ -204,32 +201,14 @@ def _overlapping(
     for side, most in overlap:
         least = float(side @ from_hand) - most - PathSettings.margin - _FURTHER
         if lowest is None:
-            rows.append(_half_space(n, m, -side, least, name))
+            rows.append(half_space((n, m), -side, least, name))
             continue
         along, least = np.array([side[0], side[1], 0.0]), least + float(side[2]) * lowest
         if along.any():
-            rows.append(_half_space(n, m, -along, least, name))
+            rows.append(half_space((n, m), -along, least, name))
         elif least > 0.0:
             return None
     if lowest is not None:  # above where the hand cannot go down, well beyond the height at which it ends
         highest = max(value + tolerance for index, value, tolerance in carrying(problem).goal.target if index == 2)
-        rows.append(_half_space(n, m, np.array([0.0, 0.0, -1.0]), -highest - _AROUND, name))
+        rows.append(half_space((n, m), np.array([0.0, 0.0, -1.0]), -highest - _AROUND, name))
     return Region(tuple(rows))
-
-
-def _half_space(n: int, m: int, direction: Floats, least: float, name: str) -> HalfSpace:
-    a = np.zeros(n)
-    a[:3] = direction
-    return HalfSpace(tuple(a.tolist()), (0.0,) * m, float(least), name=name)
-
-
-def _without(problem: Problem, cuts: list[Region]) -> Problem:
-    """The problem with bodies where the arm cannot take the hand."""
-    automaton = problem.automaton
-    modes = automaton.modes
-    if COLLIDED not in automaton.mode_names:
-        modes = (*modes, Mode(COLLIDED, modes[0].joints, tuple((0.0,) * automaton.m for _ in range(automaton.n))))
-    moving = [mode.name for mode in automaton.modes if not is_final(automaton, mode)]
-    edges = [Edge(name, COLLIDED, cut) for name in moving for cut in cuts]
-    changed = replace(automaton, modes=modes, edges=(*automaton.edges, *edges))
-    return replace(problem, automaton=sharing_motion(changed, automaton))

@@ -20,8 +20,9 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.motion import motions
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Tie
 from micah_plan.automaton.input_memory import passed_on
 from micah_plan.automaton.memo import memoised, memoised_of_motion
 from micah_plan.automaton.region import Region
@@ -128,11 +129,7 @@ def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Func
     noise = _step_noise_std(automaton, mode, given)
     if mode.ties:
         # The state keeps to the ties already, so its factor does; so must what an effect or noise does to it.
-        tied = ca.SX.eye(automaton.n)
-        for tie in mode.ties:
-            tied[tie.coordinate, :] = ca.DM(tie.weights).T
-            flowed[tie.coordinate] = tie.offset + ca.dot(ca.DM(tie.weights), flowed)
-        tied = ca.sparsify(tied)
+        tied = _tied(mode.ties, flowed)
         spread = ca.sparsify(ca.mtimes(tied, ca.diag(ca.vertcat(*noise))))
         factor = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(tied, factor), spread)))
     else:
@@ -162,6 +159,10 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
     factor = factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), factor))
     mean, factor = put_at(mean, factor, automaton.pins_located_by(edge))
     mean, factor = _condition(mean, factor, automaton.pins_met_by(edge))
+    ties = automaton.mode(edge.target).ties
+    if ties and not _keeps(ties, a, c):
+        tied = _tied(ties, mean)
+        factor = lower_factor(ca.sparsify(ca.mtimes(tied, factor)))
     margins = _margins(edge.guard, s.x, given)
     stds = [norm(ca.mtimes(s.factor.T, ca.DM(h.a))) for h in edge.guard.half_spaces]
     return CompiledEdge(
@@ -170,6 +171,21 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
         guard_belief=s.belief_map("guard_belief", margin=margins, std=ca.vertcat(*stds) if stds else ca.SX(0, 1)),
         belief_reset=s.belief_map("belief_reset", mean_next=mean, factor_next=factor),
     )
+
+
+def _tied(ties: Sequence[Tie], x: ca.SX) -> ca.SX:
+    """Puts the tied coordinates of x at their values; the matrix (n, n) that does the same to deviations."""
+    matrix = ca.SX.eye(x.numel())
+    for tie in ties:
+        matrix[tie.coordinate, :] = ca.DM(tie.weights).T
+        x[tie.coordinate] = tie.offset + ca.dot(ca.DM(tie.weights), x)
+    return ca.sparsify(matrix)
+
+
+def _keeps(ties: Sequence[Tie], a: Floats, c: Floats) -> bool:
+    """Whether a reset to a x + c leads to where the ties hold, whatever x is."""
+    at = [(np.array(tie.weights), tie.coordinate, tie.offset) for tie in ties]
+    return all(np.allclose(w @ a, a[i], atol=1e-12) and abs(w @ c + offset - c[i]) < 1e-12 for w, i, offset in at)
 
 
 def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.SX, dict[int, ca.SX]]:

@@ -178,6 +178,8 @@ class Plan(Summarised):
         release: how the hand lets go in the end; None if it keeps the object.
         warnings: one line for each thing in the model that the plan does not take into account, or that learning
             was not sure of.
+        alternatives: plans along the other candidates, to be tried in this order where roll-outs refuse this one; kept
+            out of the plan file.
     """
 
     outcome: Outcome
@@ -196,6 +198,7 @@ class Plan(Summarised):
     arm: ArmTrajectory | None = None
     release: ReleasePlan | None = None
     warnings: tuple[str, ...] = ()
+    alternatives: tuple[Plan, ...] = field(default=(), repr=False, compare=False)
 
     def summary(self) -> str:
         """Outcome and reason in one line."""

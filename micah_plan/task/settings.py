@@ -17,6 +17,8 @@ class PlannerSettings:
             ``"rrt"`` (kinodynamic RRT on the means). What each finds is verified alike.
         confidence: probability with which guards and invariants must hold, and roll-outs reach the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
+        search_limit: linear programmes that the search solves at most where the hand may leave objects anywhere; where
+            the limit ended it without a sequence of modes, the answer says so.
         candidates: how many of the cheapest mode sequences are optimised.
         revisits: how many times a mode sequence may come back to a mode that it has been in.
         max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,
@@ -37,6 +39,7 @@ class PlannerSettings:
     method: Method = "pomdp-hd"
     confidence: float = 0.95
     samples_per_mode: int = 100
+    search_limit: int = 2000
     candidates: int = 4
     revisits: int = 0
     max_step: tuple[float, ...] | None = None

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from random_hybrids import CELLS, Grid, is_clearly_reachable, is_clearly_unreachable, random_problem, with_less_noise
 
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.planning.roll_outs import are_in_goal, departure, draw_chances, roll_out
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
@@ -62,6 +62,7 @@ def check_answer(problem: Problem, found: Plan, seed: int) -> None:
             assert abs(found.trajectory.means[-1, index] - value) <= tolerance + 1e-5
         assert np.all(np.abs(found.trajectory.inputs) <= limits_of(problem).max_step + 1e-9)
         ends = roll_out(problem, found.trajectory, draw_chances(problem, found.trajectory, FRESH, 1000 + seed))
+        assert departure(problem, found.trajectory) is None
         assert are_in_goal(problem, ends).mean() >= problem.settings.confidence - SHORTFALL
 
 

@@ -6,13 +6,14 @@ input per mode leading from each to the next, form a polytope. A point of it is 
 what lies in the way inside the modes, which the roadmaps go around. So a value that is to be kept, such as the place
 where an object is let go, comes from all that is to follow, and whether any value serves is known at once.
 
-Sequences are taken in the order of the shortest inputs that lead through them, at least as short as any path.
+Sequences are taken in the order of the shortest inputs that lead through them and what then is left to the goal, which
+counts more, so that one hand that moves many things does not try them in all orders first (weighted A*: Pohl, 1970).
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, islice
 
@@ -30,9 +31,13 @@ from micah_plan.planning.search.roadmap import TRANSITION_COST
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 
-# Linear programmes solved to find sequences, and sequences found, after which there are enough: 1 to 4 ms each.
-_MOST_PROGRAMMES = 400
+# Sequences found after which there are enough, and linear programmes once there is one: 1 to 4 ms each.
 _MOST_SEQUENCES = 24
+_ENOUGH = 400
+# How much a step that is left to the goal counts against one that was made: above 1 sequences that lead on go first.
+_EAGERNESS = 2.0
+# Steps by which a sequence goes last that came back to a mode without getting nearer to the goal.
+_NO_NEARER = 100.0
 # Passages of a sequence that are extreme in random directions, and random mixtures of all of them.
 _EXTREMES = 4
 _MIXTURES = 8
@@ -62,7 +67,7 @@ def passage_exists(problem: Problem, limits: Limits, start_mode: str, revisits: 
     search = _Search(problem, limits)
     if next(search.complete(start_mode, NEVER, revisits), None) is not None:
         return True
-    return False if search.solved < _MOST_PROGRAMMES else None
+    return None if search.is_over else False
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +94,20 @@ class _Prefix:
 
 def passages(
     problem: Problem, limits: Limits, start_mode: str, rng: np.random.Generator, deadline: Deadline = NEVER
-) -> Iterator[Passage]:
+) -> Generator[Passage, None, bool]:
     """Passages through the sequences of transitions, the shortest first: of each the shortest, then random others.
+
+    Returns:
+        whether the limit of linear programmes ended the search before any was found.
 
     Raises:
         TimeLimitError: if the deadline passes.
     """
     search = _Search(problem, limits)
     sequences = search.complete(start_mode, deadline, problem.settings.revisits)
+    is_found = False
     for prefix, w in islice(sequences, _MOST_SEQUENCES):
+        is_found = True
         yield search.passage(prefix, w)
         directions = rng.normal(size=(_EXTREMES if prefix.edges else 0, prefix.size))
         found = [search.extreme(prefix, direction) for direction in directions]
@@ -106,6 +116,7 @@ def passages(
             yield search.passage(prefix, share @ corners)
         for corner in corners[1:]:
             yield search.passage(prefix, corner)
+    return not is_found and search.is_over
 
 
 class _Search:
@@ -118,18 +129,27 @@ class _Search:
         self.goal_error = max(1.0, float(in_steps(problem, np.array(problem.settings.weight_goal))))
         self.solved = 0
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the limit of linear programmes is reached."""
+        return self.solved >= self.problem.settings.search_limit
+
     def complete(self, start_mode: str, deadline: Deadline, revisits: int) -> Iterator[tuple[_Prefix, Floats]]:
         """Sequences that end in the goal, each with the inputs (v,) of its shortest passage."""
         start = nominal_start(self.problem, self.limits, start_mode)
         entry = np.zeros((self.automaton.n, 0)), start
         first = _Prefix((start_mode,), (), (entry,), (), np.zeros((0, 0)), np.zeros(0))
         tickets, most = count(), 1 + revisits
-        queue: list[tuple[float, int, _Prefix, Floats | None]] = [(0.0, next(tickets), first, None)]
-        while queue and self.solved < _MOST_PROGRAMMES:
-            deadline.check("search", f"{self.solved} mode sequences were relaxed", "samples_per_mode")
-            _, _, prefix, w = heapq.heappop(queue)
+        # With each sequence how far the goal was at least where it entered its modes.
+        queue: list[tuple[float, int, _Prefix, tuple[float, ...], Floats | None]] = []
+        heapq.heappush(queue, (0.0, next(tickets), first, (np.inf,), None))
+        limit = self.problem.settings.search_limit
+        while queue and self.solved < limit:
+            deadline.check("search", f"{self.solved} mode sequences were relaxed", "search_limit")
+            _, _, prefix, nearest, w = heapq.heappop(queue)
             if w is not None:
                 yield prefix, w
+                limit = min(limit, max(_ENOUGH, 2 * self.solved))
                 continue
             mode = self.automaton.mode(prefix.modes[-1])
             ways = []
@@ -140,10 +160,15 @@ class _Search:
                 if leads_on and prefix.modes.count(edge.target) < most:
                     ways += self._followed(prefix, mode, index, edge)
             for way in ways:
-                if (shortest := self.shortest(way)) is not None:
-                    cost, inputs = shortest
-                    done = len(way.exits) == len(way.modes)
-                    heapq.heappush(queue, (cost, next(tickets), way, inputs if done else None))
+                if (shortest := self.shortest(way)) is None:
+                    continue
+                made, left, inputs = shortest
+                done, key = len(way.exits) == len(way.modes), made + _EAGERNESS * left
+                before = [far for mode, far in zip(prefix.modes, nearest, strict=True) if mode == way.modes[-1]]
+                if not done and before and left >= min(before) - TOLERANCE:
+                    key += _NO_NEARER
+                entered = nearest if done else (*nearest, left)
+                heapq.heappush(queue, (key, next(tickets), way, entered, inputs if done else None))
 
     def passage(self, prefix: _Prefix, w: Floats) -> Passage:
         """The passage of a complete sequence with inputs w (v,)."""
@@ -152,10 +177,12 @@ class _Search:
         )
         return Passage(prefix.modes, prefix.edges, entries, exits)
 
-    def shortest(self, prefix: _Prefix) -> tuple[float, Floats] | None:
-        """Cost [steps] and inputs (v,) of the shortest inputs of a sequence; None if none lead through it.
+    def shortest(self, prefix: _Prefix) -> tuple[float, float, Floats] | None:
+        """The shortest inputs of a sequence; None if none lead through it.
 
-        The cost counts how far the goal is at least from where the sequence ends, and the error that is left in it.
+        Returns:
+            the steps that they take, how far the goal is at least from where the sequence ends, or the error that is
+            left in it [steps], and the inputs (v,).
         """
         v, m, done = prefix.size, self.automaton.m, len(prefix.exits) == len(prefix.modes)
         M, c = prefix.exits[-1] if done else prefix.entries[-1]
@@ -184,7 +211,8 @@ class _Search:
         found = self._solved(cost, rows, least, v)
         if found is None:
             return None
-        return float(cost @ found) + TRANSITION_COST * len(prefix.edges), found[:v]
+        made, left = float(cost[v : 2 * v] @ found[v : 2 * v]), float(found[2 * v :].sum())
+        return made + TRANSITION_COST * len(prefix.edges), left, found[:v]
 
     def extreme(self, prefix: _Prefix, direction: Floats) -> Floats | None:
         """The inputs (v,) of a sequence that go farthest in a direction (v,)."""

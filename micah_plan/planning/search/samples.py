@@ -8,7 +8,7 @@ In modes with many leaves (`leaves`) states come from passages to the goal, and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from micah_plan.automaton.region import Region
 from micah_plan.planning.chains import front_of
 from micah_plan.planning.limits import Limits, named_values
 from micah_plan.planning.search.leaves import Leaves, leaves_of
-from micah_plan.planning.search.passages import passages
+from micah_plan.planning.search.passages import Passage, passages
 from micah_plan.planning.search.polytope import Polytope, mode_states, nominal_start
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.task.deadline import NEVER, Deadline
@@ -44,12 +44,14 @@ class Samples:
             edges between modes that a sampled state can take.
         start: its mode and the number of its state there.
         goals: numbers of the states within the goal by mode; only modes that hold such states.
+        is_cut_short: whether `search_limit` ended the search for passages before any was found.
     """
 
     points: dict[str, Floats]
     exits: dict[int, Ints]
     start: tuple[str, int]
     goals: dict[str, Ints]
+    is_cut_short: bool = False
 
 
 def sample_modes(
@@ -68,7 +70,7 @@ def sample_modes(
     sampler.add_random()
     points = {name: np.array(sampler.points_of(name)).reshape(-1, problem.automaton.n) for name in sampler.states}
     goals = {name: np.flatnonzero(states.contains(points[name])) for name, states in sampler.goals.items()}
-    return Samples(points, sampler.exits, (start_mode, start), goals)
+    return Samples(points, sampler.exits, (start_mode, start), goals, sampler.is_cut_short)
 
 
 class _Sampler:
@@ -94,6 +96,7 @@ class _Sampler:
         sets = {name: goal_states(problem, limits, name) for name in self.states}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
         self.exits: dict[int, Ints] = {}
+        self.is_cut_short = False
 
     def add(self, mode: str, point: Floats) -> int:
         """The number of a state (n,) in its mode, counted as they are added; the same for one added before."""
@@ -134,7 +137,7 @@ class _Sampler:
         if not self._on_leaves:
             return
         rng = self._rng.spawn(1)[0]
-        for passage in passages(self._problem, self._limits, start_mode, rng, self._deadline):
+        for passage in self._passages(start_mode, rng):
             entry = passage.entries[0]
             for i, name in enumerate(passage.modes):
                 if name in self._on_leaves:
@@ -151,6 +154,10 @@ class _Sampler:
                 before = self.exits.get(index, np.zeros((0, 2), dtype=np.int64))
                 self.exits[index] = np.unique(np.vstack([before, pair]), axis=0)
                 entry = self.points_of(edge.target)[pair[1]]
+
+    def _passages(self, start_mode: str, rng: np.random.Generator) -> Iterator[Passage]:
+        """The passages; notes whether the limit ended the search for them."""
+        self.is_cut_short = yield from passages(self._problem, self._limits, start_mode, rng, self._deadline)
 
     def add_random(self) -> None:
         """Random states outside of the guards on states."""

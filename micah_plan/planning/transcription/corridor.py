@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.turning import turn_of
-from micah_plan.planning.chains import ChainEdge
+from micah_plan.planning.chains import ChainEdge, front_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.layout import factor_of, pack
@@ -81,8 +81,12 @@ class CorridorRow(NamedTuple):
         return max(0.0, k * float(side.stds[self.step]) - float(side.margins[self.step])) / side.scale
 
 
-def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> list[CorridorRow]:
-    """The rows of a phase for knots 1..N, knot by knot. A boundary that the mode cannot move across has none."""
+def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: float) -> list[CorridorRow]:
+    """The rows of a phase for knots 1..N, knot by knot. A boundary that the mode cannot move across has none.
+
+    Args:
+        k: standard deviations of the planned confidence.
+    """
     mode = automaton.mode(guess.mode)
     leaving = None if guess.edge is None else automaton.edges[guess.edge]
     exits = () if leaving is None else leaving.guard.half_spaces
@@ -91,21 +95,23 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess) -> l
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
     walls = [_farthest(rows, guess) for rows in obstacles]
-    rows, sides = [], dict[tuple[str, HalfSpace, float], Side | None]()
+    walls += [[None if h.on_input else h for h in kept_out(rows, guess, k)] for rows in mixed_guards(automaton, guess)]
+    sides = () if leaving is None else _entered_before(mode, leaving, guess)
+    rows, boundaries = [], dict[tuple[str, HalfSpace, float], Side | None]()
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
-        chosen = list(fixed)
-        if guess.edge is None or step < guess.steps:
-            near = [h for wall in walls for h in wall[step - 1 : step + 1]]
-            chosen += [(h, -1.0, True) for h in dict.fromkeys(near)]
+        near = [h for wall in walls for h in wall[step - 1 : step + 1] if h is not None]
+        chosen = fixed + [(h, -1.0, True) for h in dict.fromkeys(near)]
+        if step == guess.steps - 1:
+            chosen += [(h, 1.0, True) for h in sides]
         if turn is not None and step < guess.steps:
             chosen.append((turn.half_space, -1.0, True))
             chosen += [(h, 1.0, True) for h in turn.sides if step == guess.steps - 1]
         for half_space, sign, uncertain in chosen:
             key = half_space.name, half_space, sign
-            if key not in sides:
-                sides[key] = _side(automaton, limits, guess, half_space, sign, stds.get(half_space, 0.0))
-            if (side := sides[key]) is not None:
+            if key not in boundaries:
+                boundaries[key] = _side(automaton, limits, guess, half_space, sign, stds.get(half_space, 0.0))
+            if (side := boundaries[key]) is not None:
                 rows.append(CorridorRow(side, step, uncertain))
     return rows
 
@@ -162,14 +168,71 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
     return obstacles
 
 
-def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess) -> list[HalfSpace]:
-    """The half-space of a guard that each step of the phase is outside of by most standard deviations."""
+def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfSpace, ...]:
+    """The half-spaces of a guard that hold where the last step of a phase begins.
+
+    The transition happens within that step, at the instant at which the last half-space is entered: where the mode
+    ends, or else the one that the guess enters last. The others must hold until then, not only at the next knot.
+    """
+    chained = isinstance(leaving, ChainEdge)
+    rows = [h for h in (front_of(leaving) if chained else leaving.guard.half_spaces) if h.on_state]
+    if leaving.guard.on_input or len(rows) < 2 or guess.steps < 2:
+        return ()
+    ends = [h for h in rows if any(inside.excludes(h) for inside in mode.invariant.half_spaces)]
+    if not ends:
+        before, after = (np.array([np.array(h.a) @ guess.means[k] - h.c for h in rows]) for k in (-2, -1))
+        change = np.where(after > before, after - before, np.inf)
+        ends = [rows[int(np.argmax(np.where(before < 0.0, -before / change, -np.inf)))]]
+    return tuple(h for h in rows if h not in ends)
+
+
+def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> list[tuple[HalfSpace, ...]]:
+    """The guards on both x and u of the transitions that a phase does not take."""
+    return [
+        edge.guard.half_spaces
+        for index, edge in enumerate(automaton.edges)
+        if edge.source == guess.mode and index != guess.edge and not edge.is_self_transition
+        if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ChainEdge)
+    ]
+
+
+def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
+    """(N,) the half-space of a guard on x and u that each step stays out of.
+
+    One on x alone where the guess is clearly outside, at both ends of the step; else the one on u that its input misses
+    by most, or is inside of by least.
+    """
+    on_state, on_input = ([h for h in guard if h.on_input == which] for which in (False, True))
+    a, b = np.array([h.a for h in on_input]), np.array([h.b for h in on_input])
+    missed = np.array([h.c for h in on_input]) - guess.means[:-1] @ a.T - guess.inputs @ b.T
+    chosen = [on_input[i] for i in np.argmax(missed / np.linalg.norm(b, axis=1), axis=1).tolist()]
+    if not on_state:
+        return chosen
+    apart = _stds_outside(on_state, guess)
+    best = np.argmax(apart, axis=0).tolist()
+    return [on_state[i] if apart[i, step] >= k else chosen[step] for step, i in enumerate(best)]
+
+
+def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess) -> list[HalfSpace | None]:
+    """The half-space of a guard that each step of the phase is outside of by most standard deviations.
+
+    None for a last step that leaves the mode and ends inside: of transitions at one instant the first listed happens.
+    """
     rows = [h for h in guard if h.on_state]
+    apart = _stds_outside(rows, guess)
+    found: list[HalfSpace | None] = [rows[i] for i in np.argmax(apart, axis=0).tolist()]
+    if guess.edge is not None and guess.steps and apart[:, -1].max() <= 0.0:
+        found[-1] = None
+    return found
+
+
+def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess) -> Floats:
+    """(r, N) standard deviations by which each step is outside of half-spaces on x, at the end where that is less."""
     a, c = np.array([h.a for h in rows]), np.array([[h.c] for h in rows])
     stds = np.linalg.norm(a[:, None, None] @ guess.factors, axis=-1)[..., 0]
     smallest = _SMALLEST_STD * np.linalg.norm(a, axis=1, keepdims=True)
     away = (c - a @ guess.means.T) / (stds + smallest)
-    return [rows[i] for i in np.argmax(np.minimum(away[:, :-1], away[:, 1:]), axis=0).tolist()]
+    return np.asarray(np.minimum(away[:, :-1], away[:, 1:]))
 
 
 @dataclass(frozen=True, eq=False)

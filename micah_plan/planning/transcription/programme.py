@@ -30,7 +30,14 @@ from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.input_memory import steps_of_memory
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme
-from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
+from micah_plan.planning.transcription.corridor import (
+    CorridorRow,
+    PathRows,
+    corridor,
+    kept_out,
+    mixed_guards,
+    path_rows,
+)
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
 from micah_plan.planning.transcription.layout import entries, factor_of, factor_pattern, pack, packed
 from micah_plan.planning.transcription.lost_motion import lost_motion
@@ -140,8 +147,8 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> 
     states = nlp.variables(start.shape, start, lower, upper)
     largest = np.repeat(nlp.limits.max_step[:, None], steps, axis=1)
     inputs = nlp.variables(largest.shape, guess.inputs.T, -largest, largest)
-    boundaries = corridor(automaton, nlp.limits, guess)
     k = nlp.problem.settings.sigmas
+    boundaries = corridor(automaton, nlp.limits, guess, k)
     slack_start = np.array([row.slack_start(k) for row in boundaries if row.uncertain])
     if path is not None:
         slack_start = np.append(slack_start, path.slack.ravel(order="F"))
@@ -199,6 +206,11 @@ def _require_inputs(nlp: Transcription, mode: CompiledMode, guess: PhaseGuess, p
         margins = sign * margins[[i for i, _ in chosen], :]
         rows = [_input_row(nlp, guess, k, h, sign) for k in range(guess.steps) for _, h in chosen]
         nlp.require(margins, rows)
+    for mixed in mixed_guards(automaton, guess):
+        for k, h in enumerate(kept_out(mixed, guess, nlp.problem.settings.sigmas)):
+            if h.on_input:
+                at = ca.dot(ca.DM(h.a), phase.states[: automaton.n, k]) + ca.dot(ca.DM(h.b), phase.inputs[:, k])
+                nlp.require(h.c - at, [_input_row(nlp, guess, k, h, -1.0)])
 
 
 def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: HalfSpace, sign: float) -> Row:

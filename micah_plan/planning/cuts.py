@@ -1,0 +1,72 @@
+"""States that plans are to keep out of: cut out of a problem as if a body stood there, for the next search.
+
+A search finds the shortest path through each sequence of modes. Where the belief is too wide for a narrow place on it,
+or an arm cannot take the hand there, that place is cut out, and a search finds the next path, around it. All paths
+compete: a detour is taken where it costs less than what may fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.contacts.values import COLLIDED
+from micah_plan.automaton.hybrid import Edge, Mode
+from micah_plan.automaton.memo import sharing_motion
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.transcription.solve import BeliefPath
+from micah_plan.task.problem import Problem
+from micah_plan.task.start import is_final
+
+Cut = tuple[str | None, Region]
+"""The mode in which states are cut out, None: all modes that do not end everything; and the states."""
+
+
+def without(problem: Problem, cuts: Sequence[Cut]) -> Problem:
+    """The problem with a body wherever a state is cut out. Its first transitions are those of the problem."""
+    automaton = problem.automaton
+    modes = automaton.modes
+    if COLLIDED not in automaton.mode_names:
+        modes = (*modes, Mode(COLLIDED, modes[0].joints, tuple((0.0,) * automaton.m for _ in range(automaton.n))))
+    moving = [mode.name for mode in automaton.modes if not is_final(automaton, mode)]
+    edges = [Edge(name, COLLIDED, cut) for name in moving for where, cut in cuts if where is None or where == name]
+    changed = replace(automaton, modes=modes, edges=(*automaton.edges, *edges))
+    return replace(problem, automaton=sharing_motion(changed, automaton))
+
+
+def half_space(automaton_sizes: tuple[int, int], a: Floats, least: float, name: str) -> HalfSpace:
+    """a'x >= least over n states and m inputs, of which a may name the first ones only."""
+    n, m = automaton_sizes
+    weights = np.zeros(n)
+    weights[: len(a)] = a
+    return HalfSpace(tuple(weights.tolist()), (0.0,) * m, float(least), name=name)
+
+
+def tight_places(problem: Problem, limits: Limits, path: BeliefPath, own: int) -> list[Cut]:
+    """Where a path keeps clear of what it must not enter with less than the planned confidence, each with its mode.
+
+    A step to either side, and as wide as the corridor there. None where the path begins or ends: no other path could
+    keep clear of that.
+    """
+    sizes, found = (problem.automaton.n, problem.automaton.m), list[Cut]()
+    for shortfall in path.in_part:
+        row = shortfall.row
+        if row.kind != "boundary" or row.sign > 0 or row.half_space is None:
+            continue
+        x, normal = path.means[row.knot][:own], np.abs(np.array(row.half_space.a))[:own]
+        width = (shortfall.width or 0.0) / float(np.linalg.norm(normal))
+        reach = np.maximum(limits.speed, width * normal / float(np.linalg.norm(normal)))
+        sides = [(i, sign) for i in np.flatnonzero(problem.automaton.mode(row.mode).driven) for sign in (1.0, -1.0)]
+        rows = [
+            half_space(sizes, sign * np.eye(len(x))[i], float(sign * x[i] - reach[i]), f"too narrow: {row.name}")
+            for i, sign in sides
+        ]
+        region = Region(tuple(rows))
+        ends = path.means[[0, -1], :own]
+        if rows and not region.contains(ends, np.zeros((2, problem.automaton.m))).any():
+            found.append((row.mode, region))
+    return found
