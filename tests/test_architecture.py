@@ -20,7 +20,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 # or from below. Entries are packages or files of the top level: there are no exceptions for single modules.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("arrays", "errors", "quantities", "summaries"),
-    ("files",),
+    ("files", "mujoco_library"),
     ("ros",),
     ("outputs",),
     ("recording",),
@@ -50,7 +50,7 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),
     "meshcat": (("view.",), True),
-    "mujoco": (("execution.mujoco.world",), True),
+    "mujoco": (("mujoco_library",), True),
     "matplotlib": (("view.",), False),
     "jinja2": (("view.",), True),
     "ruamel": (("documents.",), True),

@@ -37,8 +37,9 @@ class ModeDocument(Document):
         "The joint of every link in this mode, by child part."
     )
     step: dict[CoordinateName, Expression] = doc(
-        "Change of each coordinate in one step as a linear expression, e.g. `door: input door`; a coordinate that is "
-        "left out does not move."
+        "Change of each coordinate in one step as an affine expression, e.g. `door: input door`, or `door: input door "
+        "- 0.05` for a door that swings shut; a coordinate that is left out does not move. A constant is kept as the "
+        "effect `bias` of that mode."
     )
     invariant: RegionEntries = doc("Half-spaces in all of which the mode's dynamics hold.")
     inputs: RegionEntries = doc("Half-spaces that admissible inputs lie in.", list)
@@ -58,9 +59,9 @@ class ModeDocument(Document):
         own, coordinates = self.meanings(at, scope), scope["coordinate"]
         rows = [(0.0,) * len(scope["input"]) for _ in coordinates]
         for i, change in own.pop("step").items():
-            if any(change.a) or change.constant:
-                remedy = "write only inputs, such as 'input door' or '0.5*input door'"
-                raise at.at("step", coordinates[i]).error("a step is linear in the inputs", remedy)
+            if any(change.a):
+                remedy = "write inputs and a constant, such as 'input door' or '0.5*input door - 0.02'"
+                raise at.at("step", coordinates[i]).error("a step is affine in the inputs", remedy)
             rows[i] = change.b
         for i, tie in own["ties"].items():
             if any(tie.b):
@@ -69,6 +70,11 @@ class ModeDocument(Document):
         pins = tuple(Pin(i, **pin) for i, pin in own.pop("pins").items())
         ties = tuple(Tie(i, tie.a, tie.constant) for i, tie in own.pop("ties").items())
         return Mode(at.name, **own, input_matrix=tuple(rows), pins=pins, ties=ties)
+
+    def drifts(self, at: Located, scope: Scope) -> dict[str, float]:
+        """What each coordinate moves in one step without any input [rad or m], if it does."""
+        steps = self.meanings(at, scope)["step"]
+        return {scope["coordinate"][i]: change.constant for i, change in steps.items() if change.constant}
 
     @classmethod
     def written(cls, value: Mode, scope: Scope) -> Mapping[str, Any]:

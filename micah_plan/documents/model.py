@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -154,7 +154,19 @@ class ModelDocument(Document):
                 names = ", ".join(f"{parent} to {child}" for parent, child in links) or "none"
                 problem = f"no link leads from {shown(edge.parent)} to {shown(edge.child)}"
                 raise at.at("learned", i).error(problem, f"links: {names}")
+        own["effects"] = (*own["effects"], *self._drifts(own["effects"], at, scope))
         return HybridAutomaton(**own, edges=edges)
+
+    def _drifts(self, effects: Sequence[Effect], at: Located, scope: Scope) -> Iterator[Effect]:
+        """The constants of steps, as the effect that they are."""
+        for name, mode in self.modes.items():
+            place = at.at("modes", name)
+            for coordinate, drift in mode.drifts(place, scope).items():
+                for effect in effects:
+                    if effect.name == "bias" and effect.coordinate == coordinate and effect.acts_in(name):
+                        problem = f"'{coordinate}' has a constant here and a bias under `effects`"
+                        raise place.at("step", coordinate).error(problem, "keep one of them")
+                yield Effect("bias", coordinate, (("bias", drift),), modes=(name,))
 
     def _with_covariances(
         self, mode: Mode, given: Mapping[str, Mapping[str, ParameterCovariance]], at: Located, scope: Scope

@@ -15,6 +15,8 @@ from micah_plan.task.problem import Problem
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
 STEPS_PER_RANGE = 20.0
 _HALVINGS = 40
+# Of the largest input: where a drift takes all of it, a motion against it takes that many times as long.
+_LEAST_ROOM = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +63,32 @@ def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> 
     return np.asarray((moved[: automaton.m] - moved[automaton.m :]).T / (2.0 * largest))
 
 
-def input_length(path: Floats, B: Floats, limits: Limits) -> float:
-    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n), moved by B (n, m)."""
-    u = np.diff(path, axis=0) @ np.linalg.pinv(B).T
-    return float(np.sum(np.max(np.abs(u) / limits.max_step, axis=1, initial=0.0)))
+def holding_inputs(automaton: HybridAutomaton, mode: str, x: Floats, B: Floats) -> Floats:
+    """(..., m) inputs that keep states x (..., n) where they are, against a bias, a spring or gravity.
+
+    Args:
+        B: (n, m) by which inputs move the mode.
+    """
+    nothing = np.zeros((*x.shape[:-1], automaton.m))
+    if not automaton.effects:
+        return nothing
+    drift = displaced(automaton, automaton.mode(mode), x, nothing)[0]
+    return np.asarray(-drift @ np.linalg.pinv(B).T)
+
+
+def room_for_motion(held: Floats, max_step: Floats) -> Floats:
+    """(..., m) what of the largest inputs is left to move, where part of them is needed to keep still (..., m)."""
+    return np.asarray(np.maximum(max_step - np.abs(held), _LEAST_ROOM * max_step))
+
+
+def input_length(path: Floats, B: Floats, limits: Limits, held: Floats) -> float:
+    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n), moved by B (n, m).
+
+    Args:
+        held: (w, m) inputs that keep it at each waypoint.
+    """
+    u, most = np.diff(path, axis=0) @ np.linalg.pinv(B).T, np.maximum(np.abs(held[:-1]), np.abs(held[1:]))
+    return float(np.sum(np.max(np.abs(u) / room_for_motion(most, limits.max_step), axis=1, initial=0.0)))
 
 
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.robot.arm import Arm, middle
+from micah_plan.robot.mjcf_arm import mjcf_arm
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
 from micah_plan.robot.xml_text import parse_xml, read_xml
 from micah_plan.scene.robot_description import RobotDescription
@@ -42,10 +42,10 @@ def load_arm(description: RobotDescription) -> Arm:
             chain is not usable; one line with the place and the remedy.
     """
     checked = check_robot(description)
-    model, geometry = _parsed(checked, description.path)
+    model, geometry, mimics = _parsed(checked, description.path)
     tool = _tool(model, description)
     chain = [int(joint) for joint in list(model.supports[model.frames[tool].parentJoint]) if joint > 0]
-    _check_chain(model, chain, checked, description)
+    _check_chain(model, chain, mimics, description)
     positions = _locked_positions(model, description)
     locked = [joint for joint in range(1, model.njoints) if joint not in chain]
     still = [(str(model.names[i]), float(positions[model.idx_qs[i]])) for i in locked if model.joints[i].nq == 1]
@@ -84,18 +84,15 @@ def check_robot(description: RobotDescription) -> CheckedRobot:
     raise InputError(f"expected <robot> (URDF) or <mujoco> (MJCF), found <{root.tag[:40]}>", source=source)
 
 
-def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any]:
-    """Model and collision geometry, meshes replaced by their convex hulls."""
+def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any, frozenset[str]]:
+    """Model, collision geometry with meshes replaced by their convex hulls, and joints that follow others."""
+    mimics = checked.mimics
     try:
         if checked.kind == "urdf":
             model = pin.buildModelFromXML(checked.text)
             geometry = pin.buildGeomFromUrdfString(model, checked.text, pin.GeometryType.COLLISION, package_dirs="/")
         else:
-            with tempfile.TemporaryDirectory() as folder:  # this parser reads files only
-                file = Path(folder, "robot.xml")
-                file.write_text(checked.text, encoding="utf-8")
-                model = pin.buildModelFromMJCF(str(file))
-                geometry = pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+            model, geometry, mimics = mjcf_arm(checked.text, source)
         for item in geometry.geometryObjects:
             if hasattr(item.geometry, "buildConvexRepresentation"):
                 item.geometry.buildConvexRepresentation(False)
@@ -108,7 +105,7 @@ def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any]:
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     model.lowerPositionLimit = np.where(low <= -NO_LIMIT, -np.inf, low)
     model.upperPositionLimit = np.where(high >= NO_LIMIT, np.inf, high)
-    return model, geometry
+    return model, geometry, mimics
 
 
 def _tool(model: Any, description: RobotDescription) -> int:
@@ -123,7 +120,7 @@ def _tool(model: Any, description: RobotDescription) -> int:
     return min(named, key=lambda i: model.frames[i].type in joints)
 
 
-def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, description: RobotDescription) -> None:
+def _check_chain(model: Any, chain: list[int], mimics: frozenset[str], description: RobotDescription) -> None:
     source = description.path
     if not chain:
         problem = f"no joint moves the frame {shown(description.tool)}"
@@ -134,7 +131,7 @@ def _check_chain(model: Any, chain: list[int], checked: CheckedRobot, descriptio
             kind = model.joints[joint].shortname().removeprefix("JointModel")
             problem = f"joint {shown(name)} is of kind {kind}"
             raise InputError(problem, source=source, remedy="use revolute or prismatic")
-        if name in checked.mimics:
+        if name in mimics:
             raise InputError(f"joint {shown(name)} follows another one and moves the tool", source=source)
         index = model.idx_qs[joint]
         low, high = float(model.lowerPositionLimit[index]), float(model.upperPositionLimit[index])

@@ -1,9 +1,9 @@
-"""Robot files checked before Pinocchio sees them: structure, numbers and mesh paths, each mistake with its line.
+"""Robot files checked before Pinocchio or MuJoCo see them: structure, numbers, mesh paths; mistakes with their line.
 
 Pinocchio's parsers read over some mistakes (a mass that is no number, a joint from a link to itself), join mesh paths
 without looking where they lead, and complain on stderr. Of a URDF they get only links and joints, continuous joints
-turned into revolute ones without limits; of an MJCF no inclusion of other files; mesh paths are resolved within their
-folder or package.
+turned into revolute ones without limits. MuJoCo gets of an MJCF what kinematics and solids need, and no inclusion of
+other files. Mesh paths are resolved within their folder or package.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
 
 
 def check_mjcf(root: Element, folder: str) -> CheckedRobot:
-    """What an MJCF file says, fit to be handed to Pinocchio.
+    """What an MJCF file says of kinematics and solids, fit to be handed to MuJoCo.
 
     Raises:
         InputError: for the first mistake.
@@ -265,6 +265,9 @@ def check_mjcf(root: Element, folder: str) -> CheckedRobot:
     meshes = stated.get("meshdir", stated.get("assetdir", ""))
     clean = root.alone()
     clean.children = [child for child in root.children if child.tag in _KEPT]
+    # Masses do not matter here, so bodies without any are no mistake.
+    masses = {"boundmass": "1e-6", "boundinertia": "1e-9"}
+    clean.children.append(Element("compiler", masses, root.line, source=root.source))
     return CheckedRobot("mjcf", write_xml(_mjcf_copy(clean, folder, meshes)))
 
 

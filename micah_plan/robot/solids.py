@@ -42,7 +42,7 @@ def solid(shape: Shape) -> tuple[Any, Any]:
     """
     placement = pin.SE3(Rotation.from_quat(shape.quaternion).as_matrix(), np.array(shape.position))
     if isinstance(shape, Hull):
-        return _convex(np.array(shape.vertices)), placement
+        return convex(np.array(shape.vertices)), placement
     if shape.kind not in _PRIMITIVES:
         raise InputError(f"unknown kind of shape {shown(shape.kind)}", remedy="use box, cylinder, sphere or mesh")
     return _PRIMITIVES[shape.kind](*shape.size), placement
@@ -94,7 +94,8 @@ def _corners(geometry: Any) -> Floats:
     return np.asarray(geometry.aabb_local.min_ + box * (geometry.aabb_local.max_ - geometry.aabb_local.min_))
 
 
-def _convex(points: Floats) -> Any:
+def convex(points: Floats) -> Any:
+    """The convex hull of corners (k, 3) [m], as a Coal solid."""
     hull = ConvexHull(points)
     number = np.full(len(points), -1)
     number[hull.vertices] = np.arange(len(hull.vertices))

@@ -110,7 +110,7 @@ def test_a_person_can_edit_it(door: HybridAutomaton) -> None:
         ("[door >= 1.2]", "[door >= 1e999]", "a number is too large"),
         ("target: rigid", "target: rigd", "key 'transitions.0.target': unknown mode 'rigd'; did you mean 'rigid'?"),
         ("step: {}", "step: {dor: input door}", "unknown coordinate 'dor'"),
-        ("step: {}", "step: {door: door}", "a step is linear in the inputs"),
+        ("step: {}", "step: {door: door}", "a step is affine in the inputs"),
         ("step: {}", "step:", "expected a mapping of names to values, found nothing"),
         ("door: 1.2", "door: door +", "expected a variable or a number, found the end"),
         ("model/1", "problem/1", "line 4, column 1, key 'format': expected a model file, found a problem file"),

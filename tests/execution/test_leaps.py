@@ -178,7 +178,7 @@ def test_physics_that_diverge_while_the_engine_is_alone_are_told(problem):
 
 def test_a_warning_of_the_engine_ends_a_leap_but_loses_no_step():
     """MuJoCo stops a roll-out at any warning, for example of a control that is no number, which it takes for 0."""
-    from micah_plan.execution.mujoco.world import import_mujoco
+    from micah_plan.mujoco_library import import_mujoco
 
     mujoco = import_mujoco()
     text = """<mujoco><worldbody><body><joint name="j" type="slide"/><geom size="0.1"/></body></worldbody>

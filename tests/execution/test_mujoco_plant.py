@@ -14,8 +14,8 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import check_stable
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import import_mujoco
 from micah_plan.execution.pose import chain, command, components, moving_joints
+from micah_plan.mujoco_library import import_mujoco
 from micah_plan.task.start import Start
 
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
@@ -253,4 +253,4 @@ except MissingDependencyError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert "pip install 'micah-plan[sim]'" in done.stdout
+    assert "pip install 'mujoco" in done.stdout

@@ -345,3 +345,53 @@ planner: {max_step: {x: 0.05, z: 0.05}}
     means, modes = found.plan.trajectory.means, found.plan.trajectory.modes
     inside = np.array([mode == "inside" for mode in modes])
     assert means[inside, 2] == pytest.approx(-5.0 * means[inside, 1], abs=1e-6)
+
+
+# A flap that falls shut by 0.04 rad per step unless somebody holds it; the hand goes through below it.
+FLAP = """\
+format: micah-plan/model/1
+coordinates: {hand: m, flap: rad}
+inputs: {hand: m, flap: rad}
+links:
+  - {parent: base, child: tray, coordinate: hand}
+  - {parent: base, child: flap, coordinate: flap}
+noise: {process_std: {hand: 0.001, flap: 0.004}, observation_std: {hand: 0.003, flap: 0.01}}
+modes:
+  free:
+    joints: &j
+      tray: {kind: prismatic, position: [0.4, 0, 0], axis: [0, 1, 0]}
+      flap: {kind: revolute, position: [0, 0.4, 0], axis: [0, 0, 1], center: [0, 0.4, 0]}
+    step: {hand: input hand, flap: input flap - 0.04}
+    invariant: [flap >= 0.0, flap <= 1.5, hand >= -0.2, hand <= 1.0]
+  caught: {joints: *j, step: {}, invariant: []}
+transitions:
+  - {source: free, target: free, guard: [flap < 0.0], reset: {flap: 0.0}}
+  - {source: free, target: caught, guard: [hand >= 0.3, hand <= 0.5, flap <= 0.8]}
+"""
+
+
+def below_the_flap(folder: Path, strongest: float) -> Problem:
+    return problem_of(
+        folder,
+        FLAP,
+        f"""\
+start: {{mean: {{hand: 0.0, flap: 0.05}}, std: {{hand: 0.003, flap: 0.02}}, mode: free}}
+goal: {{target: {{hand: {{value: 0.8, tolerance: 0.03}}}}, modes: [free]}}
+planner: {{max_step: {{hand: 0.06, flap: {strongest}}}}}
+""",
+    )
+
+
+def test_what_falls_shut_is_held_open_while_something_passes(tmp_path) -> None:
+    problem = below_the_flap(tmp_path, 0.1)
+    assert [(e.name, e.coordinate, e.values, e.modes) for e in problem.automaton.effects] == [
+        ("bias", "flap", (-0.04,), ("free",))
+    ]
+    found = solve(problem)
+    assert found.outcome == "solved", found.reason
+    hand, flap = found.trajectory.means.T
+    assert (flap[(hand > 0.3) & (hand < 0.5)] > 0.8).all()
+
+
+def test_a_hand_too_weak_to_hold_it_has_no_plan(tmp_path) -> None:
+    assert solve(below_the_flap(tmp_path, 0.03), advise=False).outcome != "solved"

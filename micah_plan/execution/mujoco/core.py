@@ -13,8 +13,9 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import Flags, Latch, WorldJoint, import_mujoco, latch_name, sensor_name
+from micah_plan.execution.mujoco.world import Flags, Latch, WorldJoint, latch_name, sensor_name
 from micah_plan.execution.tracker import PoseTracker, TrackerNoise
+from micah_plan.mujoco_library import import_mujoco
 from micah_plan.quantities import quantity
 
 LONGEST_STEP = 0.001

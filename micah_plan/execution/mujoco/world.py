@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.errors import InputError, MissingDependencyError, shown
+from micah_plan.errors import InputError, shown
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.mujoco_library import import_mujoco
 from micah_plan.scene.body import Body
 
 Flags = NDArray[np.bool_]
@@ -43,23 +43,6 @@ ARM_TYPE, ARM_MEETS = 2, 5
 _HAND_MASS, _GRAVITY = 1.0, 9.81
 # A finger with its drive [kg].
 _FINGER_INERTIA = 0.1
-
-
-def import_mujoco() -> ModuleType | Any:
-    """The library. It is kept from writing its warnings to a file in the current folder: `check_stable` reads them.
-
-    Raises:
-        MissingDependencyError: if it is not installed.
-    """
-    try:
-        import mujoco
-        import mujoco.rollout
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the MuJoCo plant needs the package 'mujoco'; install it with: pip install 'micah-plan[sim]'"
-        ) from error
-    mujoco.set_mju_user_warning(lambda _: None)  # an exception from here would end the process
-    return mujoco
 
 
 @dataclass

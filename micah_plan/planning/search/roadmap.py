@@ -25,7 +25,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
 from micah_plan.planning.chains import ChainEdge
-from micah_plan.planning.limits import Limits
+from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
 from micah_plan.planning.search.polytope import TOLERANCE
@@ -55,6 +55,7 @@ class ModeMotion:
         obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
             happens, but not enter it.
         admits: (k,) whether constraints on the path let states (k, n) be passed; None: there are none.
+        held: (k, m) inputs that keep states (k, n) where they are; None: none are needed.
     """
 
     B: Floats
@@ -62,13 +63,17 @@ class ModeMotion:
     speed: Floats
     obstacles: tuple[Region, ...]
     admits: Callable[[Floats], Booleans] | None = None
+    held: Callable[[Floats], Floats] | None = None
 
     def steps(self, x: Floats, y: Floats) -> Floats:
         """(k,) number of steps (not rounded) of the straight motions x (k, n) -> y (k, n); infinite if not allowed."""
         delta = y - x
         u = delta @ np.linalg.pinv(self.B).T
         missed = np.max(np.abs(delta - u @ self.B.T) / self.speed, axis=-1, initial=0.0)
-        steps = np.linalg.norm(u / self.max_step, axis=-1)
+        free = self.max_step
+        if self.held is not None:
+            free = room_for_motion(np.maximum(np.abs(self.held(x)), np.abs(self.held(y))), self.max_step)
+        steps = np.linalg.norm(u / free, axis=-1)
         steps[missed > _MISS * (1.0 + steps)] = np.inf
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
@@ -97,7 +102,8 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
     for mode in automaton.modes:
         admits = partial(admitted, problem, limits, mode.name) if problem.constraints else None
         obstacles = obstacles_on_state(automaton, mode.name)
-        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, admits)
+        held = partial(holding_inputs, automaton, mode.name, B=mode.B) if automaton.effects else None
+        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, admits, held)
     return motions
 
 

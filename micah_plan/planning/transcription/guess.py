@@ -15,7 +15,7 @@ from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.chains import stds_of
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memory import linear_step, steps_of_memory
-from micah_plan.planning.limits import Limits, input_length, motion_per_input
+from micah_plan.planning.limits import Limits, holding_inputs, input_length, motion_per_input
 from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
@@ -70,7 +70,10 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
         NoWayError: if the path needs more than max_knots.
     """
     flows = [motion_per_input(problem.automaton, mode, limits.max_step) for mode in sequence.modes]
-    needed = [input_length(path, B, limits) for path, B in zip(sequence.waypoints, flows, strict=True)]
+    needed = [
+        input_length(path, B, limits, holding_inputs(problem.automaton, mode, path, B))
+        for mode, path, B in zip(sequence.modes, sequence.waypoints, flows, strict=True)
+    ]
     steps = _divide(problem, limits, sequence, needed, stretch)
     # The overshoot into a guard lengthens a phase; it follows from the belief that is rolled out.
     rolled, needed = _roll(problem, limits, sequence, steps)
@@ -138,8 +141,9 @@ def _roll(
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
-        needed.append(input_length(path, B, limits))
-        inputs = np.diff(_resample(path, limits.speed, count), axis=0) @ np.linalg.pinv(B).T
+        needed.append(input_length(path, B, limits, holding_inputs(automaton, name, path, B)))
+        states = _resample(path, limits.speed, count)
+        inputs = np.diff(states, axis=0) @ np.linalg.pinv(B).T + holding_inputs(automaton, name, states[:-1], B)
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
             # What the guard asks for while the object is still pinned, as large as it may be.
             inputs[:] = limits.max_step * np.sign(sum(np.array(h.b) for h in automaton.edges[edge].guard.half_spaces))
