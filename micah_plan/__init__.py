@@ -41,29 +41,47 @@ _PLACES = {
     ),
 }
 __all__ = ["__version__", *sorted(_PLACES)]
+_PACKAGES = ("explore", "learn")  # subpackages with the names of functions
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
     found = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
     globals()[name] = found
     return found
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *_PLACES]
+    return list(__all__)
 
 
-class _FrontDoor(ModuleType):
-    """`learn` and `explore` are functions of the front door and names of subpackages, which would take their places.
+class _Verb(ModuleType):
+    """A subpackage with the name of a function: it is called as that function (`micah_plan.learn(recording)`)."""
 
-    Subpackages are reached by their imports (`from micah_plan.learn.settings import LearnSettings`).
-    """
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self._function(*args, **options)
+
+    @property
+    def __signature__(self) -> Any:
+        from inspect import signature
+
+        return signature(self._function)
+
+    @property
+    def _function(self) -> Any:
+        return getattr(import_module(f"{__name__}.front.functions"), self.__name__.rpartition(".")[2])
+
+
+class _Package(ModuleType):
+    """This package, which makes its subpackages `learn` and `explore` callable when they are imported."""
 
     def __setattr__(self, name: str, value: object) -> None:
-        if not (name in _PLACES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
+        if name in _PACKAGES and isinstance(value, ModuleType):
+            value.__class__ = _Verb
+        super().__setattr__(name, value)
 
 
-sys.modules[__name__].__class__ = _FrontDoor
+sys.modules[__name__].__class__ = _Package

@@ -137,7 +137,8 @@ class Reset:
         for i, value in values.items():
             A[i], c[i] = 0.0, value
         for tie in ties:
-            A[tie.coordinate], c[tie.coordinate] = tie.weights, tie.offset
+            weights = np.array(tie.weights)
+            A[tie.coordinate], c[tie.coordinate] = weights @ A, tie.offset + weights @ c
         return Reset(A=tuple(map(tuple, A.tolist())), c=tuple(c.tolist()))
 
     @property
@@ -297,8 +298,11 @@ class HybridAutomaton(Summarised):
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """Cache of `memoised` functions (`memo`); no part of the value."""
+        """Cache of `memoised` functions (`memo`); no part of the value, and not pickled."""
         return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "derived"}
 
     @cached_property
     def mode_names(self) -> tuple[str, ...]:

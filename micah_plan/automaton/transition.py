@@ -240,7 +240,7 @@ class Travel:
         if chosen.is_self:
             self.x = source.pinned(after)
             kept = self.d if chosen.reset is None else _times(chosen.reset[0], self.d)
-            self.d = [0.0 if flow is None else di for flow, di in zip(source.flow, kept, strict=True)]
+            self.d = _tied(source, [0.0 if flow is None else di for flow, di in zip(source.flow, kept, strict=True)])
         else:
             self._enter(self.table_of(chosen.target), after)
         event = Event(chosen.edge, self.s, np.array(before), np.array(self.x), source.name, chosen.target)
@@ -284,6 +284,11 @@ def _displacement(table: ModeTable, x: list[float], u: list[float], pushed: list
         if i in table.effects:
             moved = float(table.effects[i].displacement(np, x[i], moved))
         d.append(moved if pushed is None else moved + pushed[i])
+    return _tied(table, d)
+
+
+def _tied(table: ModeTable, d: list[float]) -> list[float]:
+    """A motion with the tied coordinates moved along."""
     for i, weights, _ in table.ties:
         d[i] = sum(w * d[j] for j, w in weights)
     return d

@@ -78,9 +78,13 @@ class _Mode:
             d *= self.gains[rows]
         for i, motion in self.table.effects.items():
             d[:, i] = motion.displacement(np, x[:, i], d[:, i])
+        return np.asarray(self.tied(d) + pushed @ self.moved.T)
+
+    def tied(self, d: Floats) -> Floats:
+        """(k, n) motions with the tied coordinates moved along."""
         for tie in self.ties:
             d[:, tie.coordinate] = d @ np.array(tie.weights)
-        return np.asarray(d + pushed @ self.moved.T)
+        return d
 
     def margins(self, x: Floats, d: Floats, u: Floats) -> tuple[Floats, Floats]:
         """(r, e, k) margins of all half-spaces, and their rates along d."""
@@ -302,7 +306,7 @@ class TransitionBatch:
             A, B, c = map(np.array, chosen.reset)
             x, kept = x @ A.T + given @ B.T + c, kept @ A.T
         mode.pin(x)
-        d = np.where(mode.free, kept, 0.0) if chosen.is_self else mode.displacement(rows, x, given, pushed)
+        d = mode.tied(np.where(mode.free, kept, 0.0)) if chosen.is_self else mode.displacement(rows, x, given, pushed)
         happened = None if instant is None else instant.after(chosen.edge, target)
         return _Travellers(target, rows, x, d, group.s, group.events + 1, happened)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
+from micah_plan.errors import InputError, shown
 from micah_plan.outputs import PLAN, Output, check_outputs
 
 
@@ -40,6 +42,10 @@ def convert(
     density: Annotated[
         float, typer.Option(min=1.0, max=30000.0, help="Of a model's shapes [kg/m^3], for the masses of bodies.")
     ] = 500.0,
+    package: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FOLDER", help="Of a URDF, where a package of its meshes lies; may be repeated."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF; to MJCF and SDF)."""
@@ -48,11 +54,30 @@ def convert(
 
     check_outputs((source,), (Output("the target", target, targets(source)),))
     kind, notes = converted(
-        source, target, topics=topic or (), part=part, run=run, poses_only=poses_only, density=density
+        source,
+        target,
+        topics=topic or (),
+        part=part,
+        run=run,
+        poses_only=poses_only,
+        density=density,
+        packages=_packages(package or ()),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}
     print_summary(as_json, summary, lambda: print_files((target,)))
+
+
+def _packages(given: Sequence[str]) -> dict[str, str]:
+    """Folder by package name, from NAME=FOLDER."""
+    found: dict[str, str] = {}
+    for text in given:
+        name, equals, folder = text.partition("=")
+        if not (name and equals and Path(folder).is_dir()):
+            problem = f"expected NAME=FOLDER with a folder that exists, found {shown(text)}"
+            raise InputError(problem, source="--package", remedy="e.g. --package cupboard_description=../cupboard")
+        found[name] = str(Path(folder).resolve())
+    return found
 
 
 def schema(

@@ -35,6 +35,7 @@ class MovingPart:
         joint: the one that moves, without covariance; a rigid one if none does.
         limits: of its configuration [rad or m], infinite where the model has none.
         part: with its shapes and handle.
+        follows: name of the joint that it follows, by how much of that, and the offset [rad or m]; None: it is free.
     """
 
     parent: str
@@ -43,6 +44,7 @@ class MovingPart:
     joint: Joint
     limits: Interval
     part: Part
+    follows: tuple[str, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +74,21 @@ def moving_parts(automaton: HybridAutomaton, *, screws: bool) -> list[MovingPart
             raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
         moving |= {link.coordinate} if joint.moves else set()
         ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
-        name = automaton.coordinates[link.coordinate].name
-        name = f"{name}{JOINT_SUFFIX}" if name in names else name
-        if not joint.moves:
-            name = f"{link.child}_mount"
-        limits = ranges[0][0], ranges[-1][1]
-        found.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child)))
+        own = [c.name + JOINT_SUFFIX * (c.name in names) for c in automaton.coordinates]
+        name = own[link.coordinate] if joint.moves else f"{link.child}_mount"
+        limits, follows = (ranges[0][0], ranges[-1][1]), None
+        if joint.moves and (led := _followed(automaton, link.coordinate)) is not None:
+            follows = own[led[0]], led[1], led[2]
+        found.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child), follows))
     return found
+
+
+def _followed(automaton: HybridAutomaton, coordinate: int) -> tuple[int, float, float] | None:
+    """The coordinate that another one follows in all modes, by how much, and the offset; None if it follows none."""
+    ties = {next((tie for tie in mode.ties if tie.coordinate == coordinate), None) for mode in automaton.modes}
+    tie = ties.pop() if len(ties) == 1 else None
+    leaders = [] if tie is None else [i for i, weight in enumerate(tie.weights) if weight]
+    return None if tie is None or len(leaders) != 1 else (leaders[0], tie.weights[leaders[0]], tie.offset)
 
 
 def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:

@@ -6,7 +6,7 @@ Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -64,6 +64,7 @@ def convert(
     run: int | None = None,
     poses_only: bool = False,
     density: float = DENSITY,
+    packages: Mapping[str, str] | None = None,
 ) -> tuple[Kind, tuple[str, ...]]:
     """Write what one file holds into another, at once or not at all.
 
@@ -73,6 +74,7 @@ def convert(
         part, run: of a recording, which to write; None: all.
         poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
         density: of the shapes of a model, for the masses of bodies [kg/m^3].
+        packages: of a URDF, folder by package name of its meshes.
 
     Returns:
         What it was, and what of it is not in the target, one line each.
@@ -101,7 +103,7 @@ def convert(
         replace_file(target, content)
         return "plan", ()
     if given == ".urdf":
-        automaton, notes = load_urdf(source)
+        automaton, notes = load_urdf(source, packages)
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):

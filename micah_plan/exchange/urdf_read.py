@@ -19,7 +19,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Primitive, Reset
+from micah_plan.automaton.hybrid import (
+    Coordinate,
+    Edge,
+    HybridAutomaton,
+    Link,
+    Mode,
+    Noise,
+    Part,
+    Primitive,
+    Reset,
+    Tie,
+)
 from micah_plan.automaton.joint import Joint, Vector3, prismatic, revolute
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError, located_in, shown
@@ -34,22 +45,24 @@ PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
 OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
 MODE = "moves"
 MOST_JOINTS = 100
+# Beyond these what a file says is doubted: its unit may be another.
+_MOST_TURNS, _LARGEST_OBJECT = 3.0, 20.0
 _HERE = RigidTransform.identity()
 
 
-def load_urdf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
-    """The model that a URDF describes, and what of the file is not in it, one line each.
+def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tuple[HybridAutomaton, tuple[str, ...]]:
+    """The model that a URDF describes, and what of the file is not in it or looks like a mistake, one line each.
+
+    Args:
+        packages: folder by package name, for meshes; others are looked for among the folders above the file.
 
     Raises:
-        InputError: if it is no URDF, nothing moves, or a joint follows another one.
+        InputError: if it is no URDF, or nothing moves.
     """
     root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":
         raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
-    checked = check_urdf(root, str(Path(path).parent), {})
-    if checked.mimics:
-        problem = f"joint {shown(min(checked.mimics))} follows another one"
-        raise InputError(problem, source=path, remedy="remove <mimic>")
+    checked = check_urdf(root, str(Path(path).parent), packages or {}, needs_meshes=False)
     with located_in(path):
         return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton()
 
@@ -65,8 +78,9 @@ class _Body:
 
 
 class _Moving(NamedTuple):
-    """A joint that moves, with its coordinate's name and limits [rad or m]."""
+    """A joint that moves, with its name in the file, its coordinate's name, and its limits [rad or m]."""
 
+    called: str
     name: str
     link: Link
     joint: Joint
@@ -96,10 +110,10 @@ class _Tree:
         self._joints: dict[str, list[Element]] = {}
         for joint in root.all("joint"):
             self._joints.setdefault(_end(joint, "parent"), []).append(joint)
-        self._colors, self._handles = checked.colors, handles
+        self._colors, self._handles, self._mimics = checked.colors, handles, checked.mimics
         carried = {_end(joint, "child") for joints in self._joints.values() for joint in joints}
         self._root = next(name for name in self._links if name not in carried)
-        self._notes: list[str] = []
+        self._notes: list[str] = list(checked.left_out)
 
     def automaton(self) -> tuple[HybridAutomaton, tuple[str, ...]]:
         base = self._body(self._root)
@@ -112,14 +126,46 @@ class _Tree:
                 if child.name == BASE:
                     raise InputError("a moving link is called 'base'", remedy="give it another name")
                 link = Link(body.name, child.name, len(moving))
-                moving.append(_Moving(_coordinate(joint, child), link, _joint(joint, body, child), _limits(joint)))
+                called, name = joint.attributes["name"], _coordinate(joint, child)
+                moving.append(_Moving(called, name, link, _joint(joint, body, child), _limits(joint)))
                 bodies.append(child)
+                self._doubt_units(moving[-1])
         if len(moving) > MOST_JOINTS:
             problem = f"expected at most {MOST_JOINTS} joints that move, found {len(moving)}"
             raise InputError(problem, remedy="leave out the robot around the object")
         if not moving:
             raise InputError("expected a joint that moves, found none", remedy="a rigid object needs no model")
-        return _automaton(moving, [self._part(body) for body in bodies]), tuple(self._notes)
+        parts = [self._part(body) for body in bodies]
+        return _automaton(moving, parts, self._followed(moving)), tuple(self._notes)
+
+    def _doubt_units(self, moving: _Moving) -> None:
+        """Limits of a hinge that are many turns, as degrees would be."""
+        widest = max((abs(end) for end in moving.limits if abs(end) < NO_LIMIT), default=0.0)
+        if moving.joint.kind != "prismatic" and widest > _MOST_TURNS * 2 * np.pi:
+            low, high = moving.limits
+            turns = widest / (2 * np.pi)
+            line = f"joint {moving.called}: limits of {low:g} to {high:g} rad are up to {turns:.0f} turns; "
+            self._notes.append(line + "if they are degrees, write them in rad")
+
+    def _followed(self, moving: Sequence[_Moving]) -> dict[int, tuple[int, float, float]]:
+        """By number of a joint that follows another one: that one's number, multiplier and offset."""
+        numbers, found = {one.called: i for i, one in enumerate(moving)}, dict[int, tuple[int, float, float]]()
+        for name, number in numbers.items():
+            multiplier, offset, leader, passed = 1.0, 0.0, name, [name]
+            while leader in self._mimics:
+                mimic = self._mimics[leader]
+                offset += multiplier * mimic.offset
+                multiplier, leader = multiplier * mimic.multiplier, mimic.joint
+                if leader in passed:
+                    raise InputError(f"joint {shown(leader)} follows itself", remedy="correct <mimic>")
+                passed.append(leader)
+            if leader == name:
+                continue
+            if leader not in numbers:
+                problem = f"joint {shown(name)} follows {shown(leader)}, which does not move"
+                raise InputError(problem, remedy="make one of them fixed")
+            found[number] = numbers[leader], multiplier, offset
+        return found
 
     def _body(self, root: str) -> _Body:
         body, members = _Body(root, {root: _HERE}, root), [root]
@@ -150,6 +196,9 @@ class _Tree:
                 boxes += solid.tag == "mesh"
                 if handle is None and solid.attributes.get("filename") in self._handles:
                     handle = shapes[-1].position
+            longest = max((side for shape in shapes for side in shape.size), default=0.0)
+            if longest > _LARGEST_OBJECT:
+                self._notes.append(f"link {link}: {longest:.3g} m long; if its mesh is in mm, give it scale 0.001")
             if boxes:
                 around = (
                     "a mesh became the box around it" if boxes == 1 else f"{boxes} meshes became the boxes around them"
@@ -158,25 +207,41 @@ class _Tree:
         return Part(body.name, tuple(shapes), handle)
 
 
-def _automaton(moving: Sequence[_Moving], parts: Sequence[Part]) -> HybridAutomaton:
+def _automaton(
+    moving: Sequence[_Moving], parts: Sequence[Part], followed: Mapping[int, tuple[int, float, float]]
+) -> HybridAutomaton:
+    """The model.
+
+    Args:
+        followed: by number of a joint that follows another: that one's number, multiplier and offset. Its coordinate is
+            tied to that of the other, and has no input.
+    """
     n = len(moving)
+    led = [i for i in range(n) if i not in followed]
+    m = len(led)
     units = ["m" if each.joint.kind == "prismatic" else "rad" for each in moving]
     coordinates = tuple(Coordinate(each.name, unit) for each, unit in zip(moving, units, strict=True))
     rows: list[HalfSpace] = []
     edges: list[Edge] = []
-    for i, (name, _, _, (low, high)) in enumerate(moving):
+    ties = tuple(
+        Tie(i, tuple(times * float(j == leader) for j in range(n)), offset)
+        for i, (leader, times, offset) in followed.items()
+    )
+    for i in led:
+        _, name, _, _, (low, high) = moving[i]
         for end, inside, outside in ((low, above, below), (high, below, above)):
             if abs(end) < NO_LIMIT:
-                rows.append(inside(i, end, n, n, name=name))
-                stop = Region((outside(i, end, n, n, strict=True, name=name),))
-                edges.append(Edge(MODE, MODE, stop, Reset.to({i: end}, n)))
-    gain = tuple(tuple(float(row == column) for column in range(n)) for row in range(n))
+                rows.append(inside(i, end, n, m, name=name))
+                stop = Region((outside(i, end, n, m, strict=True, name=name),))
+                edges.append(Edge(MODE, MODE, stop, Reset.to({i: end}, n, ties)))
+    follows = {i: (i, 1.0) for i in led} | {i: (leader, times) for i, (leader, times, _) in followed.items()}
+    gain = tuple(tuple(follows[i][1] * (follows[i][0] == j) for j in led) for i in range(n))
     automaton = HybridAutomaton(
         coordinates=coordinates,
-        inputs=coordinates,
+        inputs=tuple(coordinates[i] for i in led),
         links=tuple(each.link for each in moving),
         parts=tuple(parts),
-        modes=(Mode(MODE, tuple(each.joint for each in moving), gain, Region(tuple(rows))),),
+        modes=(Mode(MODE, tuple(each.joint for each in moving), gain, Region(tuple(rows)), ties=ties),),
         edges=tuple(edges),
         noise=Noise(tuple(PROCESS_STD[unit] for unit in units), tuple(OBSERVATION_STD[unit] for unit in units)),
         provenance={"method": "urdf"},

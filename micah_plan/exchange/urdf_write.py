@@ -54,6 +54,10 @@ def _moved(part: MovingPart, density: float) -> list[Element]:
     low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in part.limits)
     bounds = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "1"}
     described = [axis] if free else [axis, Element("limit", bounds, 0)]
+    if part.follows is not None:
+        leader, times, offset_at = part.follows
+        words = {"joint": leader, "multiplier": repr(times), "offset": repr(offset_at)}
+        described = [*described, Element("mimic", words, 0)]
     kind = "continuous" if free else joint.kind
     if joint.kind == "prismatic":
         return [link, _joint(part.name, kind, parent, child, joint.position, joint.quaternion, described)]

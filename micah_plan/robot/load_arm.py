@@ -86,7 +86,7 @@ def check_robot(description: RobotDescription) -> CheckedRobot:
 
 def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any, frozenset[str]]:
     """Model, collision geometry with meshes replaced by their convex hulls, and joints that follow others."""
-    mimics = checked.mimics
+    mimics = frozenset(checked.mimics)
     try:
         if checked.kind == "urdf":
             model = pin.buildModelFromXML(checked.text)

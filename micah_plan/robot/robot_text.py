@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from micah_plan.errors import InputError, shown
 from micah_plan.files import contained
@@ -24,7 +24,7 @@ NO_LIMIT = 1e9
 # Pinocchio descends from link to link by recursion: a chain of thousands ends in a crash.
 MOST_LINKS = 1000
 _KINDS = ("revolute", "continuous", "prismatic", "fixed")
-_PACKAGE = "package://"
+_PACKAGE, _FILE = "package://", "file://"
 _SOLIDS = ("box", "cylinder", "capsule", "sphere", "mesh")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 # By element of URDF: its numbers, how many they are, and what they are where they are left out (None: they may not be).
@@ -57,30 +57,42 @@ class CheckedRobot:
         kind: format of the text.
         text: clean, with absolute mesh paths.
         colors: of the shapes of each link, as ``"#rrggbb"``; the last serves further shapes.
-        mimics: joints that follow another one.
+        mimics: joints that follow another one, and how.
+        left_out: meshes that were not found, one line each.
     """
 
     kind: Literal["urdf", "mjcf"]
     text: str
     colors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    mimics: frozenset[str] = frozenset()
+    mimics: Mapping[str, Mimic] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
-def check_urdf(root: Element, folder: str, packages: Mapping[str, str]) -> CheckedRobot:
+class Mimic(NamedTuple):
+    """A joint's position is `multiplier` times that of another joint, plus `offset` [rad or m]."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, needs_meshes: bool = True) -> CheckedRobot:
     """What a URDF says, fit to be handed to Pinocchio.
 
     Args:
         root: the file's root element; not changed.
         folder: where the file lies.
         packages: folder by package name; others are looked for among the folders above the file.
+        needs_meshes: whether a mesh that is not found is a mistake. An arm without one would meet what it should not;
+            an object is the same without it.
 
     Raises:
         InputError: for the first mistake.
     """
-    links = {_name(link): link for link in root.all("link")}
-    joints = {_name(joint): joint for joint in root.all("joint")}
-    if not links or len(links) < len(root.all("link")) or len(joints) < len(root.all("joint")):
-        raise _error(root, "expected links and joints with names of their own")
+    _check_expanded(root)
+    links, joints = (_by_name(root, tag) for tag in ("link", "joint"))
+    if not links:
+        raise _error(root, "expected links, found none")
     if len(links) > MOST_LINKS:
         raise _error(root, f"expected at most {MOST_LINKS} links, found {len(links)}", "leave out what is far")
     materials: dict[str, str] = {}
@@ -88,11 +100,41 @@ def check_urdf(root: Element, folder: str, packages: Mapping[str, str]) -> Check
         _remember(material, materials)
     children = [_joint(joint, links) for joint in joints.values()]
     _check_tree(root, links, joints.values())
-    bodies = [_link(link, lambda mesh: _mesh(mesh, folder, packages)) for link in links.values()]
+    missing: list[str] | None = None if needs_meshes else []
+    bodies = [_link(link, lambda mesh: _mesh(mesh, folder, packages), missing) for link in links.values()]
     colors = {name: _colors(link, materials) for name, link in links.items()}
     clean = Element("robot", {"name": root.attributes.get("name", "robot")}, root.line, [*bodies, *children])
-    mimics = frozenset(name for name, joint in joints.items() if joint.first("mimic") is not None)
-    return CheckedRobot("urdf", write_xml(clean), colors, mimics)
+    mimics = {
+        name: _mimic(mimic, joints) for name, joint in joints.items() if (mimic := joint.first("mimic")) is not None
+    }
+    return CheckedRobot("urdf", write_xml(clean), colors, mimics, tuple(missing or ()))
+
+
+def _check_expanded(root: Element) -> None:
+    for element in root.walk():
+        written = [element.tag, *element.attributes.values()]
+        if element.tag.startswith("xacro:") or any("${" in text or "$(" in text for text in written):
+            raise _error(element, "this is xacro, not yet a URDF", "expand it: xacro FILE.xacro > FILE.urdf")
+
+
+def _by_name(root: Element, tag: str) -> dict[str, Element]:
+    """The elements of a tag by their names, each of which is there once."""
+    found: dict[str, Element] = {}
+    for element in root.all(tag):
+        name = _name(element)
+        if name in found:
+            problem = f"{tag} {shown(name)} is there already, on line {found[name].line}"
+            raise _error(element, problem, "rename or remove one of them")
+        found[name] = element
+    return found
+
+
+def _mimic(mimic: Element, joints: Mapping[str, Element]) -> Mimic:
+    name = mimic.attributes.get("joint", "")
+    if name not in joints:
+        raise _error(mimic, f"expected the name of a joint, found {shown(name)}")
+    (multiplier,), (offset,) = _numbers(mimic, "multiplier", 1, "1"), _numbers(mimic, "offset", 1, "0")
+    return Mimic(name, multiplier, offset)
 
 
 def _error(element: Element, problem: str, remedy: str = "correct the URDF") -> InputError:
@@ -189,8 +231,12 @@ def _check_tree(root: Element, links: Mapping[str, Element], joints: Iterable[El
         raise _error(root, problem + (f"; link {shown(lost)} is not connected to the first" if lost else ""))
 
 
-def _link(link: Element, mesh_path: Callable[[Element], str]) -> Element:
-    """The link with its inertia and its collision shapes, or those to draw if there are none."""
+def _link(link: Element, mesh_path: Callable[[Element], str], missing: list[str] | None) -> Element:
+    """The link with its inertia and its collision shapes, or those to draw if there are none.
+
+    Args:
+        missing: takes a line for each mesh that is not found; None: that is a mistake.
+    """
     clean, inertial = Element("link", {"name": link.attributes["name"]}, link.line), link.first("inertial")
     if inertial is not None:
         mass, inertia = inertial.first("mass"), inertial.first("inertia")
@@ -211,7 +257,13 @@ def _link(link: Element, mesh_path: Callable[[Element], str]) -> Element:
         if solid.tag == "mesh":
             if 0.0 in _numbers(solid, "scale", 3, "1 1 1"):
                 raise _error(solid, "expected a scale without zeros")
-            measured.attributes["filename"] = mesh_path(solid)
+            try:
+                measured.attributes["filename"] = mesh_path(solid)
+            except InputError as error:
+                if missing is None:
+                    raise
+                missing.append(f"link {link.attributes['name']}: a mesh is left out, {error.problem}")
+                continue
         placed = [*_measured(shape.first("origin")), Element("geometry", {}, geometry.line, [measured])]
         clean.children.append(Element("collision", {}, shape.line, placed))
     return clean
@@ -220,6 +272,12 @@ def _link(link: Element, mesh_path: Callable[[Element], str]) -> Element:
 def _mesh(mesh: Element, folder: str, packages: Mapping[str, str]) -> str:
     """The absolute path of a mesh; package://NAME/ is a folder that is given, or one above the file of that name."""
     name = mesh.attributes.get("filename", "")
+    if name.startswith(_FILE):
+        path, here = Path(name.removeprefix(_FILE)), Path(folder).resolve()
+        if not path.is_absolute() or not path.resolve().is_relative_to(here):
+            problem = f"{shown(name)} leads out of the folder of the URDF"
+            raise _error(mesh, problem, "put the mesh into that folder and name it relative to the URDF")
+        return _mesh_path(mesh, str(path.resolve().relative_to(here)), folder)
     if not name.startswith(_PACKAGE):
         return _mesh_path(mesh, name, folder)
     package, _, name = name.removeprefix(_PACKAGE).partition("/")
@@ -227,7 +285,7 @@ def _mesh(mesh: Element, folder: str, packages: Mapping[str, str]) -> str:
     named = [folder for folder in (above, *above.parents) if package and folder.name == package]
     if package not in packages and not named:
         problem = f"the package {shown(package)} is not known and no folder above the file has its name"
-        raise _error(mesh, problem, "give its folder under 'packages'")
+        raise _error(mesh, problem, "give its folder: `packages` of the problem's robot, or --package NAME=FOLDER")
     return _mesh_path(mesh, name, packages.get(package) or named[0])
 
 

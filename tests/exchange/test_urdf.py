@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint, screw
 from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.transition import step
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
@@ -212,17 +213,93 @@ def test_an_object_of_partnet_mobility_is_made_of_boxes_and_has_its_handle(tmp_p
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"more": '<mimic joint="x"/>'}, "joint 'h' follows another one"),
+        ({"more": '<mimic joint="x"/>'}, "expected the name of a joint, found 'x'"),
+        ({"more": '<mimic joint="h"/>'}, "joint 'h' follows itself"),
         ({"joint": HINGE.replace("continuous", "fixed")}, "expected a joint that moves, found none"),
         ({"joint": HINGE.replace("continuous", "floating")}, "expected a joint of type"),
         ({"joint": ""}, "expected one tree of links"),
-        ({"shape": '<mesh filename="../../etc/passwd"/>'}, "leaves its folder"),
     ],
 )
 def test_what_no_model_can_say_is_one_line(tmp_path: Path, changes: dict[str, str], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         load_urdf(urdf(tmp_path, **changes))
     assert str(caught.value).startswith(str(tmp_path / "r.urdf"))
+
+
+WINGS = """<robot name="wings">
+  <link name="body"/><link name="left"/><link name="right"/><link name="tip"/>
+  <joint name="hinge" type="revolute"><parent link="body"/><child link="left"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="1.5"/></joint>
+  <joint name="other" type="revolute"><parent link="body"/><child link="right"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1"/><mimic joint="hinge" multiplier="-0.5" offset="0.1"/></joint>
+  <joint name="last" type="prismatic"><parent link="right"/><child link="tip"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="1"/><mimic joint="other" multiplier="0.2"/></joint>
+</robot>"""
+
+
+def test_joints_that_follow_another_one_are_tied_to_it(tmp_path: Path) -> None:
+    (tmp_path / "wings.urdf").write_text(WINGS)
+    found, _ = load_urdf(tmp_path / "wings.urdf")
+    assert (found.coordinate_names, found.input_names) == (("hinge", "other", "last"), ("hinge",))
+    for start, command in ((0.3, 0.2), (1.4, 0.3), (0.1, -0.4)):
+        end = step(found, "moves", [start, 0.1 - 0.5 * start, 0.2 * (0.1 - 0.5 * start)], [command]).x
+        hinge = float(np.clip(start + command, 0.0, 1.5))
+        assert end == pytest.approx([hinge, 0.1 - 0.5 * hinge, 0.2 * (0.1 - 0.5 * hinge)])
+    (tmp_path / "again.urdf").write_text(urdf_text(found, "wings"))
+    again, _ = load_urdf(tmp_path / "again.urdf")
+    assert again.modes[0].ties == found.modes[0].ties
+    assert again.input_names == found.input_names
+
+
+def test_meshes_that_are_not_there_are_left_out_and_told(tmp_path: Path) -> None:
+    names = ("package://nowhere/m.stl", "missing.stl", "file:///somewhere/else/m.stl", "../../etc/passwd")
+    for name in names:
+        found, notes = load_urdf(urdf(tmp_path, f'<mesh filename="{name}"/>'))
+        assert found.parts[1].shapes == ()
+        assert len(notes) == 1
+        assert notes[0].startswith("link b: a mesh is left out, ")
+
+
+CORNERS = "\n".join(f"v {x} {y} {z}" for x, y, z in product((0, 1), repeat=3)) + "\nf 1 2 3\n"
+
+
+@pytest.mark.parametrize("name", ["package://things/m.obj", "file://{folder}/m.obj", "m.obj"])
+def test_meshes_are_found_in_packages_and_by_uri(tmp_path: Path, name: str) -> None:
+    (tmp_path / "m.obj").write_text(CORNERS)
+    path = urdf(tmp_path, f'<mesh filename="{name.format(folder=tmp_path)}" scale="0.1 0.1 0.1"/>')
+    found, _ = load_urdf(path, {"things": str(tmp_path)})
+    assert found.parts[1].shapes[0].size == pytest.approx((0.1, 0.1, 0.1))
+
+
+def test_limits_in_degrees_and_meshes_in_millimetres_are_doubted(tmp_path: Path) -> None:
+    limited = HINGE.replace("continuous", "revolute")
+    for upper, doubted in ((90, True), (1.57, False), (7.0, False)):
+        path = urdf(tmp_path, joint=limited.replace("</joint>", f'<limit lower="0" upper="{upper}"/></joint>'))
+        assert any("degrees" in note for note in load_urdf(path)[1]) is doubted
+    (tmp_path / "m.obj").write_text(CORNERS)
+    for scale, doubted in ((100, True), (1, False)):
+        path = urdf(tmp_path, f'<mesh filename="m.obj" scale="{scale} {scale} {scale}"/>')
+        assert any("mm" in note for note in load_urdf(path)[1]) is doubted
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (("</robot>", '<link name="b"/></robot>'), "link 'b' is there already, on line"),
+        (("<robot ", "<robot xmlns:xacro='x' "), "links"),
+        (("</robot>", '<xacro:door side="left"/></robot>'), "this is xacro, not yet a URDF; expand it"),
+        (('name="b"', 'name="${side}"'), "this is xacro"),
+    ],
+)
+def test_what_is_wrong_with_names_is_told_with_its_line(tmp_path: Path, changed: tuple[str, str], said: str) -> None:
+    path = urdf(tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace(*changed, 1))
+    if said == "links":  # a namespace alone is no xacro
+        load_urdf(path)
+        return
+    with pytest.raises(InputError, match=said):
+        load_urdf(path)
 
 
 def test_what_urdf_cannot_say_is_refused() -> None:

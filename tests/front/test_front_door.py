@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -232,7 +235,27 @@ def test_the_package_has_functions_whatever_was_imported_before() -> None:
         "from micah_plan.learn.settings import LearnSettings; print(LearnSettings().draws, *dir(micah_plan))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert set(micah_plan.__all__) <= set(said)
+    assert sorted(said[1:]) == sorted(micah_plan.__all__)
+
+
+def test_a_function_with_the_name_of_a_subpackage_is_both() -> None:
+    code = (
+        "import micah_plan.learn.settings as settings, micah_plan.explore.run as run, micah_plan, inspect; "
+        "assert micah_plan.learn.settings is settings and micah_plan.explore.run is run; "
+        "print(*inspect.signature(micah_plan.learn).parameters)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert said[:2] == ["recording", "method"]
+
+
+def test_results_go_from_process_to_process(learned: LearningResult, repository: Path) -> None:
+    again = pickle.loads(pickle.dumps(learned))  # noqa: S301  # our own bytes
+    assert str(again) == str(learned)
+    assert again.automaton == learned.automaton
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        found = pool.submit(solve, repository / "problems" / "drawer_open.yaml").result()
+    assert found.plan.outcome == "solved"
+    assert pickle.loads(pickle.dumps(found)).plan.reason == found.plan.reason  # noqa: S301  # our own bytes
 
 
 def test_the_automaton_and_the_recording_are_those_of_the_package(learned: LearningResult) -> None:

@@ -137,7 +137,7 @@ def test_mesh_paths_may_not_leave_their_folder(tmp_path: Path, name: str) -> Non
     [
         ("</robot>", "", "not valid XML: no element found"),
         ('<robot name="slider">', '<!DOCTYPE robot [<!ENTITY a "b">]><robot>', "entities are not allowed"),
-        ('name="cart"', 'name="rail"', "names of their own"),
+        ('name="cart"', 'name="rail"', "line 3, <link>: link 'rail' is there already, on line 2"),
         ('child link="wheel"', 'child link="rail"', "one tree of links"),
         ('child link="wheel"', 'child link="cart"', "'cart' is carried by two joints"),
         (
