@@ -156,6 +156,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
     from micah_plan.automaton.certainty import doubts
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.automaton.suspicion import never_taken
+    from micah_plan.planning.scene_cuts import unchecked
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm
 
@@ -172,7 +173,7 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
 
     found = planned_with_arm(problem, planned, seed, deadline)
     warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
-    warnings += never_taken(problem.automaton)
+    warnings += (*never_taken(problem.automaton), *unchecked(problem))
     answer = replace(found, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer

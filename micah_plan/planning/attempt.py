@@ -9,6 +9,7 @@ from functools import cached_property
 from micah_plan.planning.findings import endpoint_findings, finding_of_reason
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
@@ -103,7 +104,7 @@ def attempted(
     """
     for constraint in problem.constraints:
         check_constraint(constraint, problem.automaton)
-    problem = carrying(problem)
+    problem = with_scene(carrying(problem))
     attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:

@@ -16,6 +16,7 @@ from micah_plan.planning.chains import with_chains
 from micah_plan.planning.input_memory import with_input_memory
 from micah_plan.planning.limits import limits_of, motion_per_input
 from micah_plan.planning.pomdp_hd import planned
+from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
@@ -43,7 +44,7 @@ def replan(
     Returns:
         None if there is no trajectory, or none that roll-outs confirm.
     """
-    here = believed_problem(with_input_memory(carrying(problem)), belief)
+    here = with_scene(believed_problem(with_input_memory(carrying(problem)), belief))
     # Both attempts share one time limit: the execution waits for them.
     deadline, confirm = Deadline(here.settings.solve_time_limit_s), partial(verify, sequential=True)
     confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)

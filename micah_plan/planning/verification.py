@@ -19,6 +19,7 @@ from micah_plan.planning.findings import (
 )
 from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, roll_out
+from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
@@ -60,7 +61,7 @@ def verify(
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
-    problem, confidence = carrying(problem), problem.settings.confidence
+    problem, confidence = with_scene(carrying(problem)), problem.settings.confidence
     if (needed := least_trials(confidence)) > _MOST_TRIALS:
         sentence = (
             f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"

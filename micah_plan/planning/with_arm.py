@@ -23,6 +23,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.cuts import half_space, without
 from micah_plan.planning.letting_go import with_release
+from micah_plan.planning.scene_cuts import slides_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 # Half the width of what is cut out around a hand: as the narrow side of what arms carry [m].
 _AROUND = 0.04
+# By how much more is cut out with each plan: where an arm ends it does so in a larger neighbourhood.
+_GROWTH = 1.5
 # Plans after the first, each with more cut out, until the last failure is the answer.
 _MOST_PLANS = 5
 # What is kept beyond the distance that an arm keeps anyway [m].
@@ -70,7 +73,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
     while stop is not None and answer.trajectory is not None and plans < _MOST_PLANS and not deadline.is_over():
         if stop.arm.overlaps and _in_all_of_the_goal(problem, stop):
             return _impossible(answer, stop)
-        if not (found := _cuts(problem, stop)):
+        if not (found := _cuts(problem, stop, _AROUND * _GROWTH**plans)):
             break
         cuts, plans = cuts + found, plans + 1
         plan, stop = _with_arm(problem, planned(without(problem, [(None, cut) for cut in cuts])), seed, deadline)
@@ -165,34 +168,53 @@ def _in_all_of_the_goal(problem: Problem, stop: _Stop) -> bool:
     return bool((distances < 0.0).all(axis=0).any())
 
 
-def _cuts(problem: Problem, stop: _Stop) -> list[Region]:
-    """States of the hand that the arm cannot take it to, as it cannot at a stop; none where these are not its place."""
-    if problem.hold is None or problem.grasp is None:
+def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
+    """States of the hand that the arm cannot take it to, as it cannot at a stop; none where these are not its place.
+
+    Args:
+        around: half the width of what is cut out where the arm ends [m].
+    """
+    carried = None if problem.grasp is None else _carried(problem, stop.mode)
+    if carried is None or problem.grasp is None:
         return []
     from micah_plan.robot.along_plan import tool_path
 
-    (n, m), arm, x = (problem.automaton.n, problem.automaton.m), stop.arm, stop.x
+    (n, m), arm, x, slides = (problem.automaton.n, problem.automaton.m), stop.arm, stop.x, carried
     name = f"the arm's {' at '.join(arm.names)}" if arm.names else f"the arm: {arm.kind}"
     if not arm.overlaps:  # another posture may do where the hand is elsewhere
         if stop.lowest is not None:
             return []
-        sides = list(product(np.eye(3), (1.0, -1.0)))
-        return [
-            Region(tuple(half_space((n, m), s * axis, float(s * (axis @ x[:3])) - _AROUND, name) for axis, s in sides))
-        ]
+        sides = [s * axis @ slides for axis, s in product(np.eye(3), (1.0, -1.0))]
+        return [Region(tuple(half_space((n, m), a, float(a @ x) - around, name) for a in sides if a.any()))]
     path = tool_path(problem, [stop.mode], x[None])
-    from_hand = (path.tool.translation - path.parts[problem.grasp.part].translation)[0]
-    found = [_overlapping(problem, overlap, from_hand, stop.lowest, name) for overlap in arm.overlaps]
+    # From what slides with the state to the tool; what is left of the state's place is the part's at x = 0.
+    from_hand = path.tool.translation[0] - slides @ x
+    found = [_overlapping(problem, overlap, slides, from_hand, stop.lowest, name) for overlap in arm.overlaps]
     return [region for region in found if region is not None]
 
 
+def _carried(problem: Problem, mode: str) -> Floats | None:
+    """(3, n) how the tool moves with the state, if it only slides with it; None if it turns."""
+    n = problem.automaton.n
+    if problem.hold is not None:
+        return np.eye(3, n)
+    part = None if problem.grasp is None else problem.grasp.part
+    return None if part is None else slides_of(problem.automaton, mode).get(part)
+
+
 def _overlapping(
-    problem: Problem, overlap: tuple[tuple[Floats, float], ...], from_hand: Floats, lowest: float | None, name: str
+    problem: Problem,
+    overlap: tuple[tuple[Floats, float], ...],
+    slides: Floats,
+    from_hand: Floats,
+    lowest: float | None,
+    name: str,
 ) -> Region | None:
     """Places of the hand at which two solids may meet, or above which they do on its way down to a height; None: none.
 
     Args:
         overlap: where the tool is then, as `ClearanceModel.overlap` tells.
+        slides: (3, n) how the hand moves with the state.
         from_hand: (3,) from the hand to the tool [m].
     """
     from micah_plan.robot.tool_path import PathSettings
@@ -201,7 +223,7 @@ def _overlapping(
     for side, most in overlap:
         least = float(side @ from_hand) - most - PathSettings.margin - _FURTHER
         if lowest is None:
-            rows.append(half_space((n, m), -side, least, name))
+            rows.append(half_space((n, m), -side @ slides, least, name))
             continue
         along, least = np.array([side[0], side[1], 0.0]), least + float(side[2]) * lowest
         if along.any():
