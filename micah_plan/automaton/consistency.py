@@ -131,8 +131,10 @@ def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
     """
     own = automaton.edges[number]
     rows = own.guard.half_spaces
-    for other in automaton.edges[:number]:
-        is_first = other.source == own.source and (own.is_self_transition or not other.is_self_transition)
+    for other in automaton.edges_from(own.source):
+        if other is own:
+            return None
+        is_first = own.is_self_transition or not other.is_self_transition
         if is_first and all(any(_implies(row, h) for row in rows) for h in other.guard.half_spaces):
             return other
     return None

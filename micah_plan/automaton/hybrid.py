@@ -341,7 +341,14 @@ class HybridAutomaton(Summarised):
 
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
-        return tuple(edge for edge in self.edges if edge.source == name)
+        return self._edges_by_source.get(name, ())
+
+    @cached_property
+    def _edges_by_source(self) -> dict[str, tuple[Edge, ...]]:
+        found: dict[str, list[Edge]] = {}
+        for edge in self.edges:
+            found.setdefault(edge.source, []).append(edge)
+        return {name: tuple(edges) for name, edges in found.items()}
 
     def sensing(self, mode: Mode) -> Sensing:
         """How a mode measures: by its own stds where it states them, else by the model's noise, with its light."""

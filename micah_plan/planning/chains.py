@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 from scipy.optimize import linprog
@@ -115,8 +116,8 @@ def _parts(automaton: HybridAutomaton, number: int) -> list[Edge]:
     within = [h for h in mode.invariant.half_spaces if not any(h.excludes(g) for g in own.half_spaces)]
     within += mode.inputs.half_spaces
     rows = [tuple(zip(own.half_spaces, stds_of(edge), strict=True))]
-    for other in automaton.edges[:number]:
-        if other.source != edge.source or other.is_self_transition or other.guard.on_input != own.on_input:
+    for other in takewhile(lambda one: one is not edge, automaton.edges_from(edge.source)):
+        if other.is_self_transition or other.guard.on_input != own.on_input:
             continue
         cut = []
         for part in rows:

@@ -4,6 +4,11 @@
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
       + weight_goal · Σ P(a guard is missed, a boundary crossed)                           in the optimisation only
       + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
+      + weight_effort · pace²                                                              per step, between candidates
+
+A way of D largest steps that takes N steps costs weight_effort · D²/N of effort: the longer it takes, the less. So that
+no plan wins by taking longer, a step has the price at which N = D / pace steps, as many as a way is planned with, are
+the cheapest. A transition costs one step more, as it does in the search.
 
 Evaluated with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates
 are asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
@@ -15,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import path_cost
 from micah_plan.task.plan import Trajectory
@@ -31,6 +36,12 @@ _SMALLEST_WEIGHT = 1e-3
 def effort_cost(problem: Problem, squares: Value) -> Value:
     """Cost of inputs, from the sum of their squares over those of the largest step."""
     return problem.settings.weight_effort * squares
+
+
+def time_cost(problem: Problem, is_transition: Booleans) -> float:
+    """What the steps (K-1,) from knot to knot cost, where plans of different length are compared."""
+    steps = len(is_transition) + int(is_transition.sum())
+    return problem.settings.weight_effort * problem.settings.pace**2 * steps
 
 
 def goal_cost(problem: Problem, mean: Value) -> Value:
@@ -63,4 +74,5 @@ def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
     effort = effort_cost(problem, np.square(trajectory.inputs / limits.max_step).sum())
     variance = np.square(trajectory.factors[-1]).sum(axis=-1)
     ending = goal_cost(problem, trajectory.means[-1]) + variance_cost(problem, variance)
-    return float(effort + ending) + path_cost(problem, trajectory)
+    taken = time_cost(problem, trajectory.is_transition)
+    return float(effort + ending) + path_cost(problem, trajectory) + taken

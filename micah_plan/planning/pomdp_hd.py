@@ -21,6 +21,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, Progress, attempted
 from micah_plan.planning.chains import with_chains
+from micah_plan.planning.cost import time_cost
 from micah_plan.planning.cuts import Cut, tight_places, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
@@ -73,14 +74,14 @@ def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
     other transitions come first, and search and optimisation are told which (`chains`).
     """
     asked = attempt.problem
-    whole, divided = (with_chains(with_input_memory(asked), in_parts) for in_parts in (False, True))
-    attempt = replace(attempt, problem=whole)
+    whole = with_input_memory(asked)
+    attempt = replace(attempt, problem=with_chains(whole))
     if found is not None:
         return _chosen(attempt, asked, _optimised_each(attempt, found.sequences, found.reason))
     plan = _chosen(attempt, asked, _with_detours(attempt))
-    strays = plan.trajectory is not None and departure(asked, plan.trajectory) is not None
-    if not strays or divided.automaton is whole.automaton:
+    if plan.trajectory is None or departure(asked, plan.trajectory) is None:
         return plan
+    divided = with_chains(whole, in_parts=True)
     with suppress(NoWayError, TimeLimitError):
         again = replace(attempt, problem=divided)
         better = _chosen(again, asked, _with_detours(again))
@@ -145,19 +146,19 @@ def _optimised_each(attempt: Attempt, sequences: Sequence[ModeSequence], reason:
 
 def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
     """The cheapest plan whose mean follows its own modes, with the others as its alternatives."""
-    candidates = tuple(one.candidate for one in tried)
-    paths = [(one.path, one.sequence) for one in tried if one.path is not None and one.path.feasible]
+    candidates = tuple(one.candidate(asked) for one in tried)
+    paths = [(one.path, one.sequence, one.price(asked)) for one in tried if one.path is not None and one.path.feasible]
     if not paths:
         first, findings = candidates[0], tuple(finding for one in tried for finding in one.findings)
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
         return attempt.refused(reason, findings, candidates)
     plans = []
-    for number, (path, sequence) in enumerate(sorted(paths, key=lambda pair: pair[0].cost), start=1):
+    for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda one: one[2]), start=1):
         trajectory = trajectory_of(attempt.problem, attempt.limits, path)
         rank = "cheapest" if number == 1 else f"number {number} by cost"
         which = "the only candidate" if len(tried) == 1 else f"{rank} of {len(tried)} candidates"
         in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
-        plans.append(attempt.solved(trajectory, path.cost, f", {which}: {path.message}", candidates, in_part))
+        plans.append(attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part))
     # Between the knots other transitions may come first: what its own mean does not follow is no plan.
     plans.sort(key=lambda one: one.trajectory is None or departure(asked, one.trajectory) is not None)
     return replace(plans[0], alternatives=tuple(plans[1:]))
@@ -177,10 +178,16 @@ class _Tried:
     findings: tuple[Finding, ...] = ()
     corners: tuple[Floats, ...] = ()
 
-    @property
-    def candidate(self) -> Candidate:
-        cost = self.path.cost if self.path is not None and self.path.feasible else None
-        return Candidate(self.sequence.modes, self.sequence.total, cost, self.message)
+    def price(self, problem: Problem) -> float:
+        """Its cost with that of its time; infinite if there is no path."""
+        if self.path is None or not self.path.feasible:
+            return np.inf
+        return self.path.cost + time_cost(problem, self.path.is_transition)
+
+    def candidate(self, problem: Problem) -> Candidate:
+        """As plans list it."""
+        price = self.price(problem)
+        return Candidate(self.sequence.modes, self.sequence.total, price if np.isfinite(price) else None, self.message)
 
 
 def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:

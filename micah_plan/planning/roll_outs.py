@@ -7,12 +7,13 @@ the hybrid filter, and the inputs follow from it by the plan's feedback.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.input_memory import InputChannel, towards
+from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.thresholds import drawn_shifts, threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
@@ -27,6 +28,9 @@ from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 from micah_plan.task.start import draw_states
+
+# With more modes than this only those near a plan are rolled out, so many transitions away.
+FEW_MODES, _NEAR = 32, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +121,24 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     return RollOuts(modes, x, beliefs, path, np.array(visited).reshape(len(knots), trials))
 
 
+def nearby(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset[str]]:
+    """The problem with the modes near those of a plan, and the names of the outermost; all of them if they are few.
+
+    A belief moves to a neighbour at most at every event, so of hundreds of modes roll-outs see a handful. What reaches
+    an outermost mode would go on from there, and must be rolled out among all modes.
+    """
+    automaton, near = problem.automaton, set(trajectory.modes)
+    if len(automaton.modes) <= FEW_MODES:
+        return problem, frozenset()
+    for _ in range(_NEAR):
+        inner = frozenset(near)
+        near |= {edge.target for name in inner for edge in automaton.edges_from(name)}
+    modes = tuple(mode for mode in automaton.modes if mode.name in near)
+    edges = tuple(edge for edge in automaton.edges if edge.source in near and edge.target in near)
+    part = sharing_motion(replace(automaton, modes=modes, edges=edges), automaton)
+    return replace(problem, automaton=part), frozenset(near - inner)
+
+
 @dataclass(frozen=True)
 class Departure:
     """Where a plan, replayed without any noise, is in another mode than planned.
@@ -141,6 +163,7 @@ class Departure:
 
 def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
     """Where a plan leaves its own modes if nothing is random; None if it leads into the goal, or follows them all."""
+    problem, _ = nearby(problem, trajectory)
     plain = without_input_memory(problem)
     automaton, knots = plain.automaton, time_knots(trajectory)
     nothing = np.zeros((knots.size, 1, automaton.n))

@@ -18,7 +18,7 @@ from micah_plan.planning.findings import (
     moved_target,
 )
 from micah_plan.planning.path_constraints import PathRecord, joined
-from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, roll_out
+from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.acceptance import least_share, least_trials
@@ -110,7 +110,19 @@ class _Ends:
 def _ends(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> _Ends:
-    """Ends of `count` roll-outs, at once or sequentially until they suffice."""
+    """Ends of `count` roll-outs, at once or sequentially until they suffice, among the modes that they get to."""
+    near, outermost = nearby(problem, trajectory)
+    ends, visited = _rolled(near, trajectory, count, seed, deadline, sequential)
+    if visited & outermost:
+        return _rolled(problem, trajectory, count, seed, deadline, sequential)[0]
+    numbers = np.array([problem.automaton.mode_index(name) for name in near.automaton.mode_names])
+    return replace(ends, modes=numbers[ends.modes])
+
+
+def _rolled(
+    problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
+) -> tuple[_Ends, set[str]]:
+    """The ends, and the names of the modes that roll-outs were in."""
     turns: list[RollOuts] = []
     in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
     looks = looks_of(count, confidence) if sequential else (*range(_AT_ONCE, count, _AT_ONCE), count)
@@ -122,7 +134,9 @@ def _ends(
         if plain_answer(int(in_goal.sum()), len(in_goal), confidence) is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
-    return _Ends(modes, states, in_goal, joined([turn.path for turn in turns]))
+    reached = {int(mode) for turn in turns for mode in (*np.unique(turn.visited), *np.unique(turn.modes))}
+    visited = {problem.automaton.modes[mode].name for mode in reached}
+    return _Ends(modes, states, in_goal, joined([turn.path for turn in turns])), visited
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:

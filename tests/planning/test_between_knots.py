@@ -395,3 +395,44 @@ def test_what_falls_shut_is_held_open_while_something_passes(tmp_path) -> None:
 
 def test_a_hand_too_weak_to_hold_it_has_no_plan(tmp_path) -> None:
     assert solve(below_the_flap(tmp_path, 0.03), advise=False).outcome != "solved"
+
+
+def test_a_plan_opens_nothing_that_its_goal_does_not_need(tmp_path) -> None:
+    model = """\
+format: micah-plan/model/1
+coordinates: {first: m, second: m}
+inputs: {first: m, second: m}
+links: [{parent: base, child: a, coordinate: first}, {parent: base, child: b, coordinate: second}]
+noise: {process_std: {first: 0.002, second: 0.002}, observation_std: {first: 0.01, second: 0.01}}
+modes:
+  both shut: {joints: &j {a: &s {kind: prismatic, position: [0, 0, 0], axis: [1, 0, 0]}, b: *s}, step: {},
+              invariant: [], pins: {first: {value: 0.0, std: 0.002}, second: {value: 0.0, std: 0.002}}}
+  first open: {joints: *j, step: {first: input first}, invariant: [first >= 0, first <= 1],
+               pins: {second: {value: 0.0, std: 0.002}}}
+  second open: {joints: *j, step: {second: input second}, invariant: [second >= 0, second <= 1],
+                pins: {first: {value: 0.0, std: 0.002}}}
+  both open: {joints: *j, step: {first: input first, second: input second},
+              invariant: [first >= 0, first <= 1, second >= 0, second <= 1]}
+transitions:
+  - {source: both shut, target: second open, guard: [input second > 0]}
+  - {source: both shut, target: first open, guard: [input first > 0]}
+  - {source: second open, target: both open, guard: [input first > 0]}
+  - {source: first open, target: both open, guard: [input second > 0]}
+  - {source: second open, target: both shut, guard: [second <= 0]}
+  - {source: first open, target: both shut, guard: [first <= 0]}
+  - {source: both open, target: first open, guard: [second <= 0]}
+  - {source: both open, target: second open, guard: [first <= 0]}
+"""
+    problem = problem_of(
+        tmp_path,
+        model,
+        """\
+start: {mean: {first: 0.0, second: 0.0}, std: {first: 0.01, second: 0.01}, mode: both shut}
+goal: {target: {first: {value: 0.5, tolerance: 0.05}}}
+planner: {max_step: {first: 0.083, second: 0.083}}
+""",
+    )
+    for seed in range(3):
+        found = solve(problem, seed=seed)
+        assert found.outcome == "solved", found.reason
+        assert found.mode_sequence == ("both shut", "first open")

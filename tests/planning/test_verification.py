@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,11 @@ from scipy.stats import binom, binomtest, norm
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.roll_outs import nearby
 from micah_plan.planning.verification import looks_of, plain_answer, verify, wilson_interval
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.problem import Problem
 
 
 @pytest.mark.parametrize(
@@ -150,3 +154,33 @@ def test_in_turns_the_answer_is_the_same_with_fewer_roll_outs() -> None:
     refused = verify(asked, found, sequential=True)
     assert (refused.outcome, refused.verification_trials) == ("not_verified", first)
     assert f"of {first} roll-outs" in refused.reason
+
+
+@pytest.fixture(scope="module")
+def many_doors() -> Problem:
+    """Six doors that latch: 64 modes."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    try:
+        import planning_growth
+
+        return planning_growth.cabinet_problem(6, 0, 1, 6)
+    finally:
+        sys.path.pop(0)
+
+
+@pytest.mark.parametrize("near", [1, 2])
+def test_of_many_modes_those_near_the_plan_are_rolled_out_and_the_answer_is_the_same(
+    many_doors: Problem, near: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = plan(many_doors)
+    assert found.trajectory is not None
+    monkeypatch.setattr("micah_plan.planning.roll_outs._NEAR", near)
+    part, outermost = nearby(many_doors, found.trajectory)
+    assert len(part.automaton.modes) < len(many_doors.automaton.modes)
+    assert outermost.isdisjoint(found.trajectory.modes)
+    quick = verify(many_doors, found, trials=200)
+    monkeypatch.setattr("micah_plan.planning.roll_outs.FEW_MODES", 1000)
+    assert nearby(many_doors, found.trajectory) == (many_doors, frozenset())
+    whole = verify(many_doors, found, trials=200)
+    assert quick.success_probability == whole.success_probability
+    assert quick.findings == whole.findings
