@@ -66,6 +66,14 @@ def through_guards(
         pieces = _slid(mode, pieces)
     ended: list[Ends] = []
     free, first = _free(mode, pieces, events), 0
+    sure = _sure_exits(mode, free)
+    leaving = (sure < len(mode.exits)).nonzero()[0]
+    if leaving.size:
+        _leave_at_once(layout, mode, pieces.where(leaving), those(free, leaving), sure[leaving], onward)
+        staying = (sure == len(mode.exits)).nonzero()[0]
+        if not staying.size:
+            return ended
+        pieces, free = pieces.where(staying), those(free, staying)
     while first < len(mode.exits) and pieces.owner.size:
         may = free[first:] & _reached(mode.doors[first], pieces, events)
         meets = np.asarray(may.any(axis=0))
@@ -94,6 +102,73 @@ def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
         if len(way.on_input):
             free[number] &= way.allowed(pieces.u)
     return free
+
+
+def _sure_exits(mode: ModeLayout, free: Booleans) -> Ints:
+    """(p,) the first exit that the input alone opens for each piece; the number of exits where there is none."""
+    sure = np.full(free.shape[1], len(mode.exits))
+    for number in reversed(range(len(mode.exits))):
+        if not len(mode.exits[number].on_state):
+            sure[free[number]] = number
+    return sure
+
+
+def _leave_at_once(
+    layout: Layout, mode: ModeLayout, pieces: Pieces, free: Booleans, sure: Ints, onward: dict[int, list[Pieces]]
+) -> None:
+    """What an input moves out of its mode before it moves the state: all of it, by the first exit that holds there.
+
+    Args:
+        sure: (p,) the exit that the input alone opens; those before it take what lies inside of them at that instant.
+    """
+    parts = [(pieces, free, sure)]
+    for number, way in enumerate(mode.exits):
+        after: list[tuple[Pieces, Booleans, Ints]] = []
+        for part, opened, until in parts:
+            may = opened[number] & (number <= until) & (part.probability >= NEGLIGIBLE)
+            if len(way.on_state) and not len(way.on_input):
+                # What lies behind the boundary of a mode is the tail of a fit, unless the mean itself does.
+                inside = way.on_state.a @ part.mean[0] - way.on_state.offsets(part.u) > SMALLEST_STD
+                may &= inside.all(axis=0)
+            chosen, others = may.nonzero()[0], (~may).nonzero()[0]
+            if others.size:
+                after.append((part.where(others), those(opened, others), until[others]))
+            if not chosen.size:
+                continue
+            here = part.where(chosen)
+            gone, left = (here, []) if not len(way.on_state) else _divided_at_start(here, way)
+            crosses = (gone.probability >= NEGLIGIBLE).nonzero()[0]
+            if crosses.size:
+                taken = gone.where(crosses)
+                binding = _binding(taken.mean[0], taken.factor[0], taken.u, way) if len(way.on_state) else None
+                onward.setdefault(way.target, []).append(transition(layout, mode, taken, way, binding))
+            after += [(one, those(opened, chosen), until[chosen]) for one in left]
+        parts = after
+
+
+def _divided_at_start(pieces: Pieces, way: Exit) -> tuple[Pieces, list[Pieces]]:
+    """The shares of pieces that are inside of a guard where the step begins, and those outside of a half-space of it.
+
+    Of several half-spaces each gives those that are inside of the ones before it and outside of it.
+    """
+    inside, outside = pieces, list[Pieces]()
+    for a, offset in zip(way.on_state.a, way.on_state.offsets(pieces.u), strict=True):
+        margin, row = a @ inside.mean[0] - offset, weighted(a, inside.factor[0])
+        chance = ndtr(margin / (np.sqrt(np.einsum("kp,kp->p", row, row)) + SMALLEST_STD))
+        outside.append(_given(inside, -margin, -row, 1.0 - chance))
+        inside = _given(inside, margin, row, chance)
+    return inside, outside
+
+
+def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Pieces:
+    """The shares of pieces of which a margin (p,) at the start is above 0, which it is with a chance (p,)."""
+    mean, factor = pieces.mean, pieces.factor
+    cut = ((chance < 1.0) & (chance >= NEGLIGIBLE)).nonzero()[0]
+    if cut.size:
+        mean, factor = mean.copy(), factor.copy()
+        own = those(mean, cut), those(factor, cut), margin[cut], those(row, cut)
+        mean[..., cut], factor[..., cut] = truncated(*own)
+    return replace(pieces, probability=pieces.probability * chance, mean=mean, factor=factor)
 
 
 def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:

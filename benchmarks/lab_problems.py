@@ -1,0 +1,129 @@
+"""Problems of a lab that need what happens between the knots, beside a script that looks at nothing.
+
+    OMP_NUM_THREADS=1 python benchmarks/lab_problems.py [--seeds K] [--executions N]
+
+The problems are those of `tests/planning/test_between_knots.py`: a slot in a plate, a hole in a table, a hand that must
+not let go too high, a speed limit near a wall, a gap and a way around it, a flap that falls shut, one hand and four
+things. For each and every seed: the outcome, predicted success, and how many executions on the nominal plant succeed.
+The script is written by hand: inputs that a person would send, in the model's own step and noise, without looking.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests" / "planning")]
+
+import test_between_knots as lab
+
+from micah_plan.automaton.thresholds import threshold_stds
+from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.task.problem import Problem
+from micah_plan.workflow import execute, solve
+
+Floats = NDArray[np.float64]
+
+GENTLY = """\
+start: {mean: {z: 0.2}, std: {z: 0.002}, mode: carries}
+goal: {target: {z: {value: 0.1, tolerance: 0.02}}, modes: [stands]}
+planner: {max_step: {z: 0.02, grip: 0.01}}
+"""
+SLOWLY = """\
+start: {mean: {x: 0.0}, std: {x: 0.003}, mode: free}
+goal: {target: {x: {value: 0.5, tolerance: 0.02}}, modes: [free]}
+planner: {max_step: {x: 0.05}}
+"""
+GAP = """\
+start: {mean: {x: -0.4, z: 0.0}, std: {x: 0.005, z: 0.005}, mode: free}
+goal: {target: {x: {value: 0.4, tolerance: 0.04}, z: {value: 0.0, tolerance: 0.04}}, modes: [free]}
+planner: {max_step: {x: 0.05, z: 0.05}}
+"""
+
+
+def moved(*legs: tuple[float, ...]) -> Floats:
+    """(N, m) inputs of legs (steps, input, input, ...): each leg's inputs are made in that many equal steps."""
+    return np.concatenate([np.tile(np.array(leg[1:]) / leg[0], (int(leg[0]), 1)) for leg in legs])
+
+
+def _blocks() -> Floats:
+    legs: list[tuple[float, ...]] = []
+    hand = 0.4
+    for i in range(4):
+        at, to = 0.15 * i, 1.0 + 0.12 * i
+        legs += [(12, at - hand, 0.0), (1, 0.0, 0.01), (12, to - at, 0.0), (1, 0.0, -0.01)]
+        hand = to
+    return moved(*legs)
+
+
+CASES: dict[str, tuple[Callable[[Path], Problem], Floats]] = {
+    "slot in a plate": (lab.in_slot, moved((10, 0.31, 0.0), (8, 0.0, -0.33))),
+    "hole in a table": (lambda folder: lab.on_table(folder, 0.01), moved((6, 0.12, 0.0), (9, 0.0, -0.22))),
+    "let go gently": (
+        lambda folder: lab.problem_of(folder, lab.GENTLY, GENTLY),
+        moved((12, -0.21, 0.0), (1, 0.0, -0.01), (8, 0.1, 0.0)),
+    ),
+    "slowly at the wall": (
+        lambda folder: lab.problem_of(folder, lab.SLOWLY, SLOWLY),
+        moved((7, 0.28), (22, 0.22)),
+    ),
+    "gap or way around": (
+        lambda folder: lab.problem_of(folder, lab.GAP, GAP),
+        moved((13, 0.0, 0.6), (17, 0.8, 0.0), (13, 0.0, -0.6)),
+    ),
+    "flap that falls shut": (
+        lambda folder: lab.below_the_flap(folder, 0.1),
+        np.concatenate([moved((20, 0.0, 2.0)), moved((16, 0.8, 16 * 0.04))]),
+    ),
+    "four things, one hand": (lambda folder: lab.problem_of(folder, *lab.blocks(4)), _blocks()),
+}
+
+
+def script_succeeds(problem: Problem, inputs: Floats, trials: int, seed: int) -> float:
+    """The share of trials in which the script ends in the goal."""
+    automaton, rng = problem.automaton, np.random.default_rng(seed)
+    objects = TransitionBatch(automaton, np.zeros((trials, threshold_stds(automaton).size)))
+    modes = np.full(trials, automaton.mode_index(problem.start.mode or automaton.mode_names[0]))
+    x = np.array(problem.start.mean) + np.array(problem.start.std) * rng.standard_normal((trials, automaton.n))
+    for u in inputs:
+        noise = np.array(automaton.noise.process_std) * rng.standard_normal(x.shape)
+        modes, x = objects.step(modes, x, np.tile(u, (trials, 1)), noise)
+    admitted = problem.goal.admitted(automaton.mode_names)[modes]
+    return float((admitted & problem.goal.holds(x)).mean())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--executions", type=int, default=100)
+    given = parser.parse_args()
+    print(f"{'problem':<24}{'solved':>8}{'predicted':>18}{'executed':>14}{'seconds':>9}{'script':>8}{'steps':>12}")
+    for name, (made, inputs) in CASES.items():
+        with tempfile.TemporaryDirectory() as folder:
+            problem = made(Path(folder))
+        plans, seconds = [], 0.0
+        for seed in range(given.seeds):
+            begin = process_time()
+            plans.append(solve(problem, seed=seed, advise=False))
+            seconds += (process_time() - begin) / given.seeds
+        solved = [plan for plan in plans if plan.outcome == "solved"]
+        shares = [plan.success_probability or 0.0 for plan in solved]
+        ran = [execute(problem, plan, trials=given.executions, seed=7).successes for plan in solved]
+        predicted = f"{min(shares):.3f} to {max(shares):.3f}" if shares else "-"
+        executed = f"{sum(ran)} of {given.executions * len(ran)}" if ran else "-"
+        steps = f"{min(len(p.trajectory.inputs) for p in solved if p.trajectory)} / {len(inputs)}" if solved else "-"
+        script = script_succeeds(problem, inputs, 1000, 0)
+        count = f"{len(solved)} of {len(plans)}"
+        print(f"{name:<24}{count:>8}{predicted:>18}{executed:>14}{seconds:>9.2f}{script:>8.3f}{steps:>12}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
