@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -98,11 +99,18 @@ def place(tmp_path_factory, repository):
 
 @pytest.fixture
 def run(place, tmp_path):
-    def run(plant, *options, path=""):
+    """Runs `execute`, as in a terminal that hangs up, or under nohup."""
+
+    def run(plant, *options, path="", hangs_up=True):
         command = [sys.executable, *([] if not path else ["-c", _WITH_PATH.format(path=path)])]
         command += [] if path else ["-m", "micah_plan"]
         command += ["execute", "plan.json", "--plant", plant, "-o", f"{tmp_path}/runs.csv", *options]
-        return subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+        # Children take over what is ignored here, and these tests may run under nohup themselves.
+        before = signal.signal(signal.SIGHUP, signal.SIG_DFL if hangs_up else signal.SIG_IGN)
+        try:
+            return subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+        finally:
+            signal.signal(signal.SIGHUP, before)
 
     return run
 
@@ -170,6 +178,11 @@ def test_what_breaks_an_execution_off_is_one_line_and_the_log_is_kept(run, tmp_p
         assert words in line
     assert str(tmp_path / "runs.csv") in line
     assert abs(len(read_recording(tmp_path / "runs.csv")) - rows) <= 1
+
+
+def test_under_nohup_an_execution_goes_on(run):
+    done = run("own.py:HungUp", "--trials", "1", hangs_up=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_breaks_an_execution_off_is_json_too_when_asked(run):
