@@ -32,6 +32,7 @@ from micah_plan.automaton.joint import (
 from micah_plan.automaton.kinematics import forward, inverse, reversed_direction, shifted
 from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
 from micah_plan.learn.joints.parametrization import chart_of, stepped
+from micah_plan.learn.settings import LearnSettings
 
 AXIS = np.array([0.1, 0.7, 0.5**0.5])  # far from where `axis_basis` changes over
 QUANTILE = 1.959964
@@ -130,7 +131,9 @@ def trial(case: Case, seed: int) -> tuple[FittedJoint, float]:
     if guess is None:
         raise ValueError("the guess is too far away")
     begin = process_time()
-    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), rng)
+    # The parameters of a kind are asked for, not which kind it is.
+    settings = LearnSettings(kinds=(case.kind,))
+    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), rng, settings)
     return fitted, process_time() - begin
 
 

@@ -16,6 +16,7 @@ from zlib import crc32
 
 import numpy as np
 from calibration import FREE, free_recording
+from kinds_of_mechanisms import bottle_cap, four_bar_lid, tilting_slide, two_stage_hinge, wave
 from kinds_of_one_part import ROWS, EdgeTruth, Kind, Simulated, as_value, between
 from kinds_plant import RATE, Floats, random_joint, tracker_noise
 from scipy.spatial.transform import Rotation
@@ -228,6 +229,11 @@ KINDS: dict[str, Draw] = {
     "guided-again": guided(2, 3),
     "guided-wander": guided(2, 3, wanders=True),
     "guided-once-wander": guided(1, 1, wanders=True),
+    "bottle-cap": bottle_cap,
+    "two-stage-hinge": two_stage_hinge,
+    "tilting-slide": tilting_slide,
+    "four-bar-lid": four_bar_lid,
+    "wave": wave,
     "two-parts": parts(2, 2, _COARSE, _QUIET, False),
     "parts": parts(3, 5, _COARSE, _QUIET, False),
     "parts-actions": parts(2, 4, _COARSE, _QUIET, True),

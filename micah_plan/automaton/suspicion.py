@@ -6,6 +6,8 @@
   behind a more general one is not.
 - **Millimetres.** A part farther than `FARTHEST_M` from the part that it is linked to was probably given in
   millimetres. Solids do not show it: domains of 100 m are planned in.
+- **Larger than the range.** What one step adds (noise, drift), or what is not known of a measurement or a threshold, is
+  less than all that a coordinate can be.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ _IN_METRES = "lengths are in m: are these millimetres? then divide them by 1000"
 def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
     """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
     jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
-    return (*_millimetres(automaton), *far_handles(automaton.parts), *jumps, *never_taken(automaton))
+    far = (*_millimetres(automaton), *far_handles(automaton.parts))
+    return (*far, *_beyond_the_range(automaton), *jumps, *never_taken(automaton))
 
 
 def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
@@ -58,6 +61,36 @@ def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:
             if distance > FARTHEST_M:
                 parent = "the base frame" if link.parent == "base" else f"part {link.parent}"
                 yield f"modes.{mode.name}.joints.{link.child}: {quantity(distance, 'm')} from {parent}; {_IN_METRES}"
+
+
+def _beyond_the_range(automaton: HybridAutomaton) -> Iterator[str]:
+    """What is said of one step or one measurement, and is more than the whole range of its coordinate."""
+    for i, coordinate in enumerate(automaton.coordinates):
+        ranges = automaton.ranges(i)
+        whole = ranges[-1][1] - ranges[0][0] if ranges else 0.0
+        if not 0.0 < whole < math.inf:
+            continue
+        noise = automaton.noise
+        sizes = [
+            (f"noise.process_std.{coordinate.name}", noise.process_std[i], "a step"),
+            (f"noise.observation_std.{coordinate.name}", noise.observation_std[i], "a measurement"),
+        ]
+        sizes += [
+            (f"transition {edge.name}: threshold_std", edge.threshold_std, "where it is taken")
+            for edge in automaton.edges
+            if any(half_space.a[i] for half_space in edge.guard.half_spaces)
+        ]
+        sizes += [
+            (f"modes.{', '.join(one.modes)}: drift of {coordinate.name}", abs(dict(one.parameters)["bias"]), "a step")
+            for one in automaton.effects
+            if one.name == "bias" and one.coordinate == coordinate.name and one.modes
+        ]
+        for place, size, of in sizes:
+            if size > whole:
+                yield (
+                    f"{place}: {quantity(size, coordinate.unit)} for {of}, but {coordinate.name} has a range of "
+                    f"{quantity(whole, coordinate.unit)}; check the units"
+                )
 
 
 def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:

@@ -8,26 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.certainty import Misfit
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
 from micah_plan.learn.paths import length_std, likeliest_path, principal_path
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses
 from micah_plan.learn.segmenting.segmentation import best_single, log_probability_at_most
 from micah_plan.learn.segmenting.segmented import Segmented
-from micah_plan.learn.segments import FittedPiece, left_by
+from micah_plan.learn.segments import FittedPiece, configurations, left_by
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
 _RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded to learn from
-_BEYOND_NOISE = 3.0  # times what rows scatter by
-_CURVED = 2.0  # the same without wander, of a curve that comes back: handheld cameras bend hinges by up to once that
+# Times what rows scatter by: answers of joints that are as far from ideal as is expected miss by one of it, and
+# handheld cameras bend a single hinge by up to nearly two.
+_DOUBTED, _CURVED = 1.2, 2.0
+# Moving joints that may follow a curve, as arc and line and arc again do to within noise; and the cosine of a corner:
+# in a real chain there mostly is one where a joint takes over.
+_CHAIN, _NO_CORNER = 3, 0.95
 _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
 
 
@@ -62,38 +67,37 @@ def doubt_of(
 ) -> Doubt | None:
     """What may explain the rows better than an answer; None if its joints miss them by little.
 
-    Two joints in turn follow many a curve closely, so what counts is how far the best single one misses the rows: what
-    real joints miss comes back in every pass, and a curve follows it better than they do.
+    Joints in turn follow many a curve closely, and a slide forgives a turn: what counts is how far either the answer or
+    the best single joint misses the rows. What real joints miss comes back in every pass, and a curve follows it better
+    than they do.
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    # A path that agrees with itself in every pass is no wander of the tracker; free motion may be.
-    scatter, steady = (_scatter(track, inlier, noise, settings, steady=one) for one in (False, True))
-    missed = _missed(fitted, track, inlier)
-    if not (missed > steady).any():
+    scatter, missed = _scatter(track, inlier, noise, settings), _missed(fitted, track, inlier)
+    follows = _follows_a_curve(fitted, track, inlier, noise)
+    if not follows and not (missed > _DOUBTED * scatter).any():
         return None
     single = best_single(segmented, settings)
     missed_by_one = _missed_by(single)
-    if not (missed_by_one > _CURVED * steady).any():
+    if not (np.maximum(missed, missed_by_one) > _CURVED * scatter).any():
         return None
-    may_be_free = (missed > scatter).any() and (missed_by_one > _BEYOND_NOISE * scatter).any()
     steps, trust = segmented.track, segmented.table.trust
     rough = first_noise(steps, settings)
     free = free_log_probability(steps, rough, trust)
     found = likeliest_path(steps, rough, trust) if settings.paths else None
     if found is not None and found.log_probability <= free:
         found = None
-    if found is None and not may_be_free:
-        return None
-    told = (free if found is None else found.log_probability) - _RARE
     answer = segmented.log_probability
+    if found is None and not (missed_by_one > _CURVED * scatter).any():
+        # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
+        fits = single.log_probability > max(answer, log_probability_at_most(segmented, settings))
+        return Doubt(-np.inf, single.log_probability, single) if fits else None
+    told = (free if found is None else found.log_probability) - _RARE
     if told > answer:
         answer = log_probability_at_most(segmented, settings)
     if told <= answer:
-        return Doubt(told - answer, answer) if may_be_free else None
+        return Doubt(told - answer, answer)
     log_odds = told - max(single.log_probability, answer)
-    if log_odds <= 0 and not may_be_free:
-        return None
     if log_odds <= 0:
         return Doubt(log_odds, single.log_probability, single)
     if found is None:
@@ -123,6 +127,24 @@ def misfit_of(
     )
 
 
+def _follows_a_curve(
+    fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
+) -> bool:
+    """Whether a part goes over from moving joint to moving joint, again and again, without a corner."""
+    if len({one.joint for one in fitted}) < _CHAIN or not all(one.joint.moves for one in fitted):
+        return False
+    weight = np.repeat([noise.rotation_length, 1.0], 3)[-6 if track.quaternion is not None else -3 :]
+
+    def direction(one: FittedPiece, last: bool) -> Floats:
+        rows = one.index(inlier)
+        c = configurations(one.joint, rows[-1:] if last else rows[:1], track, noise)
+        along = jacobian(one.joint, c)[0][-len(weight) :] * weight
+        return np.asarray(along / np.linalg.norm(along))
+
+    cosines = [abs(float(direction(a, True) @ direction(b, False))) for a, b in pairwise(fitted)]
+    return min(cosines) > _NO_CORNER
+
+
 def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
     """(2,) or (1,) how far rows lie off their joints (rms): rotation [rad], if it was measured, and position [m]."""
     errors = [left_by(one.joint, one.index(inlier), track, ROTATION_LENGTH) for one in fitted]
@@ -136,19 +158,13 @@ def _missed_by(answer: Segmented) -> Floats:
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 
 
-def _scatter(
-    track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings, *, steady: bool = False
-) -> Floats:
+def _scatter(track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings) -> Floats:
     """(2,) or (1,) how far rows lie off a joint that holds: rotation [rad], if it was measured, and position [m].
 
-    By their noise, of which a few rows leave open how much it is, and because neither joints nor trackers are ideal. A
-    rotation is forgiven what segments are: small parts of a turn are told as slides there, and that is another mistake.
-
-    Args:
-        steady: whether the tracker's wander is none of it.
+    By their white noise, of which a few rows leave open how much it is, and because neither joints nor trackers are
+    ideal.
     """
     rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
     position = np.hypot(max(noise.position_white, rough.position_white), settings.position_misfit)
-    allowed = settings.rotation_misfit if steady else settings.rotation_wander
-    rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), allowed)
+    rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), settings.rotation_misfit)
     return np.asarray(np.sqrt(3) * np.array([rotation, position] if track.quaternion is not None else [position]))

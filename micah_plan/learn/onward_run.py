@@ -159,9 +159,12 @@ def learn_onward(
     pieces = found.segmentation.pieces
     before = state.pieces()
     certainties, of_piece = [], []
-    for piece, place in zip(pieces, [state.start, *places[1:]], strict=True):
+    for piece, one, place in zip(pieces, fitted, [state.start, *places[1:]], strict=True):
         same = settled[piece.hypothesis] if piece.hypothesis < len(settled) else None
-        kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free) if same is None else same.kinds
+        if same is None:
+            kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free, one.screw_log_odds)
+        else:
+            kinds = same.kinds
         certainties.append(SegmentCertainty(place, kinds, misfit))
         of_piece.append(same)
     return LearnedWindow(

@@ -129,7 +129,10 @@ def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Gen
             misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
     against = -np.inf if doubt is None else doubt.log_odds
-    kinds = [kind_probabilities(segmented, p.hypothesis, settings.kinds, against) for p in pieces]
+    kinds = [
+        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, one.screw_log_odds)
+        for p, one in zip(pieces, fitted, strict=True)
+    ]
     if doubt is not None and doubt.path is not None:
         fitted = [FittedPiece(0, len(track) - 1, doubt.path, np.zeros(3), None, doubt.log_evidence)]
         (shares,) = kinds
@@ -171,11 +174,12 @@ def fitted_pieces(
         FittedPiece(
             start=a,
             end=b,
-            joint=joints[p.hypothesis],
+            joint=joints[p.hypothesis][0],
             gain=gain[p.hypothesis],
             leader=_leader(p, segmented),
             log_evidence=p.log_evidence,
             settled=p.hypothesis < len(settled),
+            screw_log_odds=joints[p.hypothesis][1],
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
@@ -213,14 +217,17 @@ def _joints(
     settings: LearnSettings,
     rng: np.random.Generator,
     settled: Sequence[Joint],
-) -> dict[int, Joint]:
-    """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won."""
-    found = dict(enumerate(settled))
+) -> dict[int, tuple[Joint, float | None]]:
+    """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won.
+
+    Beside them the log odds of a screw against a hinge.
+    """
+    found: dict[int, tuple[Joint, float | None]] = {i: (joint, None) for i, joint in enumerate(settled)}
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces if piece.hypothesis >= len(settled)):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
         )
-        found[hypothesis] = fit_joint(
+        fitted = fit_joint(
             segmented.table.pool.hypotheses.joints.joint(hypothesis),
             track.position[rows],
             None if track.quaternion is None else track.quaternion[rows],
@@ -228,7 +235,8 @@ def _joints(
             inlier[rows].astype(float),
             rng,
             settings,
-        ).joint
+        )
+        found[hypothesis] = fitted.joint, fitted.screw_log_odds
     return found
 
 

@@ -34,6 +34,7 @@ class FittedPiece:
         leader: the joint that won the evidence; None for rigid.
         log_evidence: of the model for these rows.
         settled: whether the joint is on its coordinate already and stays as it is.
+        screw_log_odds: `FittedJoint`'s.
     """
 
     start: int
@@ -43,6 +44,7 @@ class FittedPiece:
     leader: Joint | None
     log_evidence: float
     settled: bool = False
+    screw_log_odds: float | None = None
 
     def index(self, inlier: Booleans) -> Ints:
         """Its rows that count, or all of them where none does."""

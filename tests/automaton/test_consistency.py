@@ -133,6 +133,21 @@ def test_a_part_that_jumps_from_mode_to_mode_is_suspected() -> None:
     assert back.startswith("transition rigid -> revolute: part door jumps by 5")
 
 
+def test_a_number_of_one_step_that_is_larger_than_the_range_is_suspected() -> None:
+    def drifting(by: float) -> HybridAutomaton:
+        return replace(door(), effects=(Effect("bias", "door", (("bias", by),), modes=("revolute",)),))
+
+    def beyond(automaton: HybridAutomaton) -> list[str]:
+        return [line for line in suspicions(automaton) if "has a range of" in line]
+
+    assert beyond(drifting(-0.05)) == []
+    (drift,) = beyond(drifting(-5.0))
+    assert drift.startswith("modes.revolute: drift of door: 5 rad")
+    noisy = replace(door().noise, process_std=(30.0,), observation_std=(1.0,))
+    (noise,) = beyond(replace(door(), noise=noisy))
+    assert noise.startswith("noise.process_std.door: 30 rad")
+
+
 @pytest.mark.parametrize("automaton", [two_rails(), detent(), plain({"a": ONE}, [])])
 def test_parts_that_stay_where_they_are_are_not_suspected(automaton: HybridAutomaton) -> None:
     assert suspicions(automaton) == ()

@@ -67,6 +67,7 @@ class ErrorPosterior:
         modes: (n, m) of a misfit of the joint at the rows (`misfit_modes`).
         chance: (s,) probabilities of sizes of that misfit.
         position, rotation: (s,) its variances [m², rad²].
+        log_evidence: ln density of what the fit leaves, its numbers (flat) and the noise integrated out.
     """
 
     noises: tuple[tuple[float, TrackerNoise], ...]
@@ -74,6 +75,7 @@ class ErrorPosterior:
     chance: Floats
     position: Floats
     rotation: Floats
+    log_evidence: float
 
     @property
     def likeliest(self) -> TrackerNoise:
@@ -128,12 +130,14 @@ def noise_of(
         if probability[i]
     )
     chance, size = _sizes(position, probability)
+    evidence = _log_density(found, contrasts, within, scales)
     if rotation is None:
-        return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size))
+        return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size), evidence)
     turning_chance, turning_size = _sizes(rotation, probability)
     # A position and a rotation miss by sizes of their own: every pair of these.
     both = np.outer(chance, turning_chance).ravel()
-    return ErrorPosterior(noises, modes, both, np.repeat(size, len(turning_size)), np.tile(turning_size, len(size)))
+    sizes = np.repeat(size, len(turning_size)), np.tile(turning_size, len(size))
+    return ErrorPosterior(noises, modes, both, *sizes, evidence)
 
 
 def _sizes(found: NoisePosterior, probability: Floats) -> tuple[Floats, Floats]:
@@ -154,7 +158,7 @@ def log_evidence(
     configuration: Floats,
     scales: Scales,
 ) -> float:
-    """Ln density of what a fit of some numbers leaves, those numbers (flat) and the noise integrated out.
+    """`ErrorPosterior.log_evidence` alone, 0 where rows are too few to tell.
 
     Args:
         contrasts, configuration, scales: those of `noise_of`.
@@ -162,8 +166,12 @@ def log_evidence(
         tried: `wanders` at the times of the rows.
     """
     found = _posteriors(contrasts, within, tried, misfit_modes(configuration), scales)
-    if found is None:
-        return 0.0
+    return 0.0 if found is None else _log_density(found, contrasts, within, scales)
+
+
+def _log_density(
+    found: Sequence[NoisePosterior], contrasts: Sequence[Contrasts], within: Floats, scales: Scales
+) -> float:
     columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
     # The posteriors integrate over orthonormal numbers. What rows tell less of than a metre or a radian has no volume.
     squares = np.linalg.eigvalsh(columns.T @ columns)

@@ -11,6 +11,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.joint import KINDS, JointKind
+from micah_plan.learn.joints.final_fit import PITCH, SCREW_CHOSEN
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.segmenting.pool import Pool
@@ -19,15 +20,12 @@ from micah_plan.learn.track import PartTrack
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
-# Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
-# not ideal. So a screw is chosen as if there were one in a hundred.
-RARE_SCREW, SCREW_CHOSEN = 2.7, 4.6
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
 _BLOCKS = 8  # in which the rows are averaged to see so
 _TRAVEL = 7.0  # a motion, in the noise of these means
 _DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of these means
 # Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
-_WIDTHS = np.array([1.0] * 12 + [0.1])
+_WIDTHS = np.array([1.0] * 12 + [PITCH])
 
 
 def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> tuple[Floats, Floats]:
@@ -55,7 +53,7 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     information = (flat @ flat.swapaxes(2, 3)).sum(axis=1) * (count / _SAMPLES)[:, None, None]
     narrower = np.linalg.slogdet(np.eye(len(widths)) + trust * information)[1]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
-    far = 0.5 * (reach**2 + (joints.pitch / _WIDTHS[-1]) ** 2)
+    far = 0.5 * (reach**2 + (joints.pitch / PITCH) ** 2)
     return np.asarray(far + SCREW_CHOSEN * joints.twisting + 0.5 * narrower)
 
 

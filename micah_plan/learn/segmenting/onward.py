@@ -175,7 +175,8 @@ def _selected(
     apart = most_probable(RunningEvidence(table, settings.kinds, every), prior, rng, settings.particles)
     new = sorted({piece.hypothesis for piece in apart.pieces if piece.hypothesis >= k})
     best = _charged(apart, table, k) if not new else _shared(table, k, new, prior, settings, rng)
-    while new:
+    # Where nothing is known, as after rows that no joint holds, something new must stay.
+    while len(new) > (k == 0):
         fewer = [[i for i in new if i != dropped] for dropped in new]
         tried = [_shared(table, k, some, prior, settings, rng) for some in fewer]
         i = max(range(len(tried)), key=lambda j: tried[j].log_probability)

@@ -7,10 +7,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import expit
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.segmenting.occam import RARE_SCREW, SCREW_CHOSEN
+from micah_plan.learn.joints.final_fit import RARE_SCREW, SCREW_CHOSEN
 from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
 from micah_plan.learn.segmenting.segmented import Alternative, Segmented
 from micah_plan.learn.segmenting.selection import ANOTHER_JOINT
@@ -87,11 +88,13 @@ def kind_probabilities(
     hypothesis: int,
     kinds: Sequence[JointKind],
     free: float,
+    screw: float | None = None,
 ) -> tuple[tuple[JointKind, float], ...]:
     """Probability of every kind of joint for all rows of one joint.
 
     Args:
         free: log odds of free motion against all segments together [nats].
+        screw: of a screw against a hinge, as likely before, as the joint's last fit has them; None: as the steps do.
     """
     table, pieces = found.table, found.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
@@ -127,5 +130,9 @@ def kind_probabilities(
         there = list(kinds).index(one.kinds[int(np.argmax(np.bincount(one.of_row[governed])))])
         if there != own:
             share[there] = max(share[there], _odds(one, found) * share[own])
+    if screw is not None:
+        hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
+        advancing = float(expit(screw - RARE_SCREW))
+        share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
     share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
