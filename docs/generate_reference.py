@@ -60,6 +60,13 @@ INTRODUCTIONS = {
         "Motions in open loop, which `micah-plan calibrate --experiment` writes and `micah-plan execute` makes. See "
         "[the next experiment](../concepts/calibration.md#the-next-experiment).",
     ),
+    "conventions": (
+        "Conventions file",
+        "examples/demonstrations/laboratory.conventions.yaml",
+        "How somebody else's recording is meant: names of columns, units, rate, upward axis. That of `door.csv` is "
+        "`door.conventions.yaml` beside it. See [other people's tables]"
+        "(../concepts/recording.md#other-peoples-tables).",
+    ),
     "plan": (
         "Plan file",
         "",

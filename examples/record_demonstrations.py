@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from objects import DOOR_OPEN, LID_OPEN, STAPLER_OPEN, cabinet, drawer, lidded_box, microwave, stapler
+from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
@@ -123,6 +124,18 @@ def shut_lid(seed: int = 5) -> Recording:
     return demonstration(lidded_box(), targets, seed)
 
 
+def as_a_lab_logs(recording: Recording) -> str:
+    """The poses and actions of a recording as the CSV of a laboratory: milliseconds, millimetres, y upwards, scalar
+    first; `LAB.conventions.yaml` beside it says so."""
+    upright = Rotation.from_euler("x", -90, degrees=True)
+    turned = (upright * Rotation.from_quat(recording.quaternion)).as_quat()
+    position, action = (1e3 * v[:, [0, 2, 1]] * (1.0, 1.0, -1.0) for v in (recording.position, recording.action))
+    rows = np.column_stack([1e3 * recording.time, position, turned[:, [3, 0, 1, 2]], action])
+    lines = ["stamp_ms,TX,TY,TZ,QW,QX,QY,QZ,dX,dY,dZ"]
+    lines += [",".join("" if np.isnan(value) else f"{value:.6g}" for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demonstrations"
     folder.mkdir(parents=True, exist_ok=True)
@@ -136,6 +149,7 @@ def main() -> None:
     for name, recording in made.items():
         write_csv(recording, folder / name)
         print(f"{folder / name}: {len(recording)} rows")
+    (folder / "laboratory.csv").write_text(as_a_lab_logs(made["microwave.csv"]), encoding="utf-8")
 
 
 if __name__ == "__main__":

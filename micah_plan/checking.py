@@ -43,10 +43,11 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def _check_recording(file: Path) -> tuple[str, ...]:
-    from micah_plan.recording.read import read_recording
+    from micah_plan.documents.conventions import load_recording
     from micah_plan.recording.suspicion import suspicions
 
-    return suspicions(read_recording(file))
+    recording = load_recording(file)
+    return recording.notes + suspicions(recording)
 
 
 def _check_model(file: Path) -> tuple[str, ...]:
@@ -61,6 +62,13 @@ def _check_parts(file: Path) -> tuple[str, ...]:
     from micah_plan.documents.parts import load_parts
 
     return tuple(far_handles(load_parts(file)))
+
+
+def _check_conventions(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.conventions import load_conventions
+
+    load_conventions(file)
+    return ()
 
 
 def _check_problem(file: Path) -> tuple[str, ...]:
@@ -117,6 +125,7 @@ _CHECKS: dict[FileKind, Callable[[Path], tuple[str, ...]]] = {
     "scene": _check_scene,
     "sweep": _check_sweep,
     "experiment": _check_experiment,
+    "conventions": _check_conventions,
     "plan": _check_plan,
     "recording": _check_recording,
 }

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from micah_plan.execution.plant import Plant, PlantMaker
     from micah_plan.execution.trials import Keep, TrialStatistics
     from micah_plan.explore.run import Exploration
+    from micah_plan.recording.conventions import Conventions
     from micah_plan.recording.value import Recording
     from micah_plan.residual.calibrate import Calibration
     from micah_plan.residual.next_experiment import Designed
@@ -68,15 +69,15 @@ class Learned:
         return f"{edge.child} relative to {self.base if edge.parent == BASE else edge.parent}"
 
 
-def read(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """A recording from a CSV, TUM or NPZ file.
+def read(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """A recording from a file of any format, by the conventions that are given or lie beside it.
 
     Raises:
         InputError: if it cannot be used; the message names file, row and remedy.
     """
-    from micah_plan.recording.read import read_recording
+    from micah_plan.documents.conventions import load_recording
 
-    return read_recording(Path(path), minimum_rows=minimum_rows)
+    return load_recording(Path(path), minimum_rows=minimum_rows, conventions=conventions)
 
 
 def is_long_enough(recording: Recording) -> bool:
@@ -123,8 +124,10 @@ def learn(
     provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
     if base is not None:
         provenance["frame"] = f"part {base}"
+    if recording.conventions:
+        provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
     bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
-    warnings = suspicions(recording) + small_motions(recording, settings or LearnSettings())
+    warnings = recording.notes + suspicions(recording) + small_motions(recording, settings or LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
     return Learned(recording, graph, automaton, time.perf_counter() - begin, reason, warnings, base or BASE)

@@ -22,9 +22,9 @@ FOLDERS = {
     "problems/experiments": "experiment",
     "examples/demonstrations": "recording",
 }
-SCENES = ("explore_handle",)
+OTHERS = {"explore_handle": "scene", "laboratory.conventions": "conventions"}
 SHIPPED = [
-    ("scene" if file.stem in SCENES else kind, file)
+    (OTHERS.get(file.stem, kind), file)
     for place, kind in FOLDERS.items()
     for file in sorted((ROOT / place).glob("*.*"))
 ]

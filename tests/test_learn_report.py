@@ -182,14 +182,30 @@ def test_an_older_model_is_left_as_it_was_and_the_table_names_the_misfit(run, tm
     assert not any(line.startswith("wrote") for line in lines)
 
 
-def test_millimetres_are_warned_of_on_stderr_and_in_json(run, repository, tmp_path):
+def test_what_looks_like_millimetres_is_learned_only_where_the_unit_is_stated(run, repository, tmp_path):
     recording = read_recording(repository / DEMONSTRATION)
     wrong = tmp_path / "millimetres.csv"
     write_recording(replace(recording, position=1000 * recording.position), wrong)
     code, printed = run(sure_graph(), "--json", recording=wrong)
+    assert code == 2
+    assert "if these are millimetres, say so: --units mm" in printed.err
+    assert not (tmp_path / "model.yaml").exists()
+    for unit in ("mm", "m"):
+        code, printed = run(sure_graph(), "--json", "--units", unit, recording=wrong)
+        assert code == 0
+        assert json.loads(printed.out)["warnings"] == []
+
+
+def test_a_row_far_away_is_warned_of_on_stderr_and_in_json(run, repository, tmp_path):
+    recording = read_recording(repository / DEMONSTRATION)
+    position = recording.position.copy()
+    position[40, 1] += 100.0
+    wrong = tmp_path / "lost.csv"
+    write_recording(replace(recording, position=position), wrong)
+    code, printed = run(sure_graph(), "--json", recording=wrong)
     assert code == 0
     (warning,) = json.loads(printed.out)["warnings"]
-    assert "are these millimetres?" in warning
+    assert "row 40" in warning
     assert printed.err == f"warning: {warning}\n"
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
+from micah_plan.cli.conventions import Columns, Order, PartName, Rate, Units, Up, conventions_of
 from micah_plan.errors import InputError, shown
 from micah_plan.outputs import PLAN, Output, check_outputs
 
@@ -39,6 +40,12 @@ def convert(
     poses_only: Annotated[
         bool, typer.Option("--poses-only", help="Of a recording, leave out actions, forces and other columns.")
     ] = False,
+    columns: Columns = None,
+    units: Units = None,
+    rate: Rate = None,
+    up: Up = None,
+    quaternion: Order = None,
+    name: PartName = None,
     density: Annotated[
         float, typer.Option(min=1.0, max=30000.0, help="Of a model's shapes [kg/m^3], for the masses of bodies.")
     ] = 500.0,
@@ -62,6 +69,7 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
+        conventions=conventions_of(columns, units, rate, up, quaternion, name),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}
@@ -82,7 +90,7 @@ def _packages(given: Sequence[str]) -> dict[str, str]:
 
 def schema(
     kind: Annotated[
-        Literal["problem", "model", "parts", "scene", "sweep", "experiment", "plan"],
+        Literal["problem", "model", "parts", "scene", "sweep", "experiment", "conventions", "plan"],
         typer.Argument(help="The kind of file."),
     ],
     output: Annotated[

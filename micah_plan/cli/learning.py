@@ -23,6 +23,7 @@ from micah_plan.cli.console import (
     progress_bar,
     table,
 )
+from micah_plan.cli.conventions import Columns, Order, PartName, Rate, Units, Up, conventions_of
 from micah_plan.errors import located_in
 from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
@@ -52,24 +53,33 @@ def learn(
         str | None,
         typer.Option(metavar="PART", help="Tracked part on which the object stands; the model is in its frame."),
     ] = None,
+    columns: Columns = None,
+    units: Units = None,
+    rate: Rate = None,
+    up: Up = None,
+    quaternion: Order = None,
+    name: PartName = None,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
+    conventions = conventions_of(columns, units, rate, up, quaternion, name)
     from micah_plan import workflow
     from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_files
     from micah_plan.learn.settings import FEWEST_ROWS
+    from micah_plan.recording.suspicion import require_conventions
 
     written = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
     check_outputs((recording, parts), written)
     shapes = () if parts is None else load_parts(parts)
     with progress_bar(as_json) as progress:
-        measured = workflow.read(recording, minimum_rows=FEWEST_ROWS)
+        measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=conventions)
         with located_in(recording):
+            require_conventions(measured)
             found = workflow.learn(measured, method=method, seed=seed, parts=shapes, base=base, progress=progress)
     print_warnings(found.warnings)
     contents: dict[Path, bytes] = {}

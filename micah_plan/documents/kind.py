@@ -13,8 +13,8 @@ from micah_plan.documents.located import choices
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import InputError, shown
 
-FileKind = Literal["model", "parts", "problem", "scene", "sweep", "experiment", "plan", "recording"]
-_YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "sweep", "experiment")
+FileKind = Literal["model", "parts", "problem", "scene", "sweep", "experiment", "conventions", "plan", "recording"]
+_YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "sweep", "experiment", "conventions")
 
 
 def kind_of(path: str | Path) -> FileKind:
@@ -43,12 +43,13 @@ def schema(kind: str) -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of a file.
 
     Args:
-        kind: ``"model"``, ``"parts"``, ``"problem"``, ``"scene"``, ``"sweep"``, ``"experiment"`` or
-            ``"plan"``.
+        kind: ``"model"``, ``"parts"``, ``"problem"``, ``"scene"``, ``"sweep"``, ``"experiment"``,
+            ``"conventions"`` or ``"plan"``.
 
     Raises:
         InputError: for another kind.
     """
+    from micah_plan.documents.conventions import ConventionsDocument
     from micah_plan.documents.experiment import ExperimentDocument
     from micah_plan.documents.exploration import SceneDocument
     from micah_plan.documents.model import ModelDocument
@@ -64,6 +65,7 @@ def schema(kind: str) -> dict[str, Any]:
         "scene": SceneDocument,
         "sweep": SweepDocument,
         "experiment": ExperimentDocument,
+        "conventions": ConventionsDocument,
         "plan": PlanDocument,
     }
     if kind not in layouts:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from micah_plan.documents.conventions import load_recording
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
@@ -24,7 +25,8 @@ from micah_plan.exchange.urdf_read import load_urdf
 from micah_plan.exchange.urdf_write import urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
-from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.read import write_recording
 from micah_plan.recording.value import Recording
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write_log
 
@@ -65,6 +67,7 @@ def convert(
     poses_only: bool = False,
     density: float = DENSITY,
     packages: Mapping[str, str] | None = None,
+    conventions: Conventions | None = None,
 ) -> tuple[Kind, tuple[str, ...]]:
     """Write what one file holds into another, at once or not at all.
 
@@ -75,6 +78,7 @@ def convert(
         poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
         density: of the shapes of a model, for the masses of bodies [kg/m^3].
         packages: of a URDF, folder by package name of its meshes.
+        conventions: of a recording; None: those that lie beside it, if any.
 
     Returns:
         What it was, and what of it is not in the target, one line each.
@@ -89,7 +93,9 @@ def convert(
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
     given = Path(source).suffix.lower()
     if ".rrd" in TARGETS[given]:
-        recording, notes = _chosen(read_recording(source, topics=topics), part, run, poses_only)
+        found = load_recording(source, topics=topics, conventions=conventions)
+        recording, notes = _chosen(found, part, run, poses_only)
+        notes = found.notes + notes
         if wanted == ".rrd":
             lost = write_rrd(recording, target)
             return "recording", notes + ((f"left out: {', '.join(lost)}, no numbers",) if lost else ())

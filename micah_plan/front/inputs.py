@@ -11,11 +11,12 @@ import numpy as np
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.front.comparisons import CalibrationResult
 from micah_plan.front.results import ExplorationResult, LearningResult, PlanningResult, RunsResult
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.recording.checks import checked
+from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
 from micah_plan.task.experiment import Experiment
 from micah_plan.task.problem import Problem
@@ -34,11 +35,13 @@ Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experi
 """What files hold."""
 
 
-def load(source: Source | Mapping[str, Any]) -> Loaded:
+def load(source: Source | Mapping[str, Any], **conventions: Any) -> Loaded:
     """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
 
     Args:
         source: the file; or data with the keys of a model file, which is how a model is made by hand, with names.
+        **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
+            length="mm", up="y"``.
 
     Raises:
         InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
@@ -49,7 +52,9 @@ def load(source: Source | Mapping[str, Any]) -> Loaded:
 
     kind = kind_of(source)
     if kind == "recording":
-        return recording_of(source)
+        return recording_of(source, conventions=conventions_of(conventions))
+    if conventions:
+        raise InputError(f"a {kind} has no conventions", source=source, remedy="leave them out")
     if kind == "problem":
         return problem_of(source)
     if kind == "plan":
@@ -67,16 +72,29 @@ def load(source: Source | Mapping[str, Any]) -> Loaded:
     return automaton_of(source)
 
 
-def recording_of(given: Measured, *, minimum_rows: int = 1) -> Recording:
-    """A recording, whose rows are what a recording promises.
+def conventions_of(given: Mapping[str, Any]) -> Conventions | None:
+    """How a recording is meant; None where nothing is said.
+
+    Raises:
+        InputError: for a name that conventions do not have.
+    """
+    known = [one.name for one in fields(Conventions)]
+    for name in given:
+        if name not in known:
+            raise InputError(f"conventions have no {shown(name)}", remedy=f"choose among {', '.join(known)}")
+    return Conventions(**given) if given else None
+
+
+def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """A recording, whose rows are what a recording promises; the conventions are those of a path.
 
     Raises:
         InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
     """
-    from micah_plan.recording.read import read_recording
+    from micah_plan.documents.conventions import load_recording
 
     if isinstance(given, Source):
-        return read_recording(given, minimum_rows=minimum_rows)
+        return load_recording(given, minimum_rows=minimum_rows, conventions=conventions)
     if isinstance(given, RunsResult | LearningResult):
         return given.recording
     if isinstance(given, list | tuple) and given:
@@ -100,8 +118,18 @@ def joined(recordings: Sequence[Recording]) -> Recording:
 
 
 def demonstration_of(given: Measured) -> Recording:
-    """A recording of as many rows as learning needs."""
-    return recording_of(given, minimum_rows=FEWEST_ROWS)
+    """A recording of as many rows as learning needs; a file whose units look wrong must say what they are.
+
+    Raises:
+        InputError: also where a file looks misread (`recording.suspicion`).
+    """
+    from micah_plan.recording.suspicion import require_conventions
+
+    recording = recording_of(given, minimum_rows=FEWEST_ROWS)
+    if isinstance(given, Source):
+        with located_in(given):
+            require_conventions(recording)
+    return recording
 
 
 def automaton_of(given: Modelled) -> HybridAutomaton:

@@ -31,7 +31,10 @@ LARGEST = {
     **dict.fromkeys(FORCE, 1e9),
 }
 
-_HEADER_REMEDY = "the first line names the columns: t,x,y,z and optionally run, part, qx..qw, ax..az, fx..fz"
+_HEADER_REMEDY = (
+    "the first line names the columns t,x,y,z and optionally run, part, qx..qw, ax..az, fx..fz; "
+    "other names are said by --columns t=Time,x=TX,y=TY,z=TZ"
+)
 
 MOST_PARTS = 1000
 NORM_TOLERANCE = 0.01 + 1e-12  # a norm of 0.99 is within 1 %, though 1 - 0.99 rounds to more than 0.01
@@ -123,6 +126,10 @@ def _check_values(recording: Recording, place: Place) -> None:
             good |= np.isnan(values)
         if not good.all():
             row = int(np.argmin(good))
+            if np.isnan(values[row]) and name in (*POSITION, *QUATERNION):
+                problem = "expected a number, found nothing, though other numbers of the pose are there"
+                remedy = "fill in the value, or empty the whole pose where the part was lost"
+                raise InputError(problem, where=place(row, name), remedy=remedy)
             problem = f"expected a finite number of at most {LARGEST[name]:g} in size, found {values[row]:g}"
             raise InputError(problem, where=place(row, name), remedy="give measured values in SI units (s, m, N)")
     for names, array in ((ACTION, recording.action), (FORCE, recording.force)):

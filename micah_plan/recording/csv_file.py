@@ -1,14 +1,18 @@
 """The recording CSV: one header line, comma separated, UTF-8, SI units, rows in time order.
 
 Columns, in any order: ``t,x,y,z`` and optionally ``run``, ``part``, ``qx,qy,qz,qw``, ``ax,ay,az`` (empty only in the
-last row of a run) and ``fx,fy,fz``. All others are kept as the text they are.
+last row of a run) and ``fx,fy,fz``. All others are kept as the text they are. A row whose pose is empty is one in which
+the tracker had lost the part. Tables of others are read by `conventions`.
 """
 
 from __future__ import annotations
 
 import csv
+import difflib
 import math
+from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +25,45 @@ from micah_plan.recording.checks import (
     KNOWN,
     MAY_BE_EMPTY,
     NUMERIC,
+    POSITION,
+    QUATERNION,
     Place,
     check_header,
     checked,
     numeric_columns,
 )
+from micah_plan.recording.conventions import (
+    FIXED_ANGLES,
+    ROTATION_VECTOR,
+    Conventions,
+    as_recorded,
+    source_of,
+    turns_of,
+    without_gaps,
+)
+from micah_plan.recording.motion_capture import Table, motion_capture_table
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
 from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
 
 
-def read_csv(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """`read_recording` of a CSV file.
+def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """`read_recording` of a CSV file, also as Motive and Vicon write it.
 
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.
     """
     with located_in(path):
-        names, rows, line_numbers = _table(read_lines(path))
-        columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+        lines, meant = read_lines(path), conventions or Conventions()
+        table = motion_capture_table(lines) or _table(lines, meant)
+        meant, line_numbers = meant.or_else(table.conventions), table.line_numbers
 
         def place(row: int, column: str) -> str:
-            return f"line {line_numbers[row]}, column {shown(column)}"
+            return f"line {line_numbers[row]}, column {shown(table.called.get(column, column))}"
 
-        return checked(_recording(columns, place), minimum_rows=minimum_rows, place=place)
+        read = replace(as_recorded(_recording(table, place, meant), meant), notes=table.notes)
+        recording, kept = without_gaps(read)
+        line_numbers = [line_numbers[i] for i in kept.tolist()]
+        return checked(recording, minimum_rows=minimum_rows, place=place)
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:
@@ -68,26 +88,66 @@ def csv_bytes(recording: Recording, path: str | Path) -> bytes:
     return ("\n".join((header, *rows)) + "\n").encode()
 
 
-def _table(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
-    """Column names, fields per row, and the line number of each row; blank lines are skipped."""
+def _table(lines: list[str], meant: Conventions) -> Table:
+    """The lines as columns and rows; blank lines are skipped."""
     filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
     header, numbers = filled[0], filled[1:]
     raw = _fields(lines[header - 1], header)
-    names = [name.strip() if name.strip() in KNOWN else name for name in raw]
     where = f"line {header}"
-    if all(is_number(name) for name in names):
+    if all(is_number(name) for name in raw):
         problem = f"expected a header line, found {shown(','.join(raw))}"
         raise InputError(problem, where=where, remedy="put the names of the columns first, such as t,x,y,z")
-    check_header(names, where=where)
+    own, factors = _renamed(raw, meant, where)
+    counted = meant.rate is not None and "t" not in own
+    check_header(["t", *own] if counted else own, where=where)
     if not numbers:
         raise InputError("the header is followed by no rows", where=where, remedy="record at least one row")
-    rows = [_fields(lines[number - 1], number) for number in numbers]
+    rows = [_fields(lines[n - 1], n) for n in numbers]
     for number, row in zip(numbers, rows, strict=True):
-        if len(row) != len(names):
-            problem = f"expected {len(names)} fields as in the header, found {len(row)}"
+        if len(row) != len(own):
+            problem = f"expected {len(own)} fields as in the header, found {len(row)}"
             remedy = "separate by commas, write numbers with a point, quote text that holds a comma"
             raise InputError(problem, where=f"line {number}", remedy=remedy)
-    return names, rows, numbers
+    columns = dict(zip(own, zip(*rows, strict=True), strict=True))
+    if counted:
+        columns = {"t": _counted(columns, len(rows)), **columns}
+    called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
+    turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
+    return Table(columns, numbers, factors=factors, called=called, turned=frozenset(turned))
+
+
+def _renamed(raw: list[str], meant: Conventions, where: str) -> tuple[list[str], dict[str, float]]:
+    """The names of columns as a recording has them, and factors of their numbers by name; what else is called so stays
+    a further column of the file."""
+    stripped = [name.strip() for name in raw]
+    ours: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    for wanted, text in meant.columns.items():
+        name, factors[wanted] = source_of(text, stripped)
+        if name not in stripped:
+            close = difflib.get_close_matches(name, stripped, 1)
+            remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(','.join(stripped))}"
+            raise InputError(f"there is no column {shown(name)} to read as {wanted}", where=where, remedy=remedy)
+        if name in ours:
+            problem = f"column {shown(name)} is read as {ours[name]} and as {wanted}"
+            raise InputError(problem, where=where, remedy="name each column once")
+        ours[name] = wanted
+    # Of a known name blanks do not count; further columns keep theirs.
+    plain = [name if name in KNOWN else text for name, text in zip(stripped, raw, strict=True)]
+    pairs = zip(stripped, plain, strict=True)
+    own = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
+    return own, factors
+
+
+def _counted(columns: Mapping[str, tuple[str, ...]], rows: int) -> tuple[str, ...]:
+    """The number of each row among those of its run and part."""
+    groups = zip(*(columns.get(name, ("",) * rows) for name in ("run", "part")), strict=True)
+    numbers: Counter[tuple[str, ...]] = Counter()
+    counted = []
+    for group in groups:
+        counted.append(str(numbers[group]))
+        numbers[group] += 1
+    return tuple(counted)
 
 
 def _fields(line: str, number: int) -> list[str]:
@@ -101,16 +161,23 @@ def _fields(line: str, number: int) -> list[str]:
         raise InputError(problem, where=f"line {number}", remedy=remedy) from None
 
 
-def _recording(columns: Mapping[str, tuple[str, ...]], place: Place) -> Recording:
+def _recording(table: Table, place: Place, meant: Conventions) -> Recording:
     """The columns as values; of several unreadable ones the first in the file is reported."""
-    values: dict[str, NDArray[Any]] = {}
+    columns, values = table.columns, dict[str, NDArray[Any]]()
+    lost = {*POSITION, *QUATERNION, *table.turned}
     unreadable: list[tuple[int, int, str, UnreadableValue]] = []
     for index, (name, texts) in enumerate(columns.items()):
         try:
             if name == "run":
                 values[name] = integers(texts)
+            elif name in lost:
+                values[name] = floats(
+                    ["" if text.strip().lower() == "nan" else text for text in texts], may_be_empty=True
+                )
             elif name in NUMERIC:
                 values[name] = floats(texts, may_be_empty=name in MAY_BE_EMPTY)
+            if table.factors.get(name, 1.0) != 1.0 and name in values and name != "run":
+                values[name] = table.factors[name] * values[name]
         except UnreadableValue as error:
             unreadable.append((error.row, index, name, error))
     if unreadable:
@@ -121,15 +188,20 @@ def _recording(columns: Mapping[str, tuple[str, ...]], place: Place) -> Recordin
         raise InputError(found.problem, where=place(row, name), remedy=found.remedy)
 
     given = {field: [values[name] for name in names] for field, names in COLUMNS.items() if names[0] in values}
-    arrays = {field: np.stack(parts, axis=-1) if len(parts) > 1 else parts[0] for field, parts in given.items()}
+    arrays: dict[str, Any] = {
+        field: np.stack(parts, axis=-1) if len(parts) > 1 else parts[0] for field, parts in given.items()
+    }
     if "run" in columns:
         arrays["run"] = values["run"]
+    turned = turns_of(values, meant.angle)
+    if turned is not None:
+        arrays["quaternion"] = turned
     return Recording(
         **arrays,
         part=columns.get("part", ()),
         has_run="run" in columns,
         has_part="part" in columns,
-        extra={name: texts for name, texts in columns.items() if name not in KNOWN},
+        extra={name: texts for name, texts in columns.items() if name not in KNOWN and name not in values},
     )
 
 

@@ -106,7 +106,7 @@ def _flat(table: Table) -> Recording:
     for group in OPTIONAL_GROUPS:
         if 0 < sum(name in table for name in group) < len(group):
             raise InputError(f"expected {', '.join(group)} together", remedy="add the missing columns")
-    arrays = {
+    arrays: dict[str, Any] = {
         field: np.stack([table[name] for name in names], axis=-1) if len(names) > 1 else table[names[0]]
         for field, names in COLUMNS.items()
         if names[0] in table

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
+from micah_plan.recording.checks import checked
+from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.csv_file import csv_bytes, read_csv
 from micah_plan.recording.mcap_file import mcap_bytes, read_mcap, read_ros_bag
 from micah_plan.recording.npz_file import npz_bytes, read_npz
@@ -14,7 +16,7 @@ from micah_plan.recording.parquet_file import read_parquet
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 
-_READERS = {".csv": read_csv, ".npz": read_npz, ".parquet": read_parquet, ".tum": read_tum}
+_READERS = {".npz": read_npz, ".parquet": read_parquet, ".tum": read_tum}
 _CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
 BAGS = (".mcap", ".db3", ".bag")
 _REMEDY = (
@@ -23,7 +25,13 @@ _REMEDY = (
 )
 
 
-def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collection[str] = ()) -> Recording:
+def read_recording(
+    path: str | Path,
+    *,
+    minimum_rows: int = 1,
+    topics: Collection[str] = (),
+    conventions: Conventions | None = None,
+) -> Recording:
     """Read a recording from a .csv, .tum, .txt, .npz, .parquet, .mcap, .db3 or .bag file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
@@ -33,6 +41,8 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
         topics: of a file of ROS messages, which to read; empty: all.
+        conventions: units, upward axis and the like of the file, if they are not those of a recording; names of columns
+            and the rate of CSV files alone.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
@@ -41,15 +51,26 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, topics: Collectio
     suffix = Path(path).suffix.lower()
     if suffix in BAGS:
         reader = read_mcap if suffix == ".mcap" else read_ros_bag
-        return reader(path, minimum_rows=minimum_rows, topics=topics)
+        return _as_recorded(reader(path, minimum_rows=minimum_rows, topics=topics), path, conventions)
     if topics:
         raise InputError("only .mcap, .bag and .db3 files have topics", source=path, remedy="leave out the topics")
     if suffix == ".txt":
         suffix = ".csv" if _has_commas(path) else ".tum"
-    if suffix not in _READERS:
+    if suffix != ".csv" and suffix not in _READERS:
         read_bytes(path)  # that it does not exist or is a directory is the better message
         raise _unknown(path, suffix)
-    return _READERS[suffix](path, minimum_rows=minimum_rows)
+    if suffix == ".csv":
+        return read_csv(path, minimum_rows=minimum_rows, conventions=conventions)
+    return _as_recorded(_READERS[suffix](path, minimum_rows=minimum_rows), path, conventions)
+
+
+def _as_recorded(found: Recording, path: str | Path, conventions: Conventions | None) -> Recording:
+    if conventions is None:
+        return found
+    with located_in(path):
+        if conventions.columns or conventions.rate is not None:
+            raise InputError("only CSV files have columns to name and rows to count", remedy="leave these out")
+        return checked(as_recorded(found, conventions))
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:

@@ -1,6 +1,7 @@
-"""What looks like a mistake in a recording that can be read: units of length and time, order of quaternions.
+"""What looks like a mistake in a recording that can be read: units of length and time, order and signs of quaternions.
 
-Nothing is refused and nothing corrected: each suspicion is one line that says what was seen and what to check.
+Nothing is corrected: each suspicion is one line that says what was seen and what to do. What `Conventions` state is not
+doubted; what they leave open is, and then nothing should be learned (`require_conventions`).
 
 Rules, each of them with what it cannot see:
 
@@ -17,8 +18,9 @@ Rules, each of them with what it cannot see:
   microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it.
 - **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
   map of quaternions, so all angles between rows remain. But a part that turns about a fixed axis moves with it: its
-  origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, it probably is. A
-  part that does not turn, or only about what remains its axis, does not show it.
+  origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, or with other signs
+  (the inverse turn; positions and turns of frames of which one is left-handed), it is probably so. A part that does not
+  turn, or only about what remains its axis, does not show it.
 """
 
 from __future__ import annotations
@@ -27,8 +29,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
+from micah_plan.errors import InputError
 from micah_plan.quantities import percent, quantity
 from micah_plan.recording.breaks import breaks
+from micah_plan.recording.checks import QUATERNION
+from micah_plan.recording.conventions import TIMES
 from micah_plan.recording.value import Recording
 
 LARGEST_EXTENT_M = 20.0
@@ -38,7 +43,7 @@ LARGEST_ACTION_M = 0.3
 LONGEST_GAP_S = 3600.0
 
 _FEWEST_ROWS = 10
-_CLOCKS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
+_CLOCKS = tuple((name, second) for name, second in TIMES.items() if second < 1.0)
 # The clock that is meant is the coarsest with which a pose comes at least this often [s].
 _SLOWEST_S = 1.0
 # Below this range of turning, noise and the motion of the origin cannot be told apart [rad].
@@ -46,18 +51,47 @@ _LEAST_TURN = 0.3
 # The given order must leave much of the motion of the origin unexplained, and the other one at most half of that.
 _UNEXPLAINED = 0.2
 _FAR_BETTER = 0.5
+# Signs of a quaternion that differ, by what it then means: what is mirrored along an axis turns the other way about the
+# two others.
+_SIGNS = {
+    "turn the other way": ("qx", "qy", "qz"),
+    "are of a frame whose x points the other way": ("qy", "qz"),
+    "are of a frame whose y points the other way": ("qx", "qz"),
+    "are of a frame whose z points the other way": ("qx", "qy"),
+}
+_AS_READ = "--units m,s --quaternion xyzw"
 # Millimetres are a thousand times metres; noise makes steps of the part look larger than they are.
 _FAR_MORE = 100.0
 
 
 def suspicions(recording: Recording) -> tuple[str, ...]:
     """What looks wrong in a recording, one line each; empty if nothing does."""
-    found: list[str] = []
+    actions = (_actions(recording.select(part=part), part) for part in recording.parts)
+    lines = (*misread(recording), *actions, *breaks(recording), _gap(recording))
+    return tuple(line for line in lines if line)
+
+
+def misread(recording: Recording) -> tuple[str, ...]:
+    """What looks as if the file had other conventions than a recording, and nobody said which, one line each."""
+    stated = recording.conventions.keys()
+    lines: list[str] = []
     for part in recording.parts:
         rows = recording.select(part=part)
-        lines = (_length(rows, part), _actions(rows, part), _quaternion(rows, part))
-        found += [line for line in lines if line]
-    return (*found, *breaks(recording), *([line] if (line := _time(recording)) else []))
+        lines += [] if "length" in stated else [_length(rows, part)]
+        lines += [] if "quaternion" in stated else [_quaternion(rows, part)]
+    lines += [] if stated & {"time", "rate"} else [_clock(recording)]
+    return tuple(line for line in lines if line)
+
+
+def require_conventions(recording: Recording) -> None:
+    """Check that nothing looks misread.
+
+    Raises:
+        InputError: for the first of `misread`, with the options that say how it is meant.
+    """
+    for line in misread(recording):
+        problem, _, remedy = line.partition("; ")
+        raise InputError(problem, remedy=f"{remedy}; if they are right as read, say that: {_AS_READ}")
 
 
 def _length(rows: Recording, part: str) -> str:
@@ -69,7 +103,7 @@ def _length(rows: Recording, part: str) -> str:
         seen = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
     else:
         return ""
-    return f"{seen}; positions and actions are in m: are these millimetres? then divide x,y,z (and ax,ay,az) by 1000"
+    return f"{seen}; positions and actions are read in m: if these are millimetres, say so: --units mm"
 
 
 def _actions(rows: Recording, part: str) -> str:
@@ -85,24 +119,38 @@ def _actions(rows: Recording, part: str) -> str:
         return ""
     return (
         f"part '{part}' moves by {quantity(moved, 'm')} per row where actions ask for {quantity(asked, 'm')}; actions "
-        "are in m: are these millimetres? then divide ax,ay,az by 1000"
+        "are read in m: if these are millimetres, say so: --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az"
     )
 
 
-def _time(recording: Recording) -> str:
+def _gap(recording: Recording) -> str:
+    steps = _steps(recording)
+    longest = float(steps.max(initial=0.0))
+    if longest <= LONGEST_GAP_S or _slow(steps):
+        return ""
+    remedy = "was a clock set, or are these two recordings? then give each its number in a column 'run'"
+    return f"a row is {quantity(longest, 's')} after the one before it; {remedy}"
+
+
+def _clock(recording: Recording) -> str:
+    steps = _steps(recording)
+    if not _slow(steps):
+        return ""
+    step = float(np.median(steps))
+    clock = next((name for name, ticks in _CLOCKS if step * ticks <= _SLOWEST_S), "ns")
+    return f"rows are {quantity(step, 's')} apart; times are read in s: if they are in {clock}, say so: --units {clock}"
+
+
+def _slow(steps: Floats) -> bool:
+    return len(steps) + 1 >= _FEWEST_ROWS and float(np.median(steps)) > LONGEST_STEP_S
+
+
+def _steps(recording: Recording) -> Floats:
+    """Times between rows that follow each other in a run, of each part [s]."""
     _, part = np.unique(np.array(recording.part), return_inverse=True)
     order = np.lexsort((part, recording.run))  # stable: rows of one run and part stay in the order of time
     group = np.column_stack([recording.run, part])[order]
-    steps = np.diff(recording.time[order])[(group[1:] == group[:-1]).all(axis=1)]
-    step = float(np.median(steps)) if len(steps) + 1 >= _FEWEST_ROWS else 0.0
-    if step <= LONGEST_STEP_S:
-        longest = float(steps.max(initial=0.0))
-        if longest <= LONGEST_GAP_S:
-            return ""
-        remedy = "was a clock set, or are these two recordings? then give each its number in a column 'run'"
-        return f"a row is {quantity(longest, 's')} after the one before it; {remedy}"
-    clock = next((name for name, ticks in _CLOCKS if step / ticks <= _SLOWEST_S), "nanoseconds")
-    return f"rows are {quantity(step, 's')} apart; times are in s: are these {clock}? then convert the column t"
+    return np.asarray(np.diff(recording.time[order])[(group[1:] == group[:-1]).all(axis=1)])
 
 
 def _quaternion(rows: Recording, part: str) -> str:
@@ -112,15 +160,23 @@ def _quaternion(rows: Recording, part: str) -> str:
     turned = float(np.quantile((given * given[len(rows) // 2].inv()).magnitude(), 0.95))
     if turned < _LEAST_TURN:
         return ""
+    as_given = _unexplained(rows.position, given)
+    if as_given < _UNEXPLAINED:
+        return ""
     # (w, x, y, z) was read as (x, y, z, w), so the scalar stands first.
-    reordered = Rotation.from_quat(rows.quaternion[:, [1, 2, 3, 0]])
-    as_given, as_reordered = (_unexplained(rows.position, rotation) for rotation in (given, reordered))
-    if as_given < _UNEXPLAINED or as_reordered > _FAR_BETTER * as_given:
+    others = {("have the scalar first", "--quaternion wxyz"): rows.quaternion[:, [1, 2, 3, 0]]}
+    for meaning, names in _SIGNS.items():
+        option = "--columns " + ",".join(f"{name}=-{name}" for name in names)
+        signs = np.array([-1.0 if name in names else 1.0 for name in QUATERNION])
+        others[meaning, option] = signs * rows.quaternion
+    left = {key: _unexplained(rows.position, Rotation.from_quat(other)) for key, other in others.items()}
+    meaning, option = min(left, key=left.__getitem__)
+    if left[meaning, option] > _FAR_BETTER * as_given:
         return ""
     return (
-        f"part '{part}' turns about a fixed axis only if its quaternions have the scalar first (they then leave "
-        f"{percent(as_reordered, 0)} of the motion unexplained, as they are {percent(as_given, 0)}); they are read "
-        "scalar last: are the columns qx,qy,qz,qw in this order?"
+        f"part '{part}' turns about a fixed axis only if its quaternions {meaning} (they then leave "
+        f"{percent(left[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); they are "
+        f"read as turns of the part in the base frame, scalar last: if they are not, say so: {option}"
     )
 
 

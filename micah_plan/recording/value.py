@@ -55,6 +55,8 @@ class Recording(Summarised):
         part: (n,) name of the part of each row.
         has_run, has_part: whether the file had these columns (a writer keeps what was there).
         extra: further columns by name, as the text that the file held, preserved untouched.
+        conventions: how its file was said to be meant (`conventions.Conventions`), as texts by name.
+        notes: what reading it left out or put together, one line each.
     """
 
     time: Floats
@@ -67,6 +69,8 @@ class Recording(Summarised):
     has_run: bool = False
     has_part: bool = False
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    conventions: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.time)

@@ -51,7 +51,9 @@ def test_a_half_space_is_text_or_named_text() -> None:
 
 
 def test_another_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="choose one of model, parts, problem, scene, sweep, experiment, plan"):
+    with pytest.raises(
+        InputError, match="choose one of model, parts, problem, scene, sweep, experiment, conventions, plan"
+    ):
         schema("robot")
 
 
@@ -85,4 +87,7 @@ def test_the_command_writes_the_schema(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "model.json").read_text()) == schema("model")
     refused = run("robot")
     assert refused.returncode == 2
-    assert "'robot' is not one of 'problem', 'model', 'parts', 'scene', 'sweep', 'experiment', 'plan'" in refused.stderr
+    assert (
+        "'robot' is not one of 'problem', 'model', 'parts', 'scene', 'sweep', 'experiment', 'conventions', 'plan'"
+        in refused.stderr
+    )

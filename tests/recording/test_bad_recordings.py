@@ -29,7 +29,7 @@ BAD = {
     "other digits": (H + "0,١,2,3\n", "line 2, column 'x'", "expected a number", "decimal number"),
     "first of two": (H + ROW + "1,1,2,b\n2,a,2,3\n", "line 3, column 'z'", "found 'b'", "decimal number"),
     "nothing": (H + ROW + "1,,2,3\n", "line 3, column 'x'", "expected a number, found nothing", "fill in the value"),
-    "nan": (H + ROW + "1,1,NaN,3\n", "line 3, column 'y'", "finite number, found 'NaN'", "fill in the value"),
+    "nan": (H + ROW + "1,1,NaN,3\n", "line 3, column 'y'", "expected a number, found nothing", "fill in the value"),
     "inf": (H + "0,1,2,-inf\n", "line 2, column 'z'", "finite number, found '-inf'", "fill in the value"),
     "nan action": (A + "0,1,2,3,nan,nan,nan\n", "line 2, column 'ax'", "finite number", "fill in the value"),
     "overflow": (H + "0,1e999,2,3\n", "line 2, column 'x'", "a number in range, found '1e999'", "SI units"),

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from micah_plan.documents.conventions import load_recording
+from micah_plan.errors import InputError
 from micah_plan.recording.breaks import breaks
-from micah_plan.recording.read import read_recording
-from micah_plan.recording.suspicion import suspicions
+from micah_plan.recording.checks import QUATERNION
+from micah_plan.recording.suspicion import require_conventions, suspicions
 from micah_plan.recording.value import Recording
 
 ROWS = 80
@@ -28,7 +30,7 @@ def door(axis: tuple[float, float, float] = (0.0, 0.0, 1.0), noise: float = 0.00
 
 
 def in_millimetres(recording: Recording) -> Recording:
-    return replace(recording, position=1000.0 * recording.position)
+    return replace(recording, position=1000.0 * recording.position, conventions={})
 
 
 def scalar_first(recording: Recording) -> Recording:
@@ -53,7 +55,7 @@ def test_an_ordinary_door_is_not_suspicious() -> None:
 def test_millimetres_are_named() -> None:
     (line,) = suspicions(in_millimetres(door()))
     assert line.startswith("part 'part' moves over ")
-    assert "are these millimetres? then divide x,y,z (and ax,ay,az) by 1000" in line
+    assert "if these are millimetres, say so: --units mm" in line
 
 
 def test_a_part_that_hardly_moves_shows_millimetres_by_its_distance() -> None:
@@ -95,7 +97,7 @@ def test_actions_in_millimetres_are_named() -> None:
     assert suspicions(with_actions(1.0)) == suspicions(with_actions(50.0)) == suspicions(with_actions(0.0)) == ()
     (line,) = suspicions(with_actions(1000.0))
     assert "per row where actions ask for " in line
-    assert line.endswith("actions are in m: are these millimetres? then divide ax,ay,az by 1000")
+    assert line.endswith("if these are millimetres, say so: --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az")
 
 
 def test_a_time_that_jumps_is_told() -> None:
@@ -112,7 +114,28 @@ def test_quaternions_with_the_scalar_first_are_named(seed: int) -> None:
     assert suspicions(recording) == ()
     (line,) = suspicions(scalar_first(recording))
     assert "scalar first" in line
-    assert "qx,qy,qz,qw" in line
+    assert line.endswith("say so: --quaternion wxyz")
+
+
+@pytest.mark.parametrize("names", [("qx", "qy", "qz"), ("qy", "qz"), ("qx", "qz"), ("qx", "qy")])
+@pytest.mark.parametrize("seed", range(3))
+def test_quaternions_of_the_inverse_or_of_a_mirrored_frame_are_named(names: tuple[str, ...], seed: int) -> None:
+    axis = np.random.default_rng(seed).normal(size=3)
+    recording = door(tuple((axis / np.linalg.norm(axis)).tolist()), seed=seed)
+    assert recording.quaternion is not None
+    signs = np.array([-1.0 if name in names else 1.0 for name in QUATERNION])
+    (line,) = suspicions(replace(recording, quaternion=signs * recording.quaternion))
+    assert line.endswith("say so: --columns " + ",".join(f"{name}=-{name}" for name in names))
+
+
+def test_what_is_stated_is_not_doubted_and_what_is_left_open_is_not_learned() -> None:
+    large, slow, swapped = in_millimetres(door()), replace(door(), time=1e3 * door().time), scalar_first(door())
+    for doubted, stated in ((large, "length"), (slow, "time"), (swapped, "quaternion")):
+        with pytest.raises(InputError, match="say that: --units m,s --quaternion xyzw"):
+            require_conventions(doubted)
+        require_conventions(replace(doubted, conventions={stated: ""}))
+    require_conventions(door())
+    require_conventions(with_actions(1000.0))  # the poses are right, and actions do not make joints
 
 
 def test_the_order_does_not_change_how_fast_a_part_turns() -> None:
@@ -128,10 +151,10 @@ def test_a_part_that_slides_or_moves_freely_does_not_show_the_order() -> None:
         assert suspicions(recording) == suspicions(scalar_first(recording)) == ()
 
 
-@pytest.mark.parametrize(("factor", "clock"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+@pytest.mark.parametrize(("factor", "clock"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_in_other_units_are_named(factor: float, clock: str) -> None:
     (line,) = suspicions(replace(door(), time=factor * door().time))
-    assert f"are these {clock}?" in line
+    assert line.endswith(f"if they are in {clock}, say so: --units {clock}")
 
 
 def test_a_clock_since_the_epoch_and_a_slow_recorder_are_not_suspicious() -> None:
@@ -167,7 +190,7 @@ def test_hardly_any_rows_are_not_suspicious(rows: int) -> None:
 
 
 def recordings_in(folder: Path) -> list[Recording]:
-    return [read_recording(file) for file in sorted(folder.rglob("*.csv"))]
+    return [load_recording(file) for file in sorted(folder.rglob("*.csv"))]
 
 
 def test_measured_recordings_are_as_they_should_be(shared_data: Path, repository: Path) -> None:

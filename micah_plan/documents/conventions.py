@@ -1,0 +1,74 @@
+"""Conventions of a laboratory's recordings: a small YAML file beside a log, and recordings read by it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from micah_plan.documents.layout import Document, doc
+from micah_plan.documents.validation import validated
+from micah_plan.documents.yaml_lines import read_yaml_file
+from micah_plan.errors import located_in
+from micah_plan.recording.conventions import Axis, Conventions, Order
+from micah_plan.recording.read import read_recording
+from micah_plan.recording.value import Recording
+
+BESIDE = ".conventions.yaml"
+"""Ending of the file that says how the recording of the same name beside it is meant."""
+
+
+class ConventionsDocument(Document):
+    """How a recording of somebody else is meant."""
+
+    makes = Conventions
+
+    format: Literal["micah-plan/conventions/1"] = doc("Format and version of this file.")
+    columns: dict[str, str] = doc(
+        "What the file calls the columns of a recording, also rx, ry, rz and roll, pitch, yaw; -Y and 0.001*X are "
+        "numbers times a factor.",
+        dict,
+    )
+    length: Literal["m", "cm", "mm", "in"] | None = doc("Unit of positions and actions; default: m.", None)
+    angle: Literal["rad", "deg"] | None = doc("Unit of rotation vectors and angles; default: rad.", None)
+    time: Literal["s", "ms", "us", "ns"] | None = doc("Unit of times; default: s.", None)
+    rate: Annotated[float, Field(gt=0.0)] | None = doc("Rows per second, where times are counted [Hz].", None)
+    up: Axis | None = doc("The axis that points upwards; default: z.", None)
+    quaternion: Order | None = doc("Order of the four columns of a quaternion; default: xyzw.", None)
+    name: str | None = doc("Name of the only part.", None)
+
+
+def load_conventions(path: str | Path) -> Conventions:
+    """The conventions that a file describes.
+
+    Raises:
+        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+    """
+    located = read_yaml_file(path)
+    meanings = validated(located, ConventionsDocument).meanings(located, {})
+    with located_in(path):
+        return Conventions(**meanings)
+
+
+def load_recording(
+    path: str | Path,
+    *,
+    minimum_rows: int = 1,
+    topics: Collection[str] = (),
+    conventions: Conventions | None = None,
+) -> Recording:
+    """`read_recording`, by the conventions that are given or else those that lie beside the file.
+
+    Args:
+        path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
+        minimum_rows, topics, conventions: those of `read_recording`.
+
+    Raises:
+        InputError: if either file cannot be used.
+    """
+    beside = Path(path).with_suffix(BESIDE)
+    if conventions is None and Path(path).suffix and beside.is_file():
+        conventions = load_conventions(beside)
+    return read_recording(path, minimum_rows=minimum_rows, topics=topics, conventions=conventions)

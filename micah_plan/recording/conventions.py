@@ -1,0 +1,213 @@
+"""How a file of somebody else says what a recording says: names of columns, units, rate, upward axis, quaternions.
+
+A recording is in metres, radians and seconds, with z upwards and the scalar of a quaternion last. What a laboratory
+logs is not. `Conventions` say how to read it; nothing of them is guessed but by formats that state it themselves.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.errors import InputError, shown
+from micah_plan.quantities import count
+from micah_plan.recording.checks import KNOWN
+from micah_plan.recording.value import Recording
+
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+ANGLES = {"rad": 1.0, "deg": float(np.pi / 180)}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Order = Literal["xyzw", "wxyz"]
+ROTATION_VECTOR, FIXED_ANGLES = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
+NAMEABLE = (*KNOWN, *ROTATION_VECTOR, *FIXED_ANGLES)
+# A column of the file as -NAME or 0.001*NAME.
+_SCALED = re.compile(r"(?:(?P<minus>-)|(?P<factor>[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)\s*\*)\s*(?P<name>.+)")
+# Turns (n, 3) rows of a frame with that axis upwards into one with z upwards, on the shortest way.
+_UPRIGHT: Mapping[str, tuple[float, float, float]] = {
+    "z": (0.0, 0.0, 0.0),
+    "y": (np.pi / 2, 0.0, 0.0),
+    "-y": (-np.pi / 2, 0.0, 0.0),
+    "x": (0.0, -np.pi / 2, 0.0),
+    "-x": (0.0, np.pi / 2, 0.0),
+    "-z": (np.pi, 0.0, 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What a file means; None: as recordings have it, or as the format of the file states.
+
+    Attributes:
+        columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
+            Besides those of a recording: ``rx,ry,rz`` (a rotation vector) and ``roll,pitch,yaw`` (about the fixed axes
+            x, y, z in that order), in place of a quaternion. ``-Y`` and ``0.001*dX`` are numbers of a column times a
+            factor.
+        length, angle, time: units: ``LENGTHS``, ``ANGLES``, ``TIMES``.
+        rate: rows per second [Hz]; then ``t`` counts frames, and rows are counted where there is none.
+        up: the axis that points upwards.
+        quaternion: the order in which ``qx,qy,qz,qw`` hold a quaternion.
+        name: of the only part.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    length: str | None = None
+    angle: str | None = None
+    time: str | None = None
+    rate: float | None = None
+    up: Axis | None = None
+    quaternion: Order | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        choices = {
+            "length": LENGTHS,
+            "angle": ANGLES,
+            "time": TIMES,
+            "up": get_args(Axis),
+            "quaternion": get_args(Order),
+        }
+        for key, allowed in choices.items():
+            value = getattr(self, key)
+            if value is not None and value not in allowed:
+                raise InputError(f"{key}: expected one of {', '.join(allowed)}, found {shown(str(value))}")
+        if self.rate is not None and not 0.0 < self.rate < 1e9:
+            raise InputError(f"rate: expected rows per second, found {self.rate:g}", remedy="e.g. 120")
+        for ours in self.columns:
+            if ours not in NAMEABLE:
+                known = ", ".join(NAMEABLE)
+                raise InputError(f"columns: a recording has no column {shown(ours)}", remedy=f"choose among {known}")
+        for group in (ROTATION_VECTOR, FIXED_ANGLES):
+            if 0 < len(self.columns.keys() & set(group)) < len(group):
+                raise InputError(f"columns: expected all of {','.join(group)}", remedy="name the others as well")
+
+    def stated(self) -> dict[str, str]:
+        """What of it is not left open, as texts by its name here."""
+        texts = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "columns"}
+        names = ",".join(f"{ours}={theirs}" for ours, theirs in self.columns.items())
+        given = {name: str(text) for name, text in texts.items() if text is not None}
+        return {"columns": names, **given} if names else given
+
+    def or_else(self, default: Conventions) -> Conventions:
+        """These, and where they leave something open those of the file's format."""
+        open_ones = {one.name: getattr(default, one.name) for one in fields(self) if getattr(self, one.name) is None}
+        return replace(self, **open_ones)
+
+
+def source_of(text: str, header: Collection[str]) -> tuple[str, float]:
+    """The column of a file that a text names, and the factor of its numbers."""
+    scaled = None if text in header else _SCALED.fullmatch(text)
+    if scaled is None:
+        return text, 1.0
+    return scaled["name"], -1.0 if scaled["minus"] else float(scaled["factor"])
+
+
+def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
+    """The rows in the units, order and frame of a recording; rows without a pose are left out, and that is noted.
+
+    Raises:
+        InputError: if a name is given to several parts.
+    """
+    from scipy.spatial.transform import Rotation
+
+    length, time = LENGTHS[conventions.length or "m"], TIMES[conventions.time or "s"]
+    upright = Rotation.from_rotvec(_UPRIGHT[conventions.up or "z"])
+
+    # A turn by quarters: each axis becomes another one, exactly and where a number is missing, too.
+    matrix = upright.as_matrix().round()
+    axis = np.abs(matrix).argmax(axis=1)
+    sign = matrix[np.arange(3), axis]
+
+    def turned(vectors: Floats, scale: float) -> Floats:
+        return np.asarray(scale * sign * vectors[:, axis])
+
+    quaternion = rows.quaternion
+    if quaternion is not None and conventions.quaternion == "wxyz":
+        quaternion = quaternion[:, [1, 2, 3, 0]]
+    if quaternion is not None and conventions.up not in (None, "z"):
+        quaternion = _times(upright.as_quat(), quaternion)
+    part, has_part = rows.part, rows.has_part
+    if conventions.name is not None:
+        if len(rows.parts) > 1:
+            raise InputError(f"one name is given to {count(len(rows.parts), 'part')}", remedy="leave out the name")
+        part, has_part = (conventions.name,) * len(rows), True
+    return replace(
+        rows,
+        time=rows.time * time if conventions.rate is None else rows.time / conventions.rate,
+        position=turned(rows.position, length),
+        quaternion=quaternion,
+        action=None if rows.action is None else turned(rows.action, length),
+        force=None if rows.force is None else turned(rows.force, 1.0),
+        part=part,
+        has_part=has_part,
+        conventions=conventions.stated(),
+    )
+
+
+def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
+    """The rows that have a pose, with a note of how many do not, and their numbers (k,).
+
+    What was commanded in a row without a pose is part of the displacement to the next one that has.
+
+    Raises:
+        InputError: if none has.
+    """
+    lost: Booleans = np.asarray(np.isnan(rows.position).all(axis=1))
+    if rows.quaternion is not None:
+        lost |= np.isnan(rows.quaternion).all(axis=1)
+    every = np.arange(len(rows))
+    if not lost.any():
+        return rows, every
+    if lost.all():
+        raise InputError("no row has a pose", remedy="check the names of the columns")
+    action = None if rows.action is None else rows.action.copy()
+    if action is not None:
+        last: dict[tuple[int, str], int] = {}
+        for i, key in enumerate(zip(rows.run.tolist(), rows.part, strict=True)):
+            if not lost[i]:
+                last[key] = i
+            elif key in last and not np.isnan(action[i]).any():
+                action[last[key]] += action[i]
+    kept = every[~lost]
+    chosen = replace(rows, action=action).rows(kept)
+    longest = _longest(lost)
+    note = f"{count(int(lost.sum()), 'row')} of {len(rows)} have no pose and are left out, at most {longest} in turn"
+    return replace(chosen, notes=(*rows.notes, note)), kept
+
+
+def turns_of(columns: Mapping[str, Floats], angle: str | None) -> Floats | None:
+    """(n, 4) quaternions of a rotation vector or of fixed angles, NaN where these are; None without such columns."""
+    from scipy.spatial.transform import Rotation
+
+    given = next((names for names in (ROTATION_VECTOR, FIXED_ANGLES) if all(name in columns for name in names)), None)
+    if given is None:
+        return None
+    values = ANGLES[angle or "rad"] * np.stack([columns[name] for name in given], axis=1)
+    known = np.isfinite(values).all(axis=1)
+    quaternion = np.full((len(values), 4), np.nan)
+    filled = values[known]
+    made = Rotation.from_rotvec(filled) if given == ROTATION_VECTOR else Rotation.from_euler("xyz", filled)
+    quaternion[known] = made.as_quat()
+    return quaternion
+
+
+def _times(left: Floats, right: Floats) -> Floats:
+    """(n, 4) products of one quaternion with others, NaN where these are."""
+    from scipy.spatial.transform import Rotation
+
+    known = np.isfinite(right).all(axis=1) & (np.linalg.norm(right, axis=1) > 0)
+    result = right.copy()
+    norm = np.linalg.norm(right[known], axis=1, keepdims=True)
+    result[known] = norm * (Rotation.from_quat(left) * Rotation.from_quat(right[known])).as_quat()
+    return result
+
+
+def _longest(lost: Booleans) -> int:
+    """How many rows in turn."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
+    return int((ends[1::2] - ends[::2]).max())
