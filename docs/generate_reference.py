@@ -62,7 +62,7 @@ INTRODUCTIONS = {
     ),
     "conventions": (
         "Conventions file",
-        "examples/demonstrations/laboratory.conventions.yaml",
+        "examples/logs/laboratory.conventions.yaml",
         "How somebody else's recording is meant: names of columns, units, rate, upward axis. That of `door.csv` is "
         "`door.conventions.yaml` beside it. See [other people's tables]"
         "(../concepts/recording.md#other-peoples-tables).",

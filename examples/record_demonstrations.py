@@ -2,9 +2,10 @@
 
     python examples/record_demonstrations.py [FOLDER]
 
-writes one CSV per object, by default into examples/demonstrations. The same seed gives the same
-files. As in the paper's "with grasp" case, the hand holds the handle, a tracker measures the part's pose at 18 Hz, and
-the action is the displacement of the part that the hand asked for, also while the shut door does not give way.
+writes one CSV per object, by default into examples/demonstrations, and into logs beside it the microwave as another
+laboratory would have logged it. The same seed gives the same files. As in the paper's "with grasp" case, the hand holds
+the handle, a tracker measures the part's pose at 18 Hz, and the action is the displacement of the part that the hand
+asked for, also while the shut door does not give way.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ def shut_lid(seed: int = 5) -> Recording:
 
 def as_a_lab_logs(recording: Recording) -> str:
     """The poses and actions of a recording as the CSV of a laboratory: milliseconds, millimetres, y upwards, scalar
-    first; `LAB.conventions.yaml` beside it says so."""
+    first; `laboratory.conventions.yaml` beside it says so."""
     upright = Rotation.from_euler("x", -90, degrees=True)
     turned = (upright * Rotation.from_quat(recording.quaternion)).as_quat()
     position, action = (1e3 * v[:, [0, 2, 1]] * (1.0, 1.0, -1.0) for v in (recording.position, recording.action))
@@ -149,7 +150,9 @@ def main() -> None:
     for name, recording in made.items():
         write_csv(recording, folder / name)
         print(f"{folder / name}: {len(recording)} rows")
-    (folder / "laboratory.csv").write_text(as_a_lab_logs(made["microwave.csv"]), encoding="utf-8")
+    logs = folder.parent / "logs"
+    logs.mkdir(exist_ok=True)
+    (logs / "laboratory.csv").write_text(as_a_lab_logs(made["microwave.csv"]), encoding="utf-8")
 
 
 if __name__ == "__main__":

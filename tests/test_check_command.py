@@ -21,6 +21,7 @@ FOLDERS = {
     "problems/sweeps": "sweep",
     "problems/experiments": "experiment",
     "examples/demonstrations": "recording",
+    "examples/logs": "recording",
 }
 OTHERS = {"explore_handle": "scene", "laboratory.conventions": "conventions"}
 SHIPPED = [

@@ -1,7 +1,10 @@
-"""Options that say how somebody else's recording is meant: columns, units, rate, upward axis, quaternions, name."""
+"""Options that say how somebody else's recording is meant: columns, units, rate, upward axis, quaternions and name; and
+of a ROS log topics and frame."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -28,37 +31,50 @@ Up = Annotated[
 Order = Annotated[
     Literal["xyzw", "wxyz"] | None, typer.Option(help="Order of the columns of a quaternion; default: scalar last.")
 ]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option("--topic", metavar="NAME", help="Of a ROS log, a topic or child frame with poses; may be repeated."),
+]
+Frame = Annotated[str | None, typer.Option(metavar="NAME", help="Of a ROS log, the frame in which poses are wanted.")]
 PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Name of the only part.")]
 
 
-def conventions_of(
-    columns: str | None,
-    units: str | None,
-    rate: float | None,
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None,
-    quaternion: Literal["xyzw", "wxyz"] | None,
-    name: str | None,
-) -> Conventions | None:
-    """What the options say; None where they say nothing, so that a file beside the recording may.
+@dataclass(frozen=True)
+class Said:
+    """What the options say, None where they say nothing."""
 
-    Raises:
-        InputError: for a unit or a column that there is not.
-    """
-    if (columns, units, rate, up, quaternion, name) == (None,) * 6:
-        return None
-    from micah_plan.recording.conventions import Conventions
+    columns: str | None = None
+    units: str | None = None
+    rate: float | None = None
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    quaternion: Literal["xyzw", "wxyz"] | None = None
+    name: str | None = None
+    topics: Sequence[str] | None = None
+    frame: str | None = None
 
-    unit_of = _units(units)
-    return Conventions(
-        columns=_columns(columns),
-        length=unit_of.get("length"),
-        angle=unit_of.get("angle"),
-        time=unit_of.get("time"),
-        rate=rate,
-        up=up,
-        quaternion=quaternion,
-        name=name,
-    )
+    def conventions(self) -> Conventions | None:
+        """The same as conventions; None where they say nothing, so that a file beside the recording may.
+
+        Raises:
+            InputError: for a unit or a column that there is not.
+        """
+        if self == Said():
+            return None
+        from micah_plan.recording.conventions import Conventions
+
+        unit_of = _units(self.units)
+        return Conventions(
+            columns=_columns(self.columns),
+            length=unit_of.get("length"),
+            angle=unit_of.get("angle"),
+            time=unit_of.get("time"),
+            rate=self.rate,
+            up=self.up,
+            quaternion=self.quaternion,
+            name=self.name,
+            topics=tuple(self.topics or ()),
+            frame=self.frame,
+        )
 
 
 def _columns(text: str | None) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
-from micah_plan.cli.conventions import Columns, Order, PartName, Rate, Units, Up, conventions_of
+from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Said, Topics, Units, Up
 from micah_plan.errors import InputError, shown
 from micah_plan.outputs import PLAN, Output, check_outputs
 
@@ -31,10 +31,8 @@ def new(
 def convert(
     source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML) or URDF.")],
     target: Annotated[Path, typer.Argument(help="File to write; its suffix chooses the format.")],
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Topic or child frame of an MCAP file to read; default: all with poses."),
-    ] = None,
+    topic: Topics = None,
+    frame: Frame = None,
     part: Annotated[str | None, typer.Option(help="Of a recording, the part to write; default: all.")] = None,
     run: Annotated[int | None, typer.Option(help="Of a recording, the run to write; default: all.")] = None,
     poses_only: Annotated[
@@ -63,13 +61,12 @@ def convert(
     kind, notes = converted(
         source,
         target,
-        topics=topic or (),
         part=part,
         run=run,
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=conventions_of(columns, units, rate, up, quaternion, name),
+        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

@@ -13,7 +13,6 @@ import typer
 from micah_plan.cli.console import (
     NO_RESULT,
     JsonFlag,
-    OutputPath,
     Seed,
     out,
     print_files,
@@ -23,8 +22,8 @@ from micah_plan.cli.console import (
     progress_bar,
     table,
 )
-from micah_plan.cli.conventions import Columns, Order, PartName, Rate, Units, Up, conventions_of
-from micah_plan.errors import located_in
+from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Said, Topics, Units, Up
+from micah_plan.errors import InputError, located_in
 from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
@@ -42,7 +41,7 @@ _NARROW = ("joint", "rows", "sure")
 
 def learn(
     recording: Annotated[Path, typer.Argument(help="Recording (CSV, TUM text, NPZ, Parquet or ROS logs).")],
-    output: OutputPath,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write: a model (YAML).")] = None,
     method: Annotated[
         Literal["act-champ", "champ"], typer.Option(help="Score segments with or without the actions.")
     ] = "act-champ",
@@ -59,22 +58,29 @@ def learn(
     up: Up = None,
     quaternion: Order = None,
     name: PartName = None,
+    topic: Topics = None,
+    frame: Frame = None,
+    list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
-    conventions = conventions_of(columns, units, rate, up, quaternion, name)
+    if list_topics:
+        _list_topics(recording, as_json)
+        raise typer.Exit
+    if output is None:
+        raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
+    conventions = Said(columns, units, rate, up, quaternion, name, topic, frame).conventions()
     from micah_plan import workflow
-    from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_files
     from micah_plan.learn.settings import FEWEST_ROWS
     from micah_plan.recording.suspicion import require_conventions
 
-    written = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
-    check_outputs((recording, parts), written)
+    asked = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
+    check_outputs((recording, parts), asked)
     shapes = () if parts is None else load_parts(parts)
     with progress_bar(as_json) as progress:
         measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=conventions)
@@ -82,21 +88,9 @@ def learn(
             require_conventions(measured)
             found = workflow.learn(measured, method=method, seed=seed, parts=shapes, base=base, progress=progress)
     print_warnings(found.warnings)
-    contents: dict[Path, bytes] = {}
-    if found.automaton is not None:
-        contents[output] = model_text(found.automaton).encode()
-    if figure is not None:
-        from micah_plan.view.figures import png
-        from micah_plan.view.learning_figure import learning_figure
-
-        contents[figure] = png(learning_figure(found.recording, found.graph))
-    if html is not None:
-        from micah_plan.view.recording_page import recording_page
-
-        contents[html] = recording_page(found.recording, found.graph, title=recording.stem).encode()
-    replace_files(contents)
-    files = (output if found.automaton is not None else None, figure, html)
-    print_summary(as_json, learned(found, seed), lambda: _print_learned(found, files))
+    written = (output if found.automaton is not None else None, figure, html)
+    replace_files(_contents(found, *written, title=recording.stem))
+    print_summary(as_json, learned(found, seed), lambda: _print_learned(found, written))
     if found.automaton is None:
         raise typer.Exit(NO_RESULT)
 
@@ -114,6 +108,47 @@ def learned(result: Learned, seed: int) -> dict[str, Any]:
     modes = () if result.automaton is None else result.automaton.mode_names
     outcome = {"modes": modes, "reason": result.reason, "warnings": result.warnings}
     return {**found, **outcome, "seconds": result.seconds, "seed": seed}
+
+
+def _contents(
+    found: Learned, output: Path | None, figure: Path | None, html: Path | None, *, title: str
+) -> dict[Path, bytes]:
+    """What to write, by file."""
+    contents: dict[Path, bytes] = {}
+    if output is not None and found.automaton is not None:
+        from micah_plan.documents.model import model_text
+
+        contents[output] = model_text(found.automaton).encode()
+    if figure is not None:
+        from micah_plan.view.figures import png
+        from micah_plan.view.learning_figure import learning_figure
+
+        contents[figure] = png(learning_figure(found.recording, found.graph))
+    if html is not None:
+        from micah_plan.view.recording_page import recording_page
+
+        contents[html] = recording_page(found.recording, found.graph, title=title).encode()
+    return contents
+
+
+def _list_topics(log: Path, as_json: bool) -> None:
+    from micah_plan.recording.ros_log import READ
+    from micah_plan.ros.bags import is_log, topics_of
+
+    if not is_log(log):
+        problem = "only ROS logs have topics: .mcap, .bag, .db3 and folders of rosbag2"
+        raise InputError(problem, source=log, remedy="leave out --list-topics")
+    with located_in(log):
+        topics = topics_of(log)
+
+    def human() -> None:
+        shown = table("topic", "type", "messages", "read")
+        for topic in topics:
+            shown.add_row(topic.name, topic.kind.replace("/msg/", "/"), str(topic.messages), READ.get(topic.kind, "no"))
+        out.print(shown)
+
+    rows = [{"name": topic.name, "type": topic.kind, "messages": topic.messages} for topic in topics]
+    print_summary(as_json, {"topics": rows}, human)
 
 
 def _edge(edge: KinematicEdge) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +12,6 @@ from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import located_in
 from micah_plan.recording.conventions import Axis, Conventions, Order
-from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 
 BESIDE = ".conventions.yaml"
@@ -38,6 +36,10 @@ class ConventionsDocument(Document):
     up: Axis | None = doc("The axis that points upwards; default: z.", None)
     quaternion: Order | None = doc("Order of the four columns of a quaternion; default: xyzw.", None)
     name: str | None = doc("Name of the only part.", None)
+    topics: list[str] = doc(
+        "Of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.", list
+    )
+    frame: str | None = doc("Of a ROS log, in which the poses are wanted; default: that in which they are given.", None)
 
 
 def load_conventions(path: str | Path) -> Conventions:
@@ -49,26 +51,27 @@ def load_conventions(path: str | Path) -> Conventions:
     located = read_yaml_file(path)
     meanings = validated(located, ConventionsDocument).meanings(located, {})
     with located_in(path):
-        return Conventions(**meanings)
+        return Conventions(**meanings | {"topics": tuple(meanings["topics"])})
 
 
 def load_recording(
     path: str | Path,
     *,
     minimum_rows: int = 1,
-    topics: Collection[str] = (),
     conventions: Conventions | None = None,
 ) -> Recording:
     """`read_recording`, by the conventions that are given or else those that lie beside the file.
 
     Args:
         path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
-        minimum_rows, topics, conventions: those of `read_recording`.
+        minimum_rows, conventions: those of `read_recording`.
 
     Raises:
         InputError: if either file cannot be used.
     """
-    beside = Path(path).with_suffix(BESIDE)
-    if conventions is None and Path(path).suffix and beside.is_file():
-        conventions = load_conventions(beside)
-    return read_recording(path, minimum_rows=minimum_rows, topics=topics, conventions=conventions)
+    from micah_plan.recording.read import read_recording
+
+    if conventions is None and Path(path).name:
+        beside = Path(path).with_suffix(BESIDE)
+        conventions = load_conventions(beside) if beside.is_file() else None
+    return read_recording(path, minimum_rows=minimum_rows, conventions=conventions)

@@ -6,7 +6,7 @@ Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +28,7 @@ from micah_plan.files import replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.value import Recording
+from micah_plan.ros.bags import is_log
 from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write_log
 
 TOPIC = "/joint_trajectory"
@@ -50,7 +51,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
     Raises:
         InputError: if there are none.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = Path(path).suffix.lower() or (".mcap" if is_log(path) else "")
     if suffix not in TARGETS:
         remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml) or .urdf"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
@@ -61,7 +62,6 @@ def convert(
     source: str | Path,
     target: str | Path,
     *,
-    topics: Collection[str] = (),
     part: str | None = None,
     run: int | None = None,
     poses_only: bool = False,
@@ -73,7 +73,6 @@ def convert(
 
     Args:
         source, target: the files.
-        topics: of an .mcap file, which to read; empty: all.
         part, run: of a recording, which to write; None: all.
         poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
         density: of the shapes of a model, for the masses of bodies [kg/m^3].
@@ -92,8 +91,8 @@ def convert(
         remedy = f"choose one that ends in {' or '.join(targets(source))}"
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
     given = Path(source).suffix.lower()
-    if ".rrd" in TARGETS[given]:
-        found = load_recording(source, topics=topics, conventions=conventions)
+    if ".rrd" in targets(source):
+        found = load_recording(source, conventions=conventions)
         recording, notes = _chosen(found, part, run, poses_only)
         notes = found.notes + notes
         if wanted == ".rrd":

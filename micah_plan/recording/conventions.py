@@ -53,6 +53,8 @@ class Conventions:
         up: the axis that points upwards.
         quaternion: the order in which ``qx,qy,qz,qw`` hold a quaternion.
         name: of the only part.
+        topics: of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.
+        frame: of a ROS log, in which the poses are wanted; None: that in which they are given.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -63,6 +65,8 @@ class Conventions:
     up: Axis | None = None
     quaternion: Order | None = None
     name: str | None = None
+    topics: tuple[str, ...] = ()
+    frame: str | None = None
 
     def __post_init__(self) -> None:
         choices = {
@@ -88,10 +92,10 @@ class Conventions:
 
     def stated(self) -> dict[str, str]:
         """What of it is not left open, as texts by its name here."""
-        texts = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "columns"}
-        names = ",".join(f"{ours}={theirs}" for ours, theirs in self.columns.items())
-        given = {name: str(text) for name, text in texts.items() if text is not None}
-        return {"columns": names, **given} if names else given
+        lists = {"columns": [f"{ours}={theirs}" for ours, theirs in self.columns.items()], "topics": self.topics}
+        texts = {one.name: getattr(self, one.name) for one in fields(self)}
+        texts |= {name: ",".join(each) or None for name, each in lists.items()}
+        return {name: str(text) for name, text in texts.items() if text is not None}
 
     def or_else(self, default: Conventions) -> Conventions:
         """These, and where they leave something open those of the file's format."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from pathlib import Path
 
 from micah_plan.errors import InputError, located_in, shown
@@ -10,15 +10,16 @@ from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.csv_file import csv_bytes, read_csv
-from micah_plan.recording.mcap_file import mcap_bytes, read_mcap, read_ros_bag
+from micah_plan.recording.mcap_file import mcap_bytes
 from micah_plan.recording.npz_file import npz_bytes, read_npz
 from micah_plan.recording.parquet_file import read_parquet
+from micah_plan.recording.ros_log import read_ros_log
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
+from micah_plan.ros.bags import is_log
 
 _READERS = {".npz": read_npz, ".parquet": read_parquet, ".tum": read_tum}
 _CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
-BAGS = (".mcap", ".db3", ".bag")
 _REMEDY = (
     "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays), .parquet (table, LeRobot), .mcap, .db3 or "
     ".bag (ROS messages)"
@@ -29,7 +30,6 @@ def read_recording(
     path: str | Path,
     *,
     minimum_rows: int = 1,
-    topics: Collection[str] = (),
     conventions: Conventions | None = None,
 ) -> Recording:
     """Read a recording from a .csv, .tum, .txt, .npz, .parquet, .mcap, .db3 or .bag file.
@@ -40,20 +40,18 @@ def read_recording(
     Args:
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
-        topics: of a file of ROS messages, which to read; empty: all.
         conventions: units, upward axis and the like of the file, if they are not those of a recording; names of columns
-            and the rate of CSV files alone.
+            and the rate of CSV files alone, topics and frame of ROS logs alone.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
         MissingDependencyError: for ROS messages without the extra ``ros``, for Parquet without ``parquet``.
     """
     suffix = Path(path).suffix.lower()
-    if suffix in BAGS:
-        reader = read_mcap if suffix == ".mcap" else read_ros_bag
-        return _as_recorded(reader(path, minimum_rows=minimum_rows, topics=topics), path, conventions)
-    if topics:
-        raise InputError("only .mcap, .bag and .db3 files have topics", source=path, remedy="leave out the topics")
+    if is_log(path):
+        _check(conventions, ("columns", "rate"), "only CSV files have columns to name and rows to count", path)
+        return read_ros_log(path, minimum_rows=minimum_rows, conventions=conventions)
+    _check(conventions, ("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames", path)
     if suffix == ".txt":
         suffix = ".csv" if _has_commas(path) else ".tum"
     if suffix != ".csv" and suffix not in _READERS:
@@ -61,16 +59,16 @@ def read_recording(
         raise _unknown(path, suffix)
     if suffix == ".csv":
         return read_csv(path, minimum_rows=minimum_rows, conventions=conventions)
-    return _as_recorded(_READERS[suffix](path, minimum_rows=minimum_rows), path, conventions)
-
-
-def _as_recorded(found: Recording, path: str | Path, conventions: Conventions | None) -> Recording:
-    if conventions is None:
-        return found
+    _check(conventions, ("columns", "rate"), "only CSV files have columns to name and rows to count", path)
+    found = _READERS[suffix](path, minimum_rows=minimum_rows)
     with located_in(path):
-        if conventions.columns or conventions.rate is not None:
-            raise InputError("only CSV files have columns to name and rows to count", remedy="leave these out")
-        return checked(as_recorded(found, conventions))
+        return found if conventions is None else checked(as_recorded(found, conventions))
+
+
+def _check(conventions: Conventions | None, names: Sequence[str], problem: str, path: str | Path) -> None:
+    """Check that conventions leave these open."""
+    if conventions is not None and conventions.stated().keys() & set(names):
+        raise InputError(problem, source=path, remedy=f"leave out {' and '.join(names)}")
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:

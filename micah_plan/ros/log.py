@@ -21,6 +21,7 @@ NANOSECONDS = 1_000_000_000
 _REMEDY = "record it again, or repair it with `mcap recover`"
 
 MessageType = Literal[
+    "geometry_msgs/msg/PoseArray",
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TransformStamped",
@@ -32,6 +33,7 @@ MessageType = Literal[
 ]
 
 DEFINITIONS: Mapping[str, str] = {
+    "geometry_msgs/msg/PoseArray": "std_msgs/Header header\ngeometry_msgs/Pose[] poses",
     "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
     "geometry_msgs/msg/PoseWithCovarianceStamped": ("std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose"),
     "geometry_msgs/msg/TransformStamped": (
@@ -88,6 +90,15 @@ class Logged:
     message: Any
 
 
+@dataclass(frozen=True)
+class Topic:
+    """What a log has on a topic: its name, the type of its messages, and how many there are."""
+
+    name: str
+    kind: str
+    messages: int
+
+
 def write_log(messages: Sequence[Logged]) -> bytes:
     """The content of an MCAP file with these messages, in this order; the same messages give the same bytes.
 
@@ -123,6 +134,28 @@ def read_log(content: bytes) -> Iterator[Logged]:
     except Exception as error:  # damaged files make the libraries raise nearly anything
         said = shown(str(error) or type(error).__name__)
         raise InputError(f"expected an MCAP file, found one that cannot be read ({said})", remedy=_REMEDY) from None
+
+
+def log_topics(content: bytes) -> list[Topic]:
+    """The topics of an MCAP file, of all types.
+
+    Raises:
+        MissingDependencyError: without the extra ``ros``.
+    """
+    _require()
+    from mcap.records import Channel, Message, Schema
+
+    kinds: dict[int, str] = {0: "unknown"}
+    channels: dict[int, tuple[str, str]] = {}
+    counts: dict[int, int] = {}
+    for record in _records(content):
+        if isinstance(record, Schema):
+            kinds[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = record.topic, kinds.get(record.schema_id, "unknown")
+        elif isinstance(record, Message):
+            counts[record.channel_id] = counts.get(record.channel_id, 0) + 1
+    return [Topic(*names, counts.get(number, 0)) for number, names in channels.items()]
 
 
 def definition(name: MessageType) -> str:

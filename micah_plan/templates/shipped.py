@@ -6,7 +6,7 @@ from pathlib import Path
 
 from micah_plan.errors import InputError
 
-FOLDERS = ("examples/demonstrations", "models", "problems")
+FOLDERS = ("examples/demonstrations", "examples/logs", "models", "problems")
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
+from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
@@ -64,7 +65,7 @@ def bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def test_a_bag_is_the_recording_that_is_in_it(bag: Path, tmp_path: Path) -> None:
-    recording = read_recording(bag, topics=["/door/pose"])
+    recording = read_recording(bag, conventions=Conventions(topics=("/door/pose",)))
     assert recording.parts == ("door",)
     assert recording.time == pytest.approx(1.0 + 0.1 * np.arange(ROWS))
     assert recording.position[:, 1] == pytest.approx(np.sin(0.05 * np.arange(ROWS)))

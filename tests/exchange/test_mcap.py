@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording
 from micah_plan.ros import log
@@ -132,15 +133,18 @@ def test_transforms_are_chosen_by_their_child_frame(tmp_path: Path) -> None:
         for k in range(1, 4)
     ]
     path = written(tmp_path / "tf.mcap", tree)
-    with pytest.raises(InputError, match=r"poses in one frame, found 'arm, world'; convert it with --topic"):
+    with pytest.raises(
+        InputError,
+        match=r"poses in one frame, found 'arm, world'; choose one: --frame arm, and what moved:",
+    ):
         read_recording(path)
-    found = read_recording(path, topics=["door"])
+    found = read_recording(path, conventions=Conventions(topics=("door",)))
     assert found.parts == ("door",)
     np.testing.assert_allclose(found.position[:, 0], [0.1, 0.2, 0.3])
-    with pytest.raises(InputError, match=r"expected poses .* found none"):
-        read_recording(path, topics=["no"])
-    with pytest.raises(InputError, match=r"only \.mcap, \.bag and \.db3 files have topics"):
-        read_recording(ROOT / "examples" / "demonstrations" / "box.csv", topics=["no"])
+    with pytest.raises(InputError, match=r"no topic or frame 'doors' with poses; did you mean 'door'\?"):
+        read_recording(path, conventions=Conventions(topics=("doors",)))
+    with pytest.raises(InputError, match=r"only ROS logs \(\.mcap, \.bag, \.db3\) have topics"):
+        read_recording(ROOT / "examples" / "demonstrations" / "box.csv", conventions=Conventions(topics=("door",)))
 
 
 def test_a_part_in_two_frames_is_refused(tmp_path: Path) -> None:

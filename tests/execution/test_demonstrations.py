@@ -39,6 +39,11 @@ def test_the_script_makes_the_shipped_files(scripts, name, script):
     assert made.part == shipped.part
 
 
+def test_the_script_makes_the_log_of_the_laboratory(scripts):
+    made = scripts[1].as_a_lab_logs(read_csv(FOLDER / "microwave.csv"))
+    assert made == (EXAMPLES / "logs" / "laboratory.csv").read_text(encoding="utf-8")
+
+
 def test_the_door_is_shut_and_then_pressed(scripts):
     (track,) = tracks(scripts[0].microwave(), read_csv(FOLDER / "microwave.csv"))
     moved, asked = np.diff(track.x[:, 0]), track.u[:, 0]

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from micah_plan import load
-from micah_plan.cli.conventions import conventions_of
+from micah_plan.cli.conventions import Said
 from micah_plan.documents.conventions import load_recording
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
@@ -239,10 +239,10 @@ def test_a_file_beside_the_recording_says_the_same_as_options_and_keywords(truth
 
 
 def test_options_say_the_same_as_conventions() -> None:
-    said = conventions_of("t=Time, x=-TX", "mm,deg", 120.0, "y", "wxyz", "door")
+    said = Said("t=Time, x=-TX", "mm,deg", 120.0, "y", "wxyz", "door", ["/door/pose"], "map").conventions()
     names = {"t": "Time", "x": "-TX"}
-    assert said == Conventions(names, "mm", "deg", None, 120.0, "y", "wxyz", "door")
-    assert conventions_of(None, None, None, None, None, None) is None
+    assert said == Conventions(names, "mm", "deg", None, 120.0, "y", "wxyz", "door", ("/door/pose",), "map")
+    assert Said().conventions() is None
 
 
 @pytest.mark.parametrize(
@@ -260,13 +260,14 @@ def test_options_say_the_same_as_conventions() -> None:
 )
 def test_options_that_cannot_be_used(columns: str | None, units: str | None, message: str) -> None:
     with pytest.raises(InputError) as refused:
-        conventions_of(columns, units, None, None, None, None)
+        Said(columns, units).conventions()
     assert message in str(refused.value)
 
 
 def test_the_shipped_log_of_a_laboratory_is_the_shut_microwave(repository: Path) -> None:
-    folder = repository / "examples" / "demonstrations"
-    log, original = load_recording(folder / "laboratory.csv"), load_recording(folder / "microwave.csv")
+    examples = repository / "examples"
+    log = load_recording(examples / "logs" / "laboratory.csv")
+    original = load_recording(examples / "demonstrations" / "microwave.csv")
     assert log.parts == original.parts
     assert_allclose(log.position, original.position, atol=1e-6)  # six digits were logged
     assert_allclose(log.action, original.action, atol=1e-6)

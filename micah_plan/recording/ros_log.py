@@ -1,0 +1,272 @@
+"""Recordings from ROS logs: MCAP files, bags of ROS 1 (.bag) and rosbag2 (.db3), and folders of rosbag2.
+
+Poses are those of ``PoseStamped``, ``PoseWithCovarianceStamped`` and ``PoseArray``, named after their topic, and of
+``TFMessage``, ``TransformStamped`` and ``Odometry``, named after their child frame. Where they are wanted in another
+frame, transforms are composed at the stamps of the part's own. Actions and forces are ``Vector3Stamped`` on
+``/PART/action`` and ``/PART/force``, at the stamps of the poses or joined to them. Positions of ``JointState`` become
+columns ``joint NAME``, each row with the last message until its time.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from micah_plan.arrays import Floats, Ints
+from micah_plan.errors import InputError, located_in, shown
+from micah_plan.quantities import count, quantity
+from micah_plan.recording.checks import checked
+from micah_plan.recording.conventions import Conventions, as_recorded
+from micah_plan.recording.transforms import Edge, Frames, acting, between, moves
+from micah_plan.recording.value import DEFAULT_PART, Recording
+from micah_plan.ros.bags import messages_of, topics_of
+from micah_plan.ros.log import NANOSECONDS, Logged, stamp_ns
+
+JOINT = "joint "
+READ = {
+    "geometry_msgs/msg/PoseArray": "poses",
+    "geometry_msgs/msg/PoseStamped": "poses",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "poses",
+    "geometry_msgs/msg/TransformStamped": "poses",
+    "nav_msgs/msg/Odometry": "poses",
+    "tf2_msgs/msg/TFMessage": "poses",
+    "geometry_msgs/msg/Vector3Stamped": "actions, forces",
+    "sensor_msgs/msg/JointState": "joints",
+}
+"""What a recording takes from the messages of a type."""
+_MOST_LISTED = 12
+Sample = tuple[int, tuple[float, ...]]
+
+
+def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """`read_recording` of a log of ROS messages.
+
+    Raises:
+        InputError: if it is none, has no poses, or poses in several frames of which none is chosen.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    meant = conventions or Conventions()
+    with located_in(path):
+        log = _Log()
+        for logged in messages_of(path):
+            log.add(logged)
+        if not log.edges:
+            kinds = ", ".join(kind.replace("/msg/", "/") for kind, content in READ.items() if content == "poses")
+            raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy="log poses of the part")
+        found = as_recorded(log.recording(meant.topics, meant.frame), meant)
+        return checked(found, minimum_rows=minimum_rows)
+
+
+def _listed(path: str | Path) -> str:
+    topics = topics_of(path)
+    texts = [f"{shown(one.name)} ({one.kind.replace('/msg/', '/')})" for one in topics[:_MOST_LISTED]]
+    more = f" and {len(topics) - _MOST_LISTED} more" if len(topics) > _MOST_LISTED else ""
+    return ", ".join(texts) + more if texts else "no topics"
+
+
+@dataclass
+class _Log:
+    """What the messages of a log say, by what they are about.
+
+    Attributes:
+        edges: by topic and part or child frame.
+        vectors: samples by topic without slashes at its ends, and the frame that they are in.
+        joints: positions by joint.
+    """
+
+    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
+    vectors: dict[str, tuple[str, dict[int, tuple[float, ...]]]] = field(default_factory=dict)
+    joints: dict[str, list[Sample]] = field(default_factory=dict)
+
+    def add(self, logged: Logged) -> None:
+        """Take in a message.
+
+        Raises:
+            InputError: if a part was in another frame before.
+        """
+        message = logged.message
+        if logged.kind == "geometry_msgs/msg/Vector3Stamped":
+            given = self.vectors.setdefault(logged.topic.strip("/"), (message.header.frame_id.strip("/"), {}))
+            vector = message.vector
+            given[1][stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
+        elif logged.kind == "sensor_msgs/msg/JointState":
+            time = stamp_ns(message.header, logged.time)
+            for name, position in zip(message.name, message.position, strict=False):
+                self.joints.setdefault(name, []).append((time, (position,)))
+        for child, header, p, q in _poses(logged):
+            parent = header.frame_id.strip("/")
+            edge = self.edges.get((logged.topic, child))
+            if edge is None:
+                static = logged.topic.strip("/").endswith("tf_static")
+                edge = self.edges[logged.topic, child] = Edge(logged.topic, child, parent, static)
+            if edge.parent != parent:
+                problem = f"{shown(child)} is given in the frames {shown(edge.parent)} and {shown(parent)}"
+                raise InputError(problem, remedy="choose another topic: --topic NAME")
+            edge.samples.append((stamp_ns(header, logged.time), (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+
+    def recording(self, topics: Sequence[str], frame: str | None) -> Recording:
+        """The rows of the parts that are chosen, in the frame that is chosen.
+
+        Raises:
+            InputError: if a topic or frame is not there, or one must be chosen.
+        """
+        chosen = self._chosen(topics)
+        frames, notes = Frames.of(self.edges.values()), list[str]()
+        target = self._target(chosen, frame, notes, frames)
+        tracks = {edge.child: _track(edge, target, frames, notes) for edge in chosen}
+        names = list(tracks)
+        part = np.repeat(np.arange(len(names)), [len(stamps) for stamps, _ in tracks.values()])
+        stamps = np.concatenate([stamps for stamps, _ in tracks.values()])
+        poses = np.concatenate([poses for _, poses in tracks.values()])
+        order = np.lexsort((part, stamps))
+        vectors: dict[str, Floats | None] = {}
+        for kind in ("action", "force"):
+            values = self._vectors(kind, {name: own for name, (own, _) in tracks.items()}, target, frames, notes)
+            vectors[kind] = None if values is None else values[order]
+        times = stamps[order]
+        return Recording(
+            time=times / NANOSECONDS,
+            position=poses[order, :3],
+            quaternion=poses[order, 3:],
+            action=vectors["action"],
+            force=vectors["force"],
+            part=tuple(names[i] for i in part[order].tolist()),
+            has_part=True,
+            extra={f"{JOINT}{name}": _held(samples, times) for name, samples in sorted(self.joints.items())},
+            notes=tuple(notes),
+        )
+
+    def _chosen(self, topics: Sequence[str]) -> list[Edge]:
+        """The parts: those on topics or with frames that are named, or else all that do not stand still for good."""
+        wanted = [name.strip("/") for name in topics]
+        named = [(edge.topic.strip("/"), edge.child) for edge in self.edges.values()]
+        for name, text in zip(wanted, topics, strict=True):
+            if not any(name in names for names in named):
+                there = sorted({other for names in named for other in names})
+                close = difflib.get_close_matches(name, there, 1)
+                remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(', '.join(there))}"
+                raise InputError(f"there is no topic or frame {shown(text)} with poses", remedy=remedy)
+        pairs = zip(self.edges.values(), named, strict=True)
+        chosen = [edge for edge, names in pairs if (set(names) & set(wanted) if wanted else not edge.static)]
+        by_child: dict[str, Edge] = {}
+        for edge in chosen or list(self.edges.values()):
+            other = by_child.setdefault(edge.child, edge)
+            if other is not edge:
+                problem = f"{shown(edge.child)} is on the topics {shown(other.topic)} and {shown(edge.topic)}"
+                raise InputError(problem, remedy=f"choose one: --topic {other.topic}")
+        return list(by_child.values())
+
+    def _target(self, chosen: Sequence[Edge], frame: str | None, notes: list[str], frames: Frames) -> str:
+        """The frame of the poses."""
+        if frame is not None:
+            name = frame.strip("/")
+            there = sorted({end for edge in self.edges.values() for end in (edge.parent, edge.child)})
+            if name not in there:
+                close = difflib.get_close_matches(name, there, 1)
+                remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(', '.join(there))}"
+                raise InputError(f"there is no frame {shown(frame)}", remedy=remedy)
+            return name
+        parents = sorted({edge.parent for edge in chosen})
+        if len(parents) > 1:
+            roots = sorted({frames.root(parent) for parent in parents})
+            places = {edge.parent for edge in self.edges.values()}
+            leaf = next((edge.child for edge in chosen if edge.child not in places), "NAME")
+            remedy = f"choose one: --frame {roots[0] or 'NAME'}, and what moved: --topic {leaf}"
+            raise InputError(f"expected poses in one frame, found {shown(', '.join(parents))}", remedy=remedy)
+        above = frames.upwards(parents[0])
+        if moves(above):
+            root = above[-1].parent
+            notes.append(f"the frame {shown(parents[0])} of the poses moves itself; in {shown(root)}: --frame {root}")
+        return parents[0]
+
+    def _vectors(
+        self, kind: str, stamps_of: dict[str, Ints], target: str, frames: Frames, notes: list[str]
+    ) -> Floats | None:
+        """(n, 3) actions or forces at the stamps of the parts, one part after the other; None if there are none."""
+        if not any(self.vectors.get(f"{part}/{kind}", ("", {}))[1] for part in stamps_of):
+            return None
+        pieces = []
+        for part, stamps in stamps_of.items():
+            frame, samples = self.vectors.get(f"{part}/{kind}", ("", {}))
+            if not samples:
+                pieces.append(np.full((len(stamps), 3), np.nan))
+                continue
+            times = np.array(sorted(samples), dtype=np.int64)
+            given = np.array([samples[time] for time in times.tolist()])
+            if frame not in ("", target) and frame in frames.edges and frames.root(frame) == frames.root(target):
+                given = frames.placed(frame, target, times)[1].apply(given)
+            elif frame not in ("", target):
+                notes.append(f"nothing says where the frame {shown(frame)} of {part}/{kind} is; it is read as {target}")
+            pieces.append(_at_poses(kind, part, (times, given), stamps, notes))
+        return np.concatenate(pieces)
+
+
+def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, notes: list[str]) -> Floats:
+    """(n, 3) actions or forces at stamps of poses: by stamp where they have these, or else joined, which is noted."""
+    times, given = samples
+    aligned = np.isin(times, stamps).all()
+    if aligned and (kind == "force" or np.isin(stamps[:-1], times).all()):
+        found = np.full((len(stamps), 3), np.nan)
+        found[np.isin(stamps, times)] = given
+        return found
+    apart = np.abs(times[:, None] - stamps[_neighbours(stamps, times)]).min() / NANOSECONDS
+    rates = [NANOSECONDS / float(np.median(np.diff(each))) if len(each) > 1 else 0.0 for each in (times, stamps)]
+    joined = "each spread until the next" if kind == "action" else "interpolated"
+    notes.append(
+        f"{count(len(times), kind)} of {shown(part)} at {rates[0]:.3g} Hz are joined to poses at {rates[1]:.3g} Hz "
+        f"({joined}); the nearest stamps are {quantity(float(apart), 's')} apart"
+    )
+    return acting(times, given, stamps) if kind == "action" else between(times, given, stamps)
+
+
+def _neighbours(stamps: Ints, times: Ints) -> Ints:
+    """(k, 2) of the stamps around each time."""
+    right = np.searchsorted(stamps, times)
+    return np.stack([np.maximum(right - 1, 0), np.minimum(right, len(stamps) - 1)], axis=1)
+
+
+def _track(edge: Edge, target: str, frames: Frames, notes: list[str]) -> tuple[Ints, Floats]:
+    """(n,) stamps [ns] and (n, 7) poses of a part in a frame."""
+    stamps, poses = edge.once()
+    if edge.parent == target:
+        return stamps, poses
+    origin, turn, known = replace(frames, edges={**frames.edges, edge.child: edge}).placed(edge.child, target, stamps)
+    if not known.any():
+        problem = f"at no pose of {shown(edge.child)} it is known where {shown(edge.parent)} is in {shown(target)}"
+        raise InputError(problem, remedy="record both at the same time")
+    lost = int((~known).sum())
+    if lost:
+        of = f"where {shown(edge.parent)} is in {shown(target)}"
+        notes.append(f"{count(lost, 'pose')} of {shown(edge.child)} are left out: it is not known then {of}")
+    return stamps[known], np.concatenate([origin, turn.as_quat()], axis=1)[known]
+
+
+def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
+    """The poses of a message: part or child frame, header, position and orientation."""
+    message, kind = logged.message, logged.kind
+    named = logged.topic.strip("/").removesuffix("/pose") or DEFAULT_PART
+    if kind == "geometry_msgs/msg/PoseStamped":
+        yield named, message.header, message.pose.position, message.pose.orientation
+    elif kind == "geometry_msgs/msg/PoseWithCovarianceStamped":
+        yield named, message.header, message.pose.pose.position, message.pose.pose.orientation
+    elif kind == "geometry_msgs/msg/PoseArray":
+        for i, pose in enumerate(message.poses):
+            yield f"{named}/{i}", message.header, pose.position, pose.orientation
+    elif kind == "nav_msgs/msg/Odometry":
+        child = message.child_frame_id.strip("/") or named
+        yield child, message.header, message.pose.pose.position, message.pose.pose.orientation
+    elif kind in ("tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"):
+        for item in [message] if kind == "geometry_msgs/msg/TransformStamped" else message.transforms:
+            yield item.child_frame_id.strip("/"), item.header, item.transform.translation, item.transform.rotation
+
+
+def _held(samples: list[Sample], times: Ints) -> tuple[str, ...]:
+    """The last value until each time, as text; empty before the first."""
+    samples = sorted(samples)
+    last = np.searchsorted([time for time, _ in samples], times, side="right") - 1
+    return tuple("" if i < 0 else repr(samples[i][1][0]) for i in last.tolist())
