@@ -56,14 +56,12 @@ _Stray = tuple[_Track, int, int]
 def breaks(recording: Recording) -> tuple[str, ...]:
     """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
     every: list[str] = []
-    number = np.arange(len(recording))
-    names = np.array(recording.part)
     for run in recording.runs:
         tracks = []
         for part in recording.parts:
-            index = number[(recording.run == run) & (names == part)]
+            index = recording.index(run=run, part=part)
             if len(index):
-                rows = recording.select(run=run, part=part)
+                rows = recording.rows(index)
                 tracks.append(_Track(f"part '{part}'", tuple(index.tolist()), rows, continuity_of(rows)))
         lines = [
             line for track in tracks for line in (*_noise_lines(track), *_repeat_lines(track), *_jump_lines(track))

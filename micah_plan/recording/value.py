@@ -6,6 +6,7 @@ A demonstration and an executed run are the same type, so what comes out of the 
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -176,14 +177,25 @@ class Recording(Summarised):
         Raises:
             InputError: if there are no such rows.
         """
-        keep = np.ones(len(self), dtype=bool)
-        if run is not None:
-            keep &= self.run == run
-        if part is not None:
-            keep &= np.array([name == part for name in self.part])
-        if not keep.any():
+        index = self.index(run=run, part=part)
+        if not len(index):
             raise InputError(f"no rows of run {run} and part {part}; runs: {self.runs}, parts: {self.parts}")
-        return self.rows(keep)
+        return self.rows(index)
+
+    def index(self, *, run: int | None = None, part: str | None = None) -> Ints:
+        """The numbers of the rows of one run and/or one part, from 0."""
+        if run is None and part is None:
+            return np.arange(len(self))
+        return self._numbers.get((run, part), np.zeros(0, dtype=int))
+
+    @cached_property
+    def _numbers(self) -> dict[tuple[int | None, str | None], Ints]:
+        """The numbers of rows, by run, by part, and by both: gathered at once, since files have thousands of runs."""
+        lists: dict[tuple[int | None, str | None], list[int]] = defaultdict(list)
+        for i, (run, part) in enumerate(zip(self.run.tolist(), self.part, strict=True)):
+            for key in ((run, None), (None, part), (run, part)):
+                lists[key].append(i)
+        return {key: np.array(numbers) for key, numbers in lists.items()}
 
     def digest(self) -> str:
         """SHA-256 of the content (not of the file's formatting), for provenance."""

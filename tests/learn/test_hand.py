@@ -69,8 +69,14 @@ def test_a_hand_that_first_goes_the_other_way_has_not_pushed_in_vain(kind: str, 
     assert kinds(acted(kind, away_and_back, np.zeros(0), noise)) == [kind]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["locked-first", "locked-first-then-a-stop", "wander-locked-first"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("locked-first", marks=pytest.mark.slow),
+        pytest.param("locked-first-then-a-stop", marks=pytest.mark.evidence),
+        pytest.param("wander-locked-first", marks=pytest.mark.evidence),
+    ],
+)
 def test_hands_whose_direction_wanders_do_not_wait_while_they_push(name: str, simulated) -> None:
     """Where actions predicted no steps, they excused any push in vain."""
     found = [simulated(name, seed) for seed in range(600, 618)]

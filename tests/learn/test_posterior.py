@@ -103,7 +103,7 @@ def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) 
     assert np.mean(given) > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
 def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
     given, right = [], []
@@ -115,7 +115,7 @@ def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
     assert misses <= binom.ppf(1 - RARELY, len(right), max(1 - float(np.mean(given)), 0.03))
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
 def test_kinds_are_stated_with_nine_tenths_on_average(many, method: Method) -> None:
     given = [dict(edges[METHODS.index(method)].segments[0].certainty.kinds)[kind] for kind, _, *edges in many]

@@ -50,7 +50,7 @@ def test_a_demonstration_has_its_structure_where_the_motion_ends(name: str, meth
     assert_as_known(name, method, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", DEMONSTRATIONS)
 def test_a_demonstration_has_its_structure_for_every_seed(name: str, method: str) -> None:

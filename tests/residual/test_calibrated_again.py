@@ -28,8 +28,8 @@ PLANTS = [
 ]
 
 
-# One of a command, one with a memory, one of a joint, one of a sensor; the others are evidence.
-BLOCKING = (plants.short_steps, plants.late, plants.sprung, plants.stretched)
+# One of a command and one of a sensor; the others are evidence.
+BLOCKING = (plants.short_steps, plants.stretched)
 
 
 def run_of(plant, seed):
@@ -79,7 +79,7 @@ def test_what_came_later_is_found_beside_it(door) -> None:
     assert found.effects[0].effect.values[0] == pytest.approx(0.06, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_correction_without_a_name_stays_without_one(door) -> None:
     once = calibrate(door, run_of(plants.rippled, 3))
     assert once.verdict == "unexplained"

@@ -35,7 +35,7 @@ def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002
         pytest.param({"share": 0.25, "momentum": 0.5, "late": 1}, marks=pytest.mark.evidence),
         pytest.param({"share": 0.05}, marks=pytest.mark.evidence),
         pytest.param({"share": 0.3, "late": 2}, marks=pytest.mark.evidence),
-        pytest.param({"share": 0.3, "short": 0.06}, marks=pytest.mark.slow),
+        pytest.param({"share": 0.3, "short": 0.06}, marks=pytest.mark.evidence),
     ],
     ids=str,
 )

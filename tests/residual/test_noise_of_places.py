@@ -93,8 +93,9 @@ def test_nothing_is_found_where_only_the_noise_depends_on_the_place() -> None:
     assert examined(slide(), recorded(2)).is_noise
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.evidence if seed else pytest.mark.slow) for seed in range(3)]
+)
 def test_a_gain_is_found_behind_noise_that_depends_on_the_place(seed) -> None:
     honest, weak = calibrate(slide(), recorded(seed)), calibrate(slide(), recorded(seed, gain=0.75))
     assert honest.verdict == "none"

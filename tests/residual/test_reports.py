@@ -76,7 +76,7 @@ def test_what_fits_all_rows_better_and_is_hardly_outdone_on_held_out_ones_is_tie
     assert _is_tied(best, model(-9.0, gap=2.0))
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_the_floor_of_roll_outs_is_what_noise_makes_of_them(door) -> None:
     """Over several recordings of a door that does as the model says."""
     ratios = []

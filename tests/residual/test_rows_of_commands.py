@@ -32,7 +32,7 @@ def held(recording: Recording, each: int) -> Recording:
     return replace(recording, position=recording.position[first], quaternion=recording.quaternion[first])
 
 
-@pytest.mark.parametrize("rows", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rows", [1, pytest.param(2, marks=pytest.mark.evidence)])
 def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, rows) -> None:
     recording = stored_late(plants.door_recording(plants.runs_of(plants.honest, 8, 50, 3)), rows)
     found = calibrate(door, recording)

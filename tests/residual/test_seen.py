@@ -49,7 +49,7 @@ def test_a_stop_beyond_the_end_that_was_seen_is_that_end_moved():
     assert only.interval[0][0] < only.effect.values[0] < only.interval[0][1]
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_readings_that_go_beyond_an_end_need_not_mean_that_it_is_elsewhere():
     """A sensor that reads too much at both ends: one effect, and not a gain with a moved end beside it."""
     model, log = seen_up_to(plants.LENGTH), recording(plants.stretched, goals=(-0.3, 1.6))
