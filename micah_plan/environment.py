@@ -187,7 +187,8 @@ def _advice(libraries: list[Found], solvers: list[str], browser: str | None) -> 
         missing = [found.library for found in libraries if found.library.extra == extra and found.state == "missing"]
         if missing:
             purposes = " and ".join(dict.fromkeys(library.purpose for library in missing))
-            lines.append(f"to use {extra} ({purposes}): pip install 'micah-plan[{extra}]'")
+            names = " ".join(library.name for library in missing)
+            lines.append(f"to use {extra} ({purposes}): pip install {names}")
     if "mumps" not in solvers:
         lines.append("IPOPT cannot solve with MUMPS, so nothing can be planned: pip install --force-reinstall casadi")
     if browser is None:

@@ -6,6 +6,8 @@ The command line turns them into exit codes: 2 for bad input, 1 where no plan, j
 
 from __future__ import annotations
 
+import re
+import shlex
 import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -90,7 +92,31 @@ def together(errors: Sequence[InputError]) -> InputError:
 
 
 class MissingDependencyError(MicahError):
-    """An optional library is not installed; the message says which extra brings it."""
+    """An optional library is not installed; the message says how to install it."""
+
+    @classmethod
+    def of(cls, extra: str, problem: str) -> MissingDependencyError:
+        """That which an extra brings, with the command that installs it."""
+        return cls(f"{problem}: {pip_install(extra)}")
+
+
+def pip_install(extra: str) -> str:
+    """The command that installs what an extra brings, from wherever micah_plan was installed: it names the libraries.
+
+    An extra can be named only where pip finds the project itself, in its checkout; that is said only where what is
+    installed does not know which libraries those are.
+    """
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        needed = requires("micah-plan") or []
+    except PackageNotFoundError:
+        needed = []
+    mark = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
+    names = sorted(line.partition(";")[0].strip() for line in needed if mark.search(line))
+    if not names:
+        return f"pip install -e '.[{extra}]' in the checkout"
+    return f"pip install {shlex.join(names)}"
 
 
 def printable(text: str) -> str:

@@ -21,7 +21,6 @@ def import_mujoco(what: str = "the MuJoCo plant") -> ModuleType | Any:
         import mujoco
         import mujoco.rollout
     except ImportError as error:
-        problem = f"{what} needs the package 'mujoco'; install it with: pip install 'mujoco>=3.7'"
-        raise MissingDependencyError(problem) from error
+        raise MissingDependencyError.of("sim", f"{what} needs MuJoCo") from error
     mujoco.set_mju_user_warning(lambda _: None)  # an exception from here would end the process
     return mujoco

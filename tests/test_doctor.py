@@ -62,7 +62,7 @@ def test_what_is_missing_or_broken_is_told_with_what_to_do() -> None:
     advice = "\n".join(found.advice)
     assert "pytest does not load" in advice
     assert "to dream: pip install no-such-thing" in advice
-    assert "to use more (wonder): pip install 'micah-plan[more]'" in advice
+    assert "to use more (wonder): pip install never-heard-of" in advice
     assert "apt-get install chromium" in advice
 
 

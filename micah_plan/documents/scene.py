@@ -27,7 +27,7 @@ from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located, choices
 from micah_plan.documents.parts import check_sizes
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, pip_install, shown
 from micah_plan.files import contained, read_bytes
 from micah_plan.scene.body import Body, Hull, Shape
 from micah_plan.scene.mesh_file import convex_corners, load_hull
@@ -143,7 +143,7 @@ def _robot_file(path: str, at: Located) -> Path:
     problem = f"there is no file {shown(path)} beside this one, and no robot of that name"
     if robots:
         raise at.at("path").error(problem, choices(path, robots))
-    raise at.at("path").error(problem, "robots by name need an extra: pip install 'micah-plan[robots]'")
+    raise at.at("path").error(problem, f"robots by name need a package: {pip_install('robots')}")
 
 
 def _text(path: Path, located: Located) -> str:

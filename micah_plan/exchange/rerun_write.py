@@ -30,7 +30,7 @@ def write_rrd(recording: Recording, path: str | Path) -> tuple[str, ...]:
     try:
         import rerun as rr
     except ImportError:
-        raise MissingDependencyError(".rrd files need an extra: pip install 'micah-plan[rerun]'") from None
+        raise MissingDependencyError.of("rerun", ".rrd files need a library that is not installed") from None
     folder = Path(path).absolute().parent
     if not folder.is_dir():
         raise InputError("the folder does not exist", source=path, remedy="create it")

@@ -55,7 +55,7 @@ def _table(data: bytes) -> Table:
         import pyarrow
         from pyarrow import parquet
     except ImportError:
-        raise MissingDependencyError(".parquet files need an extra: pip install 'micah-plan[parquet]'") from None
+        raise MissingDependencyError.of("parquet", ".parquet files need a library that is not installed") from None
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
         groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]

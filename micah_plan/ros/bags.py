@@ -144,7 +144,7 @@ def _rosbags() -> tuple[Any, Any]:
         from rosbags.rosbag1 import Reader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise MissingDependencyError("bags of ROS 1 need an extra: pip install 'micah-plan[ros]'") from None
+        raise MissingDependencyError.of("ros", "bags of ROS 1 need a library that is not installed") from None
     return Reader, get_typestore(Stores.ROS1_NOETIC)
 
 

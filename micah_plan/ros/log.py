@@ -194,7 +194,7 @@ def _require() -> None:
     try:
         import mcap_ros2.writer  # noqa: F401 - only whether it is there
     except ImportError:
-        raise MissingDependencyError("MCAP files need an extra: pip install 'micah-plan[ros]'") from None
+        raise MissingDependencyError.of("ros", "ROS logs need libraries that are not installed") from None
 
 
 def decoders() -> dict[str, Callable[[bytes], Any]]:

@@ -144,9 +144,7 @@ def _parquet(columns: Columns) -> bytes:
         import pyarrow
         from pyarrow import parquet
     except ModuleNotFoundError:
-        raise MissingDependencyError(
-            "Parquet files need pyarrow: pip install 'micah-plan[parquet]', or write a .csv file"
-        ) from None
+        raise MissingDependencyError.of("parquet", "Parquet files need pyarrow (.csv files do not)") from None
     schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, (kind, _) in columns.items()])
     table = pyarrow.table({name: cells for name, (_, cells) in columns.items()}, schema=schema)
     sink = pyarrow.BufferOutputStream()

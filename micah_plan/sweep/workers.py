@@ -142,7 +142,7 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise MissingDependencyError("a Dask cluster needs distributed: pip install 'micah-plan[cluster]'") from None
+        raise MissingDependencyError.of("cluster", "a Dask cluster needs distributed") from None
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

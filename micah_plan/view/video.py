@@ -119,9 +119,8 @@ def _opened(page: str, filming: Filming) -> Iterator[Page]:
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError:
-        raise MissingDependencyError(
-            "pictures and videos of pages need a browser: install the extra 'browser', and chromium"
-        ) from None
+        problem = "pictures and videos of pages need chromium, and a library that drives it"
+        raise MissingDependencyError.of("browser", problem) from None
     program = next(filter(None, map(shutil.which, _BROWSERS)), None)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as started:
         file = Path(folder) / "page.html"
@@ -182,7 +181,6 @@ def _ffmpeg() -> str:
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
-        raise MissingDependencyError(
-            "MP4 needs ffmpeg: install it, or the extra 'video'; .gif and .webp need neither"
-        ) from None
+        problem = "MP4 needs ffmpeg, .gif and .webp do not; install it, or a library that brings it"
+        raise MissingDependencyError.of("video", problem) from None
     return str(get_ffmpeg_exe())
