@@ -33,16 +33,16 @@ def test_a_size_or_rate_that_cannot_be_is_refused(changes: dict[str, float], mes
         Filming(**changes)  # type: ignore[arg-type]
 
 
-def test_without_a_browser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_browser_its_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "playwright.sync_api", None)
-    with pytest.raises(MissingDependencyError, match="the extra 'browser'"):
+    with pytest.raises(MissingDependencyError, match=r"chromium, and a library that drives it: pip install 'playwright>="):
         picture("<html></html>")
 
 
 def test_without_ffmpeg_an_mp4_is_refused_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingDependencyError, match=r"'video'; \.gif and \.webp need neither"):
+    with pytest.raises(MissingDependencyError, match=r"needs ffmpeg, \.gif and \.webp do not; .*imageio-ffmpeg"):
         video("<html></html>", ".mp4")
 
 
