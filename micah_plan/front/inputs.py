@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,9 +24,22 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.sweep import Sweep
 
+
+class DataFrame(Protocol):
+    """A table of pandas, polars or the like."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of its columns."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """A column."""
+
+
 Source = str | Path
-Measured = Source | Recording | RunsResult | LearningResult | Sequence["Measured"]
-"""A recording, or what has one: a path, a value, executed runs, what was learned; or several, whose runs are joined."""
+Measured = Source | Recording | RunsResult | LearningResult | DataFrame | Mapping[str, Any] | Sequence["Measured"]
+"""A recording, or what has one: a path, a value, a table with the columns of a recording CSV, arrays by the names of a
+recording's attributes, executed runs, what was learned; or several, whose runs are joined."""
 Learnt = LearningResult | ExplorationResult | CalibrationResult
 Modelled = Source | Mapping[str, Any] | HybridAutomaton | Learnt | PlanningResult | Problem
 """A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
@@ -35,19 +49,22 @@ Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experi
 """What files hold."""
 
 
-def load(source: Source | Mapping[str, Any], **conventions: Any) -> Loaded:
+def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> Loaded:
     """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
 
     Args:
-        source: the file; or data with the keys of a model file, which is how a model is made by hand, with names.
+        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
+            how a model is made by hand, with names.
         **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
             length="mm", up="y"``.
 
     Raises:
         InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
     """
-    if isinstance(source, Mapping):
+    if isinstance(source, Mapping) and not is_table(source) and "columns" not in conventions:
         return automaton_of(source)
+    if not isinstance(source, Source):
+        return recording_of(source, conventions=conventions_of(conventions))
     from micah_plan.documents.kind import kind_of
 
     kind = kind_of(source)
@@ -97,11 +114,41 @@ def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Convent
         return load_recording(given, minimum_rows=minimum_rows, conventions=conventions)
     if isinstance(given, RunsResult | LearningResult):
         return given.recording
+    if is_table(given) or isinstance(given, Mapping):
+        return checked(_of_table(given, conventions), minimum_rows=minimum_rows)
     if isinstance(given, list | tuple) and given:
         return joined([recording_of(one, minimum_rows=minimum_rows) for one in given])
     if not isinstance(given, Recording):
         raise _other("a recording", given, "give the path of one, or a micah_plan.Recording")
     return checked(given, minimum_rows=minimum_rows)
+
+
+def is_table(given: Any) -> bool:
+    """Whether something has the columns of a recording: a data frame, a table of Arrow, a mapping of such names."""
+    if isinstance(given, Mapping):
+        return not {"t", "x", "time", "position"}.isdisjoint(given)
+    return not isinstance(given, Recording | ModuleType) and hasattr(given, "__getitem__") and bool(_names_of(given))
+
+
+def _names_of(table: Any) -> list[Any]:
+    """Names of the columns of a data frame or table of Arrow."""
+    names = getattr(table, "column_names", None) or getattr(table, "columns", None)
+    return list(names) if names is not None and not callable(names) else []
+
+
+def _of_table(table: Any, conventions: Conventions | None) -> Recording:
+    from micah_plan.recording.columns import recording_of_columns
+    from micah_plan.recording.conventions import as_recorded
+
+    if isinstance(table, Mapping) and "position" in table:
+        known = {one.name for one in fields(Recording)} - {"conventions", "notes", "has_run", "has_part"}
+        for name in table:
+            if name not in known:
+                raise InputError(f"a recording has no {shown(name)}", remedy=f"choose among {', '.join(sorted(known))}")
+        given = {"has_run": "run" in table, "has_part": "part" in table, **table}
+        return as_recorded(Recording(**given), conventions or Conventions())
+    names = list(table) if isinstance(table, Mapping) else _names_of(table)
+    return recording_of_columns({str(name): table[name] for name in names}, conventions)
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

@@ -7,7 +7,7 @@ logs is not. `Conventions` say how to read it; nothing of them is guessed but by
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal, get_args
 
@@ -96,6 +96,15 @@ class Conventions:
         texts = {one.name: getattr(self, one.name) for one in fields(self)}
         texts |= {name: ",".join(each) or None for name, each in lists.items()}
         return {name: str(text) for name, text in texts.items() if text is not None}
+
+    def require_open(self, names: Sequence[str], problem: str) -> None:
+        """Check that they say nothing of what a format does not have.
+
+        Raises:
+            InputError: with the problem, if they do.
+        """
+        if self.stated().keys() & set(names):
+            raise InputError(problem, remedy=f"leave out {' and '.join(names)}")
 
     def or_else(self, default: Conventions) -> Conventions:
         """These, and where they leave something open those of the file's format."""

@@ -8,21 +8,16 @@ the tracker had lost the part. Tables of others are read by `conventions`.
 from __future__ import annotations
 
 import csv
-import difflib
 import math
-from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import replace_file
 from micah_plan.recording.checks import (
-    KNOWN,
     MAY_BE_EMPTY,
     NUMERIC,
     POSITION,
@@ -32,18 +27,18 @@ from micah_plan.recording.checks import (
     checked,
     numeric_columns,
 )
+from micah_plan.recording.columns import counted, gathered, named
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
     Conventions,
     as_recorded,
     source_of,
-    turns_of,
     without_gaps,
 )
 from micah_plan.recording.motion_capture import Table, motion_capture_table
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
-from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
+from micah_plan.recording.value import DEFAULT_PART, Recording
 
 
 def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
@@ -97,9 +92,9 @@ def _table(lines: list[str], meant: Conventions) -> Table:
     if all(is_number(name) for name in raw):
         problem = f"expected a header line, found {shown(','.join(raw))}"
         raise InputError(problem, where=where, remedy="put the names of the columns first, such as t,x,y,z")
-    own, factors = _renamed(raw, meant, where)
-    counted = meant.rate is not None and "t" not in own
-    check_header(["t", *own] if counted else own, where=where)
+    own, factors = named(raw, meant, where)
+    without_time = meant.rate is not None and "t" not in own
+    check_header(["t", *own] if without_time else own, where=where)
     if not numbers:
         raise InputError("the header is followed by no rows", where=where, remedy="record at least one row")
     rows = [_fields(lines[n - 1], n) for n in numbers]
@@ -109,45 +104,11 @@ def _table(lines: list[str], meant: Conventions) -> Table:
             remedy = "separate by commas, write numbers with a point, quote text that holds a comma"
             raise InputError(problem, where=f"line {number}", remedy=remedy)
     columns = dict(zip(own, zip(*rows, strict=True), strict=True))
-    if counted:
-        columns = {"t": _counted(columns, len(rows)), **columns}
+    if without_time:
+        columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
     called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
     turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
     return Table(columns, numbers, factors=factors, called=called, turned=frozenset(turned))
-
-
-def _renamed(raw: list[str], meant: Conventions, where: str) -> tuple[list[str], dict[str, float]]:
-    """The names of columns as a recording has them, and factors of their numbers by name; what else is called so stays
-    a further column of the file."""
-    stripped = [name.strip() for name in raw]
-    ours: dict[str, str] = {}
-    factors: dict[str, float] = {}
-    for wanted, text in meant.columns.items():
-        name, factors[wanted] = source_of(text, stripped)
-        if name not in stripped:
-            close = difflib.get_close_matches(name, stripped, 1)
-            remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(','.join(stripped))}"
-            raise InputError(f"there is no column {shown(name)} to read as {wanted}", where=where, remedy=remedy)
-        if name in ours:
-            problem = f"column {shown(name)} is read as {ours[name]} and as {wanted}"
-            raise InputError(problem, where=where, remedy="name each column once")
-        ours[name] = wanted
-    # Of a known name blanks do not count; further columns keep theirs.
-    plain = [name if name in KNOWN else text for name, text in zip(stripped, raw, strict=True)]
-    pairs = zip(stripped, plain, strict=True)
-    own = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
-    return own, factors
-
-
-def _counted(columns: Mapping[str, tuple[str, ...]], rows: int) -> tuple[str, ...]:
-    """The number of each row among those of its run and part."""
-    groups = zip(*(columns.get(name, ("",) * rows) for name in ("run", "part")), strict=True)
-    numbers: Counter[tuple[str, ...]] = Counter()
-    counted = []
-    for group in groups:
-        counted.append(str(numbers[group]))
-        numbers[group] += 1
-    return tuple(counted)
 
 
 def _fields(line: str, number: int) -> list[str]:
@@ -187,22 +148,7 @@ def _recording(table: Table, place: Place, meant: Conventions) -> Recording:
             raise InputError("a second header line", where=place(row, name), remedy=remedy)
         raise InputError(found.problem, where=place(row, name), remedy=found.remedy)
 
-    given = {field: [values[name] for name in names] for field, names in COLUMNS.items() if names[0] in values}
-    arrays: dict[str, Any] = {
-        field: np.stack(parts, axis=-1) if len(parts) > 1 else parts[0] for field, parts in given.items()
-    }
-    if "run" in columns:
-        arrays["run"] = values["run"]
-    turned = turns_of(values, meant.angle)
-    if turned is not None:
-        arrays["quaternion"] = turned
-    return Recording(
-        **arrays,
-        part=columns.get("part", ()),
-        has_run="run" in columns,
-        has_part="part" in columns,
-        extra={name: texts for name, texts in columns.items() if name not in KNOWN and name not in values},
-    )
+    return gathered(values, {name: texts for name, texts in columns.items() if name not in values}, meant)
 
 
 def _texts(recording: Recording) -> dict[str, list[str]]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,9 @@ from numpy.typing import NDArray
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
-from micah_plan.recording.checks import KNOWN, NUMERIC, OPTIONAL_GROUPS, POSITION, QUATERNION, REQUIRED, checked
+from micah_plan.recording.checks import POSITION, QUATERNION, checked
+from micah_plan.recording.columns import Columns, as_texts, entries, recording_of_columns
+from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
 
 _INFO = Path("meta", "info.json")
@@ -31,11 +32,9 @@ _ROTATION_VECTOR = ("wx", "wy", "wz")
 _DISPLACEMENT = ("delta_x", "delta_y", "delta_z")
 _COUNTED = ("timestamp", "episode_index", "frame_index", "index", "task_index")
 _LARGEST_INFO_BYTES = 1024 * 1024
-Table = Mapping[str, Any]
-"""Columns by name: (n,) or (n, k) numbers, or (n,) texts."""
 
 
-def read_parquet(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+def read_parquet(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """`read_recording` of a Parquet file.
 
     Raises:
@@ -45,11 +44,14 @@ def read_parquet(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     """
     with located_in(path):
         table = _table(read_bytes(path))
-        made = _episodes(table, _names(Path(path))) if "episode_index" in table else _flat(table)
-        return checked(made, minimum_rows=minimum_rows)
+        if "episode_index" not in table:
+            return checked(recording_of_columns(table, conventions), minimum_rows=minimum_rows)
+        meant = conventions or Conventions()
+        meant.require_open(("columns", "rate"), "the episodes of LeRobot name their columns and times")
+        return checked(as_recorded(_episodes(table, _names(Path(path))), meant), minimum_rows=minimum_rows)
 
 
-def _table(data: bytes) -> Table:
+def _table(data: bytes) -> Columns:
     """All columns of numbers, vectors of numbers and texts."""
     try:
         import pyarrow
@@ -91,41 +93,6 @@ def _column(pyarrow: Any, column: Any) -> NDArray[Any] | tuple[str, ...] | None:
     return np.array(rows, dtype=float).reshape(len(rows), -1)
 
 
-def _flat(table: Table) -> Recording:
-    """Of a table with the columns of a recording CSV."""
-    missing = [name for name in REQUIRED if name not in table]
-    if missing:
-        remedy = "name the columns as in a recording CSV, or give a file of a LeRobot data set"
-        raise InputError(f"the column {shown(missing[0])} is missing", remedy=remedy)
-    for name in (*NUMERIC, "run"):
-        numbers = table.get(name)
-        kinds = "iu" if name == "run" else "iuf"
-        if numbers is not None and (isinstance(numbers, tuple) or numbers.ndim != 1 or numbers.dtype.kind not in kinds):
-            raise InputError(f"expected numbers in the column {shown(name)}", remedy="convert it before saving")
-    _check_runs(table.get("run"))
-    for group in OPTIONAL_GROUPS:
-        if 0 < sum(name in table for name in group) < len(group):
-            raise InputError(f"expected {', '.join(group)} together", remedy="add the missing columns")
-    arrays: dict[str, Any] = {
-        field: np.stack([table[name] for name in names], axis=-1) if len(names) > 1 else table[names[0]]
-        for field, names in COLUMNS.items()
-        if names[0] in table
-    }
-    return Recording(
-        **arrays,
-        **({"run": table["run"]} if "run" in table else {}),
-        part=tuple(table["part"]) if "part" in table else (),
-        has_run="run" in table,
-        has_part="part" in table,
-        extra=_further({name: values for name, values in table.items() if name not in KNOWN}),
-    )
-
-
-def _check_runs(numbers: NDArray[Any] | None) -> None:
-    if numbers is not None and numbers.size and int(numbers.max()) > np.iinfo(np.int64).max:
-        raise InputError("expected run numbers of at most 63 bits", remedy="number the runs 0, 1, 2 and so on")
-
-
 def _names(path: Path) -> Mapping[str, Sequence[str]]:
     """The names of the entries of each vector, as the data set's own description has them; empty without one."""
     root = next((folder for folder in path.absolute().parents[:4] if (folder / _INFO).is_file()), None)
@@ -142,19 +109,20 @@ def _names(path: Path) -> Mapping[str, Sequence[str]]:
     return {key: [str(name) for name in own] for key, own in lists.items() if isinstance(own, list)}
 
 
-def _episodes(table: Table, names: Mapping[str, Sequence[str]]) -> Recording:
+def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
     """Of a table of a LeRobot data set."""
     for key in ("timestamp", "episode_index"):
         if key not in table or isinstance(table[key], tuple) or table[key].ndim != 1:
             raise InputError(f"expected numbers in the column {shown(key)}", remedy="give a file of a LeRobot data set")
-    _check_runs(table["episode_index"])
+    if int(table["episode_index"].max(initial=0)) > np.iinfo(np.int64).max:
+        raise InputError("expected numbers of episodes of at most 63 bits", remedy="number them 0, 1, 2 and so on")
     seen, commanded, rest = dict[str, dict[str, Floats]](), dict[str, dict[str, Floats]](), dict[str, Any]()
     for key, values in table.items():
         if key in _COUNTED:
             continue
         own = names.get(key, ())
         if isinstance(values, tuple) or values.ndim == 1 or len(own) != values.shape[1]:
-            rest |= _entries(key, values)
+            rest |= entries(key, values)
             continue
         target = commanded if key == "action" else seen if key.startswith("observation") else {}
         for name, entry in zip(own, values.T, strict=True):
@@ -173,7 +141,7 @@ def _episodes(table: Table, names: Mapping[str, Sequence[str]]) -> Recording:
 
 
 def _of_part(
-    table: Table, part: str, pose: Mapping[str, Floats], command: Mapping[str, Floats], rest: Table
+    table: Columns, part: str, pose: Mapping[str, Floats], command: Mapping[str, Floats], rest: Columns
 ) -> Recording:
     position = np.column_stack([pose[axis] for axis in POSITION])
     quaternion, action = None, None
@@ -196,7 +164,7 @@ def _of_part(
         part=(part or DEFAULT_PART,) * len(position),
         has_run=True,
         has_part=bool(part),
-        extra=_further(rest),
+        extra=as_texts(rest),
     )
 
 
@@ -211,19 +179,3 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     arrays: dict[str, Any] = {name: all_of(name) for name in (*COLUMNS, "run")}
     part = sum((one.part for one in recordings), ())
     return Recording(**arrays, part=part, has_run=True, has_part=True, extra=extra)
-
-
-def _entries(key: str, values: Any) -> dict[str, Any]:
-    """A column as columns of single values; a vector's entries without names are numbered."""
-    if isinstance(values, tuple) or values.ndim == 1:
-        return {key: values}
-    return {f"{key}.{i}": entry for i, entry in enumerate(values.T)}
-
-
-def _further(columns: Table) -> dict[str, tuple[str, ...]]:
-    """Columns that mean nothing here, as text; empty where there is no number."""
-    plain = {name: part for key, values in columns.items() for name, part in _entries(key, values).items()}
-    return {
-        name: values if isinstance(values, tuple) else tuple("" if math.isnan(v) else repr(v) for v in values.tolist())
-        for name, values in plain.items()
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from micah_plan.errors import InputError, located_in, shown
@@ -18,7 +17,8 @@ from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 from micah_plan.ros.bags import is_log
 
-_READERS = {".npz": read_npz, ".parquet": read_parquet, ".tum": read_tum}
+_READERS = {".npz": read_npz, ".tum": read_tum}
+_TABLES = {".csv": read_csv, ".parquet": read_parquet}
 _CONTENTS = {".csv": csv_bytes, ".npz": npz_bytes, ".tum": tum_bytes, ".txt": tum_bytes, ".mcap": mcap_bytes}
 _REMEDY = (
     "use .csv (recording), .tum or .txt (TUM trajectory), .npz (arrays), .parquet (table, LeRobot), .mcap, .db3 or "
@@ -26,12 +26,7 @@ _REMEDY = (
 )
 
 
-def read_recording(
-    path: str | Path,
-    *,
-    minimum_rows: int = 1,
-    conventions: Conventions | None = None,
-) -> Recording:
+def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """Read a recording from a .csv, .tum, .txt, .npz, .parquet, .mcap, .db3 or .bag file.
 
     A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
@@ -41,34 +36,28 @@ def read_recording(
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
         conventions: units, upward axis and the like of the file, if they are not those of a recording; names of columns
-            and the rate of CSV files alone, topics and frame of ROS logs alone.
+            and the rate of tables alone, topics and frame of ROS logs alone.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
         MissingDependencyError: for ROS messages without the extra ``ros``, for Parquet without ``parquet``.
     """
-    suffix = Path(path).suffix.lower()
-    if is_log(path):
-        _check(conventions, ("columns", "rate"), "only CSV files have columns to name and rows to count", path)
-        return read_ros_log(path, minimum_rows=minimum_rows, conventions=conventions)
-    _check(conventions, ("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames", path)
+    meant, suffix = conventions or Conventions(), Path(path).suffix.lower()
     if suffix == ".txt":
         suffix = ".csv" if _has_commas(path) else ".tum"
-    if suffix != ".csv" and suffix not in _READERS:
-        read_bytes(path)  # that it does not exist or is a directory is the better message
-        raise _unknown(path, suffix)
-    if suffix == ".csv":
-        return read_csv(path, minimum_rows=minimum_rows, conventions=conventions)
-    _check(conventions, ("columns", "rate"), "only CSV files have columns to name and rows to count", path)
-    found = _READERS[suffix](path, minimum_rows=minimum_rows)
     with located_in(path):
-        return found if conventions is None else checked(as_recorded(found, conventions))
-
-
-def _check(conventions: Conventions | None, names: Sequence[str], problem: str, path: str | Path) -> None:
-    """Check that conventions leave these open."""
-    if conventions is not None and conventions.stated().keys() & set(names):
-        raise InputError(problem, source=path, remedy=f"leave out {' and '.join(names)}")
+        if suffix not in _TABLES:
+            meant.require_open(("columns", "rate"), "only tables (.csv, .parquet) have columns to name and to count")
+        if is_log(path):
+            return read_ros_log(path, minimum_rows=minimum_rows, conventions=meant)
+        meant.require_open(("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames")
+        if suffix in _TABLES:
+            return _TABLES[suffix](path, minimum_rows=minimum_rows, conventions=meant)
+        if suffix not in _READERS:
+            read_bytes(path)  # that it does not exist or is a directory is the better message
+            raise _unknown(path, suffix)
+        found = _READERS[suffix](path, minimum_rows=minimum_rows)
+        return checked(as_recorded(found, meant)) if meant.stated() else found
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:

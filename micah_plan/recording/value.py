@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.quantities import count, interval, quantity
 from micah_plan.summaries import Summarised, aligned, listed
 
@@ -196,6 +196,28 @@ class Recording(Summarised):
             for key in ((run, None), (None, part), (run, part)):
                 lists[key].append(i)
         return {key: np.array(numbers) for key, numbers in lists.items()}
+
+    def columns(self) -> dict[str, Any]:
+        """Arrays and texts by the names of the columns of a recording CSV, as ``pandas.DataFrame`` takes them."""
+        given: dict[str, Any] = {"run": self.run} if self.has_run else {}
+        given |= {"part": list(self.part)} if self.has_part else {}
+        for field_name, names in COLUMNS.items():
+            array = getattr(self, field_name)
+            if array is not None:
+                given |= dict(zip(names, np.atleast_2d(array.T), strict=True))
+        return given | {name: list(texts) for name, texts in self.extra.items()}
+
+    def to_pandas(self) -> Any:
+        """The rows as a ``pandas.DataFrame`` with the columns of a recording CSV.
+
+        Raises:
+            MissingDependencyError: if pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingDependencyError("a data frame needs pandas: pip install pandas") from None
+        return pandas.DataFrame(self.columns())
 
     def digest(self) -> str:
         """SHA-256 of the content (not of the file's formatting), for provenance."""

@@ -35,7 +35,7 @@ def test_a_size_or_rate_that_cannot_be_is_refused(changes: dict[str, float], mes
 
 def test_without_a_browser_its_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "playwright.sync_api", None)
-    with pytest.raises(MissingDependencyError, match=r"chromium, and a library that drives it: pip install 'playwright>="):
+    with pytest.raises(MissingDependencyError, match=r"a library that drives it: pip install 'playwright>="):
         picture("<html></html>")
 
 

@@ -1,0 +1,168 @@
+"""Tables as recordings: columns by name, from files and from programs, read by conventions."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.errors import InputError, shown
+from micah_plan.recording.checks import KNOWN, NUMERIC, check_header
+from micah_plan.recording.conventions import (
+    FIXED_ANGLES,
+    ROTATION_VECTOR,
+    Conventions,
+    as_recorded,
+    source_of,
+    turns_of,
+    without_gaps,
+)
+from micah_plan.recording.value import COLUMNS, Recording
+
+Columns = Mapping[str, Any]
+"""Columns by name: (n,) or (n, k) numbers, or (n,) texts."""
+
+
+def recording_of_columns(columns: Columns, conventions: Conventions | None = None) -> Recording:
+    """The rows of a table whose columns are those of a recording CSV, or are called so by conventions.
+
+    Args:
+        columns: (n,) numbers and texts; times may be ``datetime64``, which become seconds since 1970.
+        conventions: None: those of a recording.
+
+    Raises:
+        InputError: if columns are missing, of other lengths, or hold no numbers; in whose rows is left to `checks`.
+    """
+    meant = conventions or Conventions()
+    names, factors = named(list(columns), meant)
+    table = {name: _plain(values) for name, values in zip(names, columns.values(), strict=True)}
+    lengths = {name: len(values) for name, values in table.items()}
+    if len(set(lengths.values())) > 1:
+        shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        problem = f"expected columns of one length, found {lengths[shortest]} rows of {shown(shortest)} and"
+        raise InputError(f"{problem} {lengths[longest]} of {shown(longest)}", remedy="give every row of every column")
+    if meant.rate is not None and "t" not in table:
+        table = {"t": counted(table, len(next(iter(table.values()), ()))), **table}
+    check_header(list(table), where="")
+    turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
+    for name in (*NUMERIC, *sorted(turned), "run"):
+        if name in table:
+            _check_numbers(name, table[name], "iu" if name == "run" else "iuf")
+    values = {name: np.asarray(table[name]) for name in (*NUMERIC, *turned, "run") if name in table}
+    values |= {name: factor * values[name] for name, factor in factors.items() if factor != 1.0 and name in values}
+    found = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
+    return without_gaps(as_recorded(found, meant))[0]
+
+
+def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Conventions) -> Recording:
+    """The recording of its columns.
+
+    Args:
+        values: (n,) numbers of those with numbers, and of ``run``.
+        others: ``part``, and those that mean nothing here.
+        meant: where an orientation is no quaternion, the unit of its angles.
+    """
+    arrays: dict[str, Any] = {
+        field: np.stack([values[name] for name in names], axis=-1) if len(names) > 1 else values[names[0]]
+        for field, names in COLUMNS.items()
+        if names[0] in values
+    }
+    if "run" in values:
+        arrays["run"] = values["run"]
+    turned = turns_of(values, meant.angle)
+    if turned is not None:
+        arrays["quaternion"] = turned
+    return Recording(
+        **arrays,
+        part=tuple(others["part"]) if "part" in others else (),
+        has_run="run" in values,
+        has_part="part" in others,
+        extra=as_texts({name: column for name, column in others.items() if name != "part"}),
+    )
+
+
+def named(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list[str], dict[str, float]]:
+    """The names of columns as a recording has them, and factors of their numbers by name; what else is called so stays
+    a further column.
+
+    Args:
+        raw: names in the order of the columns.
+        meant: says how they are called.
+        where: place of the names, for messages.
+
+    Raises:
+        InputError: for a name that is not there, and for a column that is named twice.
+    """
+    stripped = [name.strip() for name in raw]
+    ours: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    for wanted, text in meant.columns.items():
+        name, factors[wanted] = source_of(text, stripped)
+        if name not in stripped:
+            close = difflib.get_close_matches(name, stripped, 1)
+            remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(','.join(stripped))}"
+            raise InputError(f"there is no column {shown(name)} to read as {wanted}", where=where, remedy=remedy)
+        if name in ours:
+            problem = f"column {shown(name)} is read as {ours[name]} and as {wanted}"
+            raise InputError(problem, where=where, remedy="name each column once")
+        ours[name] = wanted
+    # Of a known name blanks do not count; further columns keep theirs.
+    plain = [name if name in KNOWN else text for name, text in zip(stripped, raw, strict=True)]
+    pairs = zip(stripped, plain, strict=True)
+    own = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
+    return own, factors
+
+
+def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
+    """(n,) the number of each row among those of its run and part, from 0."""
+    numbers: Counter[tuple[Any, ...]] = Counter()
+    found = np.empty(rows)
+    for i, group in enumerate(zip(*(columns.get(name, ("",) * rows) for name in ("run", "part")), strict=True)):
+        found[i] = numbers[group]
+        numbers[group] += 1
+    return found
+
+
+def as_texts(columns: Columns) -> dict[str, tuple[str, ...]]:
+    """Columns that mean nothing here, as text; empty where there is no number; each entry of a vector by itself."""
+    plain = {name: part for key, values in columns.items() for name, part in entries(key, values).items()}
+    return {
+        name: values if isinstance(values, tuple) else tuple("" if math.isnan(v) else repr(v) for v in values.tolist())
+        for name, values in plain.items()
+    }
+
+
+def entries(key: str, values: Any) -> dict[str, Any]:
+    """A column as columns of single values; a vector's entries without names are numbered."""
+    if isinstance(values, tuple) or values.ndim == 1:
+        return {key: values}
+    return {f"{key}.{i}": entry for i, entry in enumerate(values.T)}
+
+
+def _plain(values: Any) -> NDArray[Any] | tuple[str, ...]:
+    """Numbers as an array, everything else as texts."""
+    if isinstance(values, tuple) and all(isinstance(value, str) for value in values):
+        return values
+    array = np.asarray(values)
+    if array.dtype.kind == "M":
+        return array.astype("datetime64[ns]").astype(np.int64) / 1e9
+    if array.dtype.kind == "m":
+        return array.astype("timedelta64[ns]").astype(np.int64) / 1e9
+    if array.dtype.kind in "iuf":
+        return array
+    if array.dtype.kind == "b":
+        return array.astype(int)
+    return tuple("" if value is None else str(value) for value in array.ravel().tolist())
+
+
+def _check_numbers(name: str, values: Any, kinds: str) -> None:
+    if isinstance(values, tuple) or values.ndim != 1 or values.dtype.kind not in kinds:
+        expected = "integers" if name == "run" else "numbers"
+        raise InputError(f"expected {expected} in the column {shown(name)}", remedy="convert it before saving")
+    if name == "run" and values.size and int(values.max()) > np.iinfo(np.int64).max:
+        raise InputError("expected run numbers of at most 63 bits", remedy="number the runs 0, 1, 2 and so on")
