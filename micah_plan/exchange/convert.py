@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.conventions import load_recording
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
@@ -42,7 +43,8 @@ TARGETS = {
     ".urdf": (".yaml", ".yml"),
 }
 """What a file may be converted to, by its ending."""
-_BODIES = {".urdf": urdf_text, ".sdf": sdf_text}
+_MODELS = (".yaml", ".yml")
+_BODIES = {".urdf": urdf_text, ".sdf": sdf_text, ".mjcf": mjcf_text, ".xml": mjcf_text}
 
 
 def targets(path: str | Path) -> tuple[str, ...]:
@@ -112,10 +114,35 @@ def convert(
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):
-        automaton = load_model(source)
-        text = _BODIES.get(wanted, mjcf_text)(automaton, Path(source).stem, density)
-    replace_file(target, text.encode())
-    return "model", left_out(automaton, density, handles=wanted not in _BODIES)
+        return "model", write_model(load_model(source), target, name=Path(source).stem, density=density)
+
+
+def write_model(
+    automaton: HybridAutomaton, path: str | Path, *, name: str = "object", density: float = DENSITY
+) -> tuple[str, ...]:
+    """Write a model in the format that the ending of the file names, at once or not at all.
+
+    Args:
+        automaton: the model.
+        path: .yaml or .yml, which holds all of it; .urdf, .sdf, .mjcf or .xml (MuJoCo).
+        name: of the body in these.
+        density: of its shapes, for the masses of bodies [kg/m^3].
+
+    Returns:
+        What of it is not in the file, one line each.
+
+    Raises:
+        InputError: for another ending, and for a model that the format cannot hold.
+    """
+    wanted = Path(path).suffix.lower()
+    if wanted in _MODELS:
+        dump_model(automaton, path)
+        return ()
+    if wanted not in _BODIES:
+        remedy = f"choose one that ends in {', '.join((*_MODELS, *_BODIES))}"
+        raise InputError(f"no model can be written to a {shown(wanted)} file", source=path, remedy=remedy)
+    replace_file(path, _BODIES[wanted](automaton, name, density).encode())
+    return left_out(automaton, density, handles=_BODIES[wanted] is mjcf_text)
 
 
 def _chosen(
@@ -127,10 +154,7 @@ def _chosen(
     if not poses_only:
         return recording, ()
     lost = [name for name in ("action", "force") if getattr(recording, name) is not None] + list(recording.extra)
-    alone = len(recording.runs) == 1 and len(recording.parts) == 1
     kept = replace(recording, action=None, force=None, extra={})
-    if alone:
-        kept = replace(kept, run=kept.run * 0, part=(), has_run=False, has_part=False)
     return kept, (f"left out: {', '.join(lost)}",) if lost else ()
 
 

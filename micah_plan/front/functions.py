@@ -12,7 +12,7 @@ from micah_plan.errors import InputError
 from micah_plan.front import inputs
 from micah_plan.front.comparisons import CalibrationResult, PredictionResult
 from micah_plan.front.inputs import Measured, Modelled, Source
-from micah_plan.front.result import Result
+from micah_plan.front.result import Result, save_model
 from micah_plan.front.results import ExplorationResult, LearningResult, PlanningResult, RunsResult
 from micah_plan.front.showing import Page
 from micah_plan.learn.settings import LearnSettings
@@ -189,13 +189,12 @@ def save(value: Any, path: Source) -> None:
     Raises:
         InputError: if the file cannot be written, or there is nothing to write.
     """
-    from micah_plan.documents.model import dump_model
     from micah_plan.recording.read import write_recording
 
     if isinstance(value, Result):
         value.save(path)
     elif isinstance(value, HybridAutomaton):
-        dump_model(value, path)
+        save_model(value, "", path)
     elif isinstance(value, Recording):
         write_recording(value, path)
     else:

@@ -60,9 +60,9 @@ class Result(Summarised):
 
 
 def save_model(automaton: HybridAutomaton | None, reason: str, path: str | Path) -> None:
-    """Write a model file; refused with the reason where there is no model."""
+    """Write a model in the format that the ending names; refused with the reason where there is no model."""
     if automaton is None:
         raise InputError(f"there is no model to write: {reason}")
-    from micah_plan.documents.model import dump_model
+    from micah_plan.exchange.convert import write_model
 
-    dump_model(automaton, path)
+    write_model(automaton, path, name=Path(path).stem)

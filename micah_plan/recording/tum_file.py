@@ -1,11 +1,12 @@
 """TUM trajectory text: ``t x y z qx qy qz qw`` per line, separated by blanks, ``#`` starting a comment.
 
 Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. It holds the poses of one run
-of one part and nothing else.
+of one part and nothing else. What the part is called, and the number of the run, stand in comments: ``# part: door``.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from micah_plan.recording.checks import POSITION, QUATERNION, checked
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
 
+_SAID = re.compile(r"# (part|run): (.+)")
 _COLUMNS = ("t", *POSITION, *QUATERNION)
 
 
@@ -48,8 +50,8 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
     with located_in(path):
         recording = checked(recording)
         surplus = {
-            "run numbers": recording.has_run or recording.run.any(),
-            "part names": recording.has_part,
+            "several runs": len(recording.runs) > 1,
+            "several parts": len(recording.parts) > 1,
             "actions": recording.has_actions,
             "forces": recording.force is not None,
             f"columns {shown(','.join(recording.extra))}": recording.extra,
@@ -61,7 +63,10 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
         if recording.quaternion is None:
             raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")
     table = np.column_stack([recording.time, recording.position, recording.quaternion])
-    lines = [f"# {' '.join(_COLUMNS)}", *(" ".join(map(repr, row)) for row in table.tolist())]
+    named = [f"# part: {recording.parts[0]}"] if recording.has_part else []
+    numbered = [f"# run: {recording.runs[0]}"] if recording.has_run or recording.run.any() else []
+    rows = (" ".join(map(repr, row)) for row in table.tolist())
+    lines = [f"# {' '.join(_COLUMNS)}", *named, *numbered, *rows]
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -85,5 +90,15 @@ def _parsed(lines: list[str], minimum_rows: int) -> Recording:
     except UnreadableValue as error:
         row_index, column = divmod(error.row, len(_COLUMNS))
         raise InputError(error.problem, where=place(row_index, _COLUMNS[column]), remedy=error.remedy) from None
-    recording = Recording(time=values[:, 0], position=values[:, 1:4], quaternion=values[:, 4:])
+    said = {match[1]: match[2] for line in lines if (match := _SAID.fullmatch(line.strip()))}
+    number = int(said["run"]) if re.fullmatch(r"-?\d{1,18}", said.get("run", "")) else 0
+    recording = Recording(
+        time=values[:, 0],
+        position=values[:, 1:4],
+        quaternion=values[:, 4:],
+        run=np.full(len(values), number),
+        part=(said["part"],) * len(values) if "part" in said else (),
+        has_run=number != 0 or said.get("run") == "0",
+        has_part="part" in said,
+    )
     return checked(recording, minimum_rows=minimum_rows, place=place)

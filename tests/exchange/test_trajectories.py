@@ -26,8 +26,10 @@ def test_any_demonstration_becomes_a_trajectory(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table[:, 0], rows.time)
     np.testing.assert_array_equal(table[:, 1:4], rows.position)
     np.testing.assert_allclose(table[:, 4:8], rows.quaternion, atol=1e-12)
-    with pytest.raises(InputError, match="poses of one run and part only, found part names, actions"):
+    with pytest.raises(InputError, match="poses of one run and part only, found several parts, actions"):
         convert(CABINET, tmp_path / "all.tum")
+    # What it is called is kept in a comment, which other programs skip.
+    assert read_recording(tmp_path / "door.tum").parts == ("door",)
     with pytest.raises(InputError, match="no rows of run None and part lid"):
         convert(CABINET, tmp_path / "lid.tum", part="lid", poses_only=True)
 

@@ -79,6 +79,15 @@ def test_paths_and_values_give_the_same(
     executed = execute(tmp_path / "by_path.json", trials=4)
     assert executed.recording.digest() == runs.recording.digest()
     save(runs, tmp_path / "runs.csv")
+    # The ending says the format, as in `convert`.
+    for ending, begin in (("urdf", "<robot"), ("sdf", "<sdf"), ("xml", "<mujoco"), ("yml", "format: ")):
+        learned.save(tmp_path / f"model.{ending}")
+        save(learned.automaton, tmp_path / f"again.{ending}")
+        assert begin in (tmp_path / f"model.{ending}").read_text()
+        assert (tmp_path / f"again.{ending}").exists()
+    with pytest.raises(InputError, match=r"no model can be written to a '\.txt' file; choose one that ends in \.yaml"):
+        learned.save(tmp_path / "model.txt")
+    assert not (tmp_path / "model.txt").exists()
     assert predict(tmp_path / "by_path.json", tmp_path / "runs.csv").outcome == "noise"
     assert isinstance(load(problem), Problem)
 

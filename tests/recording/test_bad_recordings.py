@@ -229,8 +229,8 @@ def test_npz_whose_header_promises_more_than_there_is(tmp_path: Path) -> None:
     ("columns", "found"),
     [
         ({}, "needs orientations, found none"),
-        ({"run": np.ones(2, dtype=int)}, "found run numbers"),
-        ({"part": ("a", "a"), "has_part": True}, "found part names"),
+        ({"run": np.arange(2)}, "found several runs"),
+        ({"part": ("a", "b"), "has_part": True}, "found several parts"),
         ({"action": np.zeros((2, 3)), "force": np.zeros((2, 3))}, "found actions, forces"),
         ({"extra": {"note": ("", "")}}, "found columns 'note'"),
     ],
