@@ -43,7 +43,7 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def _check_recording(file: Path) -> tuple[str, ...]:
-    from micah_plan.documents.conventions import load_recording
+    from micah_plan.exchange.load import load_recording
     from micah_plan.recording.suspicion import suspicions
 
     recording = load_recording(file)

@@ -75,7 +75,7 @@ def read(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | 
     Raises:
         InputError: if it cannot be used; the message names file, row and remedy.
     """
-    from micah_plan.documents.conventions import load_recording
+    from micah_plan.exchange.load import load_recording
 
     return load_recording(Path(path), minimum_rows=minimum_rows, conventions=conventions)
 

@@ -36,6 +36,11 @@ Topics = Annotated[
     typer.Option("--topic", metavar="NAME", help="Of a ROS log, a topic or child frame with poses; may be repeated."),
 ]
 Frame = Annotated[str | None, typer.Option(metavar="NAME", help="Of a ROS log, the frame in which poses are wanted.")]
+Robot = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Whose joints the file has: URDF, MJCF or a robot's name; poses are its tool's."),
+]
+Tool = Annotated[str | None, typer.Option(metavar="FRAME", help="Of the robot, the frame that moves with the part.")]
 PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Name of the only part.")]
 
 
@@ -51,6 +56,8 @@ class Said:
     name: str | None = None
     topics: Sequence[str] | None = None
     frame: str | None = None
+    robot: str | None = None
+    tool: str | None = None
 
     def conventions(self) -> Conventions | None:
         """The same as conventions; None where they say nothing, so that a file beside the recording may.
@@ -74,6 +81,8 @@ class Said:
             name=self.name,
             topics=tuple(self.topics or ()),
             frame=self.frame,
+            robot=self.robot,
+            tool=self.tool,
         )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
-from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Said, Topics, Units, Up
+from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
 from micah_plan.errors import InputError, shown
 from micah_plan.outputs import PLAN, Output, check_outputs
 
@@ -33,6 +33,8 @@ def convert(
     target: Annotated[Path, typer.Argument(help="File to write; its suffix chooses the format.")],
     topic: Topics = None,
     frame: Frame = None,
+    robot: Robot = None,
+    tool: Tool = None,
     part: Annotated[str | None, typer.Option(help="Of a recording, the part to write; default: all.")] = None,
     run: Annotated[int | None, typer.Option(help="Of a recording, the run to write; default: all.")] = None,
     poses_only: Annotated[
@@ -66,7 +68,7 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame).conventions(),
+        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

@@ -22,7 +22,7 @@ from micah_plan.cli.console import (
     progress_bar,
     table,
 )
-from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Said, Topics, Units, Up
+from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
 from micah_plan.errors import InputError, located_in
 from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
@@ -60,6 +60,8 @@ def learn(
     name: PartName = None,
     topic: Topics = None,
     frame: Frame = None,
+    robot: Robot = None,
+    tool: Tool = None,
     list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
@@ -72,7 +74,7 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    conventions = Said(columns, units, rate, up, quaternion, name, topic, frame).conventions()
+    conventions = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool).conventions()
     from micah_plan import workflow
     from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_files

@@ -1,7 +1,8 @@
-"""Conventions of a laboratory's recordings: a small YAML file beside a log, and recordings read by it."""
+"""Conventions of a laboratory's recordings: a small YAML file beside a log."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,7 @@ from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import located_in
 from micah_plan.recording.conventions import Axis, Conventions, Order
-from micah_plan.recording.value import Recording
+from micah_plan.scene.named_robots import is_name
 
 BESIDE = ".conventions.yaml"
 """Ending of the file that says how the recording of the same name beside it is meant."""
@@ -39,6 +40,12 @@ class ConventionsDocument(Document):
     topics: list[str] = doc(
         "Of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.", list
     )
+    robot: str | None = doc(
+        "Whose joints the file has, in place of poses: a URDF or MJCF file, relative to this file, or the name of an "
+        "installed robot.",
+        None,
+    )
+    tool: str | None = doc("Frame of the robot that moves with the part.", None)
     frame: str | None = doc("Of a ROS log, in which the poses are wanted; default: that in which they are given.", None)
 
 
@@ -51,27 +58,17 @@ def load_conventions(path: str | Path) -> Conventions:
     located = read_yaml_file(path)
     meanings = validated(located, ConventionsDocument).meanings(located, {})
     with located_in(path):
-        return Conventions(**meanings | {"topics": tuple(meanings["topics"])})
+        meant = Conventions(**meanings | {"topics": tuple(meanings["topics"])})
+    if meant.robot is None or is_name(meant.robot):
+        return meant
+    return replace(meant, robot=str(Path(path).parent / meant.robot))
 
 
-def load_recording(
-    path: str | Path,
-    *,
-    minimum_rows: int = 1,
-    conventions: Conventions | None = None,
-) -> Recording:
-    """`read_recording`, by the conventions that are given or else those that lie beside the file.
-
-    Args:
-        path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
-        minimum_rows, conventions: those of `read_recording`.
+def conventions_beside(path: str | Path) -> Conventions | None:
+    """Those in the file beside a recording, ``door.conventions.yaml`` for ``door.csv``; None without one.
 
     Raises:
-        InputError: if either file cannot be used.
+        InputError: if that file cannot be used.
     """
-    from micah_plan.recording.read import read_recording
-
-    if conventions is None and Path(path).name:
-        beside = Path(path).with_suffix(BESIDE)
-        conventions = load_conventions(beside) if beside.is_file() else None
-    return read_recording(path, minimum_rows=minimum_rows, conventions=conventions)
+    beside = Path(path).with_suffix(BESIDE) if Path(path).name else Path()
+    return load_conventions(beside) if beside.is_file() else None

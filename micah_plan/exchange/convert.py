@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.conventions import load_recording
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, left_out
+from micah_plan.exchange.load import load_recording
 from micah_plan.exchange.mjcf_write import mjcf_text
 from micah_plan.exchange.rerun_write import write_rrd
 from micah_plan.exchange.sdf_write import sdf_text

@@ -108,7 +108,7 @@ def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Convent
     Raises:
         InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
     """
-    from micah_plan.documents.conventions import load_recording
+    from micah_plan.exchange.load import load_recording
 
     if isinstance(given, Source):
         return load_recording(given, minimum_rows=minimum_rows, conventions=conventions)

@@ -25,6 +25,7 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Order = Literal["xyzw", "wxyz"]
 ROTATION_VECTOR, FIXED_ANGLES = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
+OF_JOINTS = ("joint ", "target ")
 NAMEABLE = (*KNOWN, *ROTATION_VECTOR, *FIXED_ANGLES)
 # A column of the file as -NAME or 0.001*NAME.
 _SCALED = re.compile(r"(?:(?P<minus>-)|(?P<factor>[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)\s*\*)\s*(?P<name>.+)")
@@ -47,7 +48,7 @@ class Conventions:
         columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
             Besides those of a recording: ``rx,ry,rz`` (a rotation vector) and ``roll,pitch,yaw`` (about the fixed axes
             x, y, z in that order), in place of a quaternion. ``-Y`` and ``0.001*dX`` are numbers of a column times a
-            factor.
+            factor. Of a robot's joints ``joint NAME`` and ``target NAME``.
         length, angle, time: units: ``LENGTHS``, ``ANGLES``, ``TIMES``.
         rate: rows per second [Hz]; then ``t`` counts frames, and rows are counted where there is none.
         up: the axis that points upwards.
@@ -55,6 +56,9 @@ class Conventions:
         name: of the only part.
         topics: of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.
         frame: of a ROS log, in which the poses are wanted; None: that in which they are given.
+        robot: whose joints the file has, a URDF or MJCF file, or the name of an installed robot; the poses are then
+            those of its tool in the frame of its base.
+        tool: the frame of the robot that moves with the part.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -67,6 +71,8 @@ class Conventions:
     name: str | None = None
     topics: tuple[str, ...] = ()
     frame: str | None = None
+    robot: str | None = None
+    tool: str | None = None
 
     def __post_init__(self) -> None:
         choices = {
@@ -83,9 +89,12 @@ class Conventions:
         if self.rate is not None and not 0.0 < self.rate < 1e9:
             raise InputError(f"rate: expected rows per second, found {self.rate:g}", remedy="e.g. 120")
         for ours in self.columns:
-            if ours not in NAMEABLE:
+            if ours not in NAMEABLE and not ours.startswith(OF_JOINTS):
                 known = ", ".join(NAMEABLE)
                 raise InputError(f"columns: a recording has no column {shown(ours)}", remedy=f"choose among {known}")
+        if (self.robot is None) != (self.tool is None):
+            problem = "a robot and its tool are given together"
+            raise InputError(problem, remedy="e.g. --robot panda --tool panda_hand")
         for group in (ROTATION_VECTOR, FIXED_ANGLES):
             if 0 < len(self.columns.keys() & set(group)) < len(group):
                 raise InputError(f"columns: expected all of {','.join(group)}", remedy="name the others as well")

@@ -61,6 +61,26 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
         return checked(recording, minimum_rows=minimum_rows, place=place)
 
 
+def csv_columns(path: str | Path) -> dict[str, Any]:
+    """The columns of a CSV file, whatever they are called: (n,) numbers, NaN where empty, or texts.
+
+    Raises:
+        InputError: if it is none, or a name stands twice.
+    """
+    with located_in(path):
+        names, rows, _ = _rows(read_lines(path))
+        columns: dict[str, Any] = {}
+        for name, texts in zip((name.strip() for name in names), zip(*rows, strict=True), strict=True):
+            if name in columns:
+                problem = f"column {shown(name)} appears twice"
+                raise InputError(problem, where="line 1", remedy="rename or remove one of them")
+            try:
+                columns[name] = integers(texts) if name == "run" else floats(texts, may_be_empty=True)
+            except UnreadableValue:
+                columns[name] = texts
+        return columns
+
+
 def write_csv(recording: Recording, path: str | Path) -> None:
     """Write what `csv_bytes` makes, at once or not at all.
 
@@ -84,31 +104,38 @@ def csv_bytes(recording: Recording, path: str | Path) -> bytes:
 
 
 def _table(lines: list[str], meant: Conventions) -> Table:
-    """The lines as columns and rows; blank lines are skipped."""
-    filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
-    header, numbers = filled[0], filled[1:]
-    raw = _fields(lines[header - 1], header)
-    where = f"line {header}"
-    if all(is_number(name) for name in raw):
-        problem = f"expected a header line, found {shown(','.join(raw))}"
-        raise InputError(problem, where=where, remedy="put the names of the columns first, such as t,x,y,z")
+    """The lines as columns and rows."""
+    raw, rows, numbers = _rows(lines)
+    where = f"line {numbers[0]}"
     own, factors = named(raw, meant, where)
     without_time = meant.rate is not None and "t" not in own
     check_header(["t", *own] if without_time else own, where=where)
-    if not numbers:
+    if not rows:
         raise InputError("the header is followed by no rows", where=where, remedy="record at least one row")
-    rows = [_fields(lines[n - 1], n) for n in numbers]
-    for number, row in zip(numbers, rows, strict=True):
-        if len(row) != len(own):
-            problem = f"expected {len(own)} fields as in the header, found {len(row)}"
-            remedy = "separate by commas, write numbers with a point, quote text that holds a comma"
-            raise InputError(problem, where=f"line {number}", remedy=remedy)
     columns = dict(zip(own, zip(*rows, strict=True), strict=True))
     if without_time:
         columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
     called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
     turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
-    return Table(columns, numbers, factors=factors, called=called, turned=frozenset(turned))
+    return Table(columns, numbers[1:], factors=factors, called=called, turned=frozenset(turned))
+
+
+def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
+    """Names, fields of each row, and line numbers of the header and of each row; blank lines are skipped."""
+    filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
+    header, numbers = filled[0], filled[1:]
+    raw = _fields(lines[header - 1], header)
+    if all(is_number(name) for name in raw):
+        problem = f"expected a header line, found {shown(','.join(raw))}"
+        remedy = "put the names of the columns first, such as t,x,y,z"
+        raise InputError(problem, where=f"line {header}", remedy=remedy)
+    rows = [_fields(lines[n - 1], n) for n in numbers]
+    for number, row in zip(numbers, rows, strict=True):
+        if len(row) != len(raw):
+            problem = f"expected {len(raw)} fields as in the header, found {len(row)}"
+            remedy = "separate by commas, write numbers with a point, quote text that holds a comma"
+            raise InputError(problem, where=f"line {number}", remedy=remedy)
+    return raw, rows, [header, *numbers]
 
 
 def _fields(line: str, number: int) -> list[str]:

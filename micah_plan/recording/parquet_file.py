@@ -51,6 +51,27 @@ def read_parquet(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
         return checked(as_recorded(_episodes(table, _names(Path(path))), meant), minimum_rows=minimum_rows)
 
 
+def parquet_columns(path: str | Path) -> dict[str, Any]:
+    """The columns of a Parquet file, whatever they are called, each entry of a vector by itself; of LeRobot with the
+    names of the entries, the time as ``t`` and the episode as ``run``.
+
+    Raises:
+        InputError: if it is no Parquet file.
+        MissingDependencyError: without the extra ``parquet``.
+    """
+    with located_in(path):
+        table, names = _table(read_bytes(path)), _names(Path(path))
+    called = {"timestamp": "t", "episode_index": "run"} if "episode_index" in table else {}
+    columns: dict[str, Any] = {}
+    for key, values in table.items():
+        own = names.get(key, ())
+        if not isinstance(values, tuple) and values.ndim == 2 and len(own) == values.shape[1]:
+            columns |= {f"{key}.{name}": entry for name, entry in zip(own, values.T, strict=True)}
+        else:
+            columns |= entries(called.get(key, key), values)
+    return columns
+
+
 def _table(data: bytes) -> Columns:
     """All columns of numbers, vectors of numbers and texts."""
     try:
@@ -135,7 +156,10 @@ def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
         told = ", ".join(f"{key}: {' '.join(own)}" for key, own in names.items() if key.startswith("observation"))
         problem = "expected the pose of a part, as entries x, y, z of an observation"
         found = f"names {shown(told)}" if told else f"no names of entries in {_INFO} above the file"
-        raise InputError(f"{problem}; found {found}", remedy="name them there, or compute them from the joints")
+        raise InputError(
+            f"{problem}; found {found}",
+            remedy="name them, or say whose joints they are: --robot",
+        )
     both = [_of_part(table, part, seen[part], commanded.get(part, {}), rest) for part in parts]
     return both[0] if len(both) == 1 else _joined(both)
 

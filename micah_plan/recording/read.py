@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions, as_recorded
-from micah_plan.recording.csv_file import csv_bytes, read_csv
+from micah_plan.recording.csv_file import csv_bytes, csv_columns, read_csv
 from micah_plan.recording.mcap_file import mcap_bytes
 from micah_plan.recording.npz_file import npz_bytes, read_npz
-from micah_plan.recording.parquet_file import read_parquet
-from micah_plan.recording.ros_log import read_ros_log
+from micah_plan.recording.parquet_file import parquet_columns, read_parquet
+from micah_plan.recording.ros_log import joint_columns, read_ros_log
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 from micah_plan.ros.bags import is_log
@@ -58,6 +59,23 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
             raise _unknown(path, suffix)
         found = _READERS[suffix](path, minimum_rows=minimum_rows)
         return checked(as_recorded(found, meant)) if meant.stated() else found
+
+
+def read_columns(path: str | Path) -> dict[str, Any]:
+    """The columns of a table or the joints of a ROS log, whatever they are called: (n,) numbers or texts by name.
+
+    Raises:
+        InputError: if the file has none.
+    """
+    suffix = Path(path).suffix.lower()
+    if is_log(path):
+        return joint_columns(path)
+    if suffix == ".parquet":
+        return parquet_columns(path)
+    if suffix in (".csv", ".txt"):
+        return csv_columns(path)
+    problem = f"a {shown(suffix)} file has no joints"
+    raise InputError(problem, source=path, remedy="give a table (.csv, .parquet) or a ROS log (.mcap, .bag, .db3)")
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:

@@ -57,9 +57,38 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
             log.add(logged)
         if not log.edges:
             kinds = ", ".join(kind.replace("/msg/", "/") for kind, content in READ.items() if content == "poses")
-            raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy="log poses of the part")
+            remedy = "log poses of the part"
+            if log.joints:
+                remedy += ", or say whose joints they are: --robot NAME --tool FRAME"
+            raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy=remedy)
         found = as_recorded(log.recording(meant.topics, meant.frame), meant)
         return checked(found, minimum_rows=minimum_rows)
+
+
+def joint_columns(path: str | Path) -> dict[str, Any]:
+    """The positions of joints in a log, at the stamps of the topic that has most of them: ``t`` and ``joint NAME``.
+
+    Raises:
+        InputError: if it is no log, or has none.
+        MissingDependencyError: without the extra ``ros``.
+    """
+    joints: dict[str, dict[str, list[Sample]]] = {}
+    with located_in(path):
+        for logged in messages_of(path):
+            if logged.kind == "sensor_msgs/msg/JointState":
+                time = stamp_ns(logged.message.header, logged.time)
+                for name, position in zip(logged.message.name, logged.message.position, strict=False):
+                    joints.setdefault(logged.topic, {}).setdefault(name, []).append((time, (position,)))
+        if not joints:
+            problem = f"expected joint positions (sensor_msgs/JointState), found {_listed(path)}"
+            raise InputError(problem, remedy="log the joints of the robot")
+    most = max(joints.values(), key=len)
+    stamps = np.unique([time for time, _ in max(most.values(), key=len)])
+    found: dict[str, Any] = {"t": stamps / NANOSECONDS}
+    for samples_of in (*joints.values(), most):
+        for name, samples in samples_of.items():
+            found[f"{JOINT}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
+    return found
 
 
 def _listed(path: str | Path) -> str:

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan import load
 from micah_plan.cli.conventions import Said
-from micah_plan.documents.conventions import load_recording
 from micah_plan.errors import InputError
+from micah_plan.exchange.load import load_recording
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording

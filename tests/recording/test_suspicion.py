@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.documents.conventions import load_recording
 from micah_plan.errors import InputError
+from micah_plan.exchange.load import load_recording
 from micah_plan.recording.breaks import breaks
 from micah_plan.recording.checks import QUATERNION
 from micah_plan.recording.suspicion import require_conventions, suspicions

@@ -1,0 +1,34 @@
+"""A recording from any file, by the conventions that are given or lie beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from micah_plan.documents.conventions import conventions_beside
+from micah_plan.errors import located_in
+from micah_plan.recording.checks import checked
+from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.read import read_columns, read_recording
+from micah_plan.recording.value import Recording
+
+
+def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """`read_recording`, by the conventions that are given or else those that lie beside the file; of a log of a robot's
+    joints the poses of its tool.
+
+    Args:
+        path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
+        minimum_rows, conventions: those of `read_recording`.
+
+    Raises:
+        InputError: if a file cannot be used.
+    """
+    meant = conventions_beside(path) if conventions is None else conventions
+    if meant is None or meant.robot is None or meant.tool is None:
+        return read_recording(path, minimum_rows=minimum_rows, conventions=meant)
+    from micah_plan.robot.joint_log import arm_of, tool_recording
+
+    arm = arm_of(meant.robot, meant.tool)
+    columns = read_columns(path)
+    with located_in(path):
+        return checked(tool_recording(columns, arm, meant), minimum_rows=minimum_rows)

@@ -1,0 +1,143 @@
+"""Recordings of joints: the poses of a robot's tool, and the displacements that its targets command."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.errors import InputError, pip_install, shown
+from micah_plan.quantities import count
+from micah_plan.recording.checks import ACTION, POSITION, QUATERNION
+from micah_plan.recording.columns import recording_of_columns
+from micah_plan.recording.conventions import ANGLES, LENGTHS, Conventions, source_of
+from micah_plan.recording.value import Recording
+from micah_plan.robot.arm import Arm
+from micah_plan.robot.load_arm import describe_robot, load_arm
+from micah_plan.scene.named_robots import is_name, named_robots
+
+_MOST_LISTED = 12
+_BEYOND = 0.1  # rad or m beyond a limit, which no calibration of an encoder explains
+
+
+def arm_of(robot: str, tool: str) -> Arm:
+    """The arm of a file, or of an installed robot of that name.
+
+    Raises:
+        InputError: if there is none, or it has no such tool.
+    """
+    if not is_name(robot) or Path(robot).exists():
+        return load_arm(describe_robot(robot, tool))
+    robots = named_robots()
+    if robot not in robots:
+        close = difflib.get_close_matches(robot, robots, 1)
+        remedy = f"did you mean {shown(close[0])}?" if close else f"choose among {', '.join(robots)}"
+        problem = f"there is no file {shown(robot)}, and no robot of that name"
+        raise InputError(
+            problem, remedy=remedy if robots else f"robots by name need a package: {pip_install('robots')}"
+        )
+    return load_arm(describe_robot(robots[robot], tool))
+
+
+def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> Recording:
+    """The rows of a log of joints, as the poses of the arm's tool in the frame of its base.
+
+    Where the log has targets of all joints too, the action of a row is the way from the measured place of the tool to
+    that which the targets mean.
+
+    Args:
+        columns: of the log, by the names that it has. Those of a joint are ``joint NAME`` in `meant.columns`, or whose
+            last word, ``.pos`` aside, is the joint's name; its targets ``target NAME``, or such a column that begins
+            with ``action.``.
+        arm: whose joints these are.
+        meant: names of columns, units of angles and of joints that slide, times, rate, and the name of the part.
+
+    Raises:
+        InputError: if a joint has no column, several, or values that it cannot have.
+    """
+    q = _positions("joint", columns, arm, meant)
+    if q is None:
+        raise InputError("no joint of the robot has a column", remedy=_named(arm, columns))
+    poses = arm.poses(q)
+    position, quaternion = poses.translation, poses.rotation.as_quat()
+    table = dict(zip((*POSITION, *QUATERNION), np.hstack([position, quaternion]).T, strict=True))
+    targets = _positions("target", columns, arm, meant)
+    if targets is not None:
+        table |= dict(zip(ACTION, (arm.poses(targets).translation - position).T, strict=True))
+    others = {name: text for name, text in meant.columns.items() if name in ("t", "run", "part")}
+    sources = {source_of(text, columns)[0] for text in others.values()}
+    table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
+    # The poses are in metres and upright; of what the log says of itself only times and names remain.
+    own = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
+    notes = _beyond_limits(arm, q)
+    recording = recording_of_columns(table, own)
+    return replace(recording, conventions=meant.stated(), notes=(*notes, *recording.notes))
+
+
+def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> Floats | None:
+    """(n, joints) positions or targets [rad or m]; None where no joint has any.
+
+    Raises:
+        InputError: if only some have, or a column has no numbers.
+    """
+    units = {"rad": ANGLES[meant.angle or "rad"], "m": LENGTHS[meant.length or "m"]}
+    found: dict[str, Floats] = {}
+    for joint, unit in zip(arm.joints, arm.units, strict=True):
+        text = meant.columns.get(f"{kind} {joint}")
+        name, factor = (_column(kind, joint, columns), 1.0) if text is None else source_of(text, columns)
+        if name is None:
+            continue
+        if name not in columns:
+            close = difflib.get_close_matches(name, list(columns), 1)
+            remedy = f"did you mean {shown(close[0])}?" if close else _named(arm, columns)
+            raise InputError(f"there is no column {shown(name)} to read as {kind} {joint}", remedy=remedy)
+        values = columns[name]
+        if isinstance(values, tuple) or not np.isfinite(values).all():
+            raise InputError(f"expected numbers in the column {shown(name)}", remedy="leave out the rows without")
+        found[joint] = factor * units[unit] * np.asarray(values, dtype=float)
+    missing = [joint for joint in arm.joints if joint not in found]
+    if found and missing and kind == "joint":
+        raise InputError(f"the joint {shown(missing[0])} has no column", remedy=_named(arm, columns))
+    return None if missing else np.stack([found[joint] for joint in arm.joints], axis=1)
+
+
+def _column(kind: str, joint: str, columns: Mapping[str, Any]) -> str | None:
+    """The column whose last word is the joint's name; of several that of the measurement, or of the target.
+
+    Raises:
+        InputError: if several are.
+    """
+    named = [name for name in columns if _last_word(name) == joint]
+    if kind == "target":
+        named = [name for name in named if name.startswith(("action.", "target "))]
+    else:
+        named = [name for name in named if not name.startswith(("action.", "target "))]
+    if len(named) > 1:
+        problem = f"the columns {shown(', '.join(named))} are all called like the joint {shown(joint)}"
+        raise InputError(problem, remedy=f'choose one: --columns "{kind} {joint}={named[0]}"')
+    return named[0] if named else None
+
+
+def _last_word(name: str) -> str:
+    """``arm.elbow`` of ``observation.state.arm.elbow.pos`` is not split further than at its last dot."""
+    return name.removesuffix(".pos").rpartition(".")[2].removeprefix("joint ").removeprefix("target ")
+
+
+def _named(arm: Arm, columns: Mapping[str, Any]) -> str:
+    listed = ", ".join(list(columns)[:_MOST_LISTED]) + (" ..." if len(columns) > _MOST_LISTED else "")
+    return f'name them, as in --columns "joint {arm.joints[0]}=NAME"; it has {shown(listed)}'
+
+
+def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
+    """A note where joints are where they cannot be: other units, or another robot."""
+    beyond = np.maximum(q - arm.upper, arm.lower - q).max(axis=0)
+    wrong = [joint for joint, by in zip(arm.joints, beyond, strict=True) if by > _BEYOND]
+    if not wrong:
+        return ()
+    units = "; are these degrees? then say so: --units deg" if np.abs(q).max() > 2 * np.pi else ""
+    return (f"{count(len(wrong), 'joint')} of the robot, first {shown(wrong[0])}, go beyond their limits{units}",)

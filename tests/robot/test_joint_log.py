@@ -1,0 +1,195 @@
+"""Logs of joints: the shipped arm opens a door with its shoulder, logged in four formats, and is learned from each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from micah_plan import InputError, Recording, learn, load
+from micah_plan.recording.conventions import Conventions
+from micah_plan.robot.joint_log import arm_of, tool_recording
+
+ARM = Path(__file__).resolve().parents[2] / "models" / "robots" / "arm7.urdf"
+ROBOT = {"robot": str(ARM), "tool": "tool"}
+BENT = np.array([0.2, 0.6, 0.0, -1.6, 0.0, 1.0, 0.0])
+MOVING, PUSHING = 70, 30
+ROWS = MOVING + PUSHING
+
+
+def opened(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 7) joints of an arm that turns its shoulder by 1.2 rad and then pushes on, and (n, 7) their targets."""
+    turned = np.concatenate([np.linspace(0.0, 1.2, MOVING), np.full(PUSHING, 1.2)])
+    ahead = np.where(np.arange(ROWS) < MOVING - 1, 1.2 / (MOVING - 1), 0.05)
+    noise = np.random.default_rng(seed).normal(0.0, 1e-3, (ROWS, 7))
+    q = BENT + np.outer(turned, np.eye(7)[0])
+    return q + noise, q + np.outer(ahead, np.eye(7)[0])
+
+
+@pytest.fixture(scope="module")
+def arm() -> Any:
+    return arm_of(str(ARM), "tool")
+
+
+def table(arm: Any, prefix: str = "", factor: float = 1.0) -> dict[str, Any]:
+    q, _ = opened()
+    return {f"{prefix}{joint}": factor * q[:, i] for i, joint in enumerate(arm.joints)}
+
+
+def csv(path: Path, columns: Mapping[str, Any]) -> Path:
+    rows = zip(*(np.asarray(values, dtype=float).tolist() for values in columns.values()), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows)]) + "\n")
+    return path
+
+
+def is_the_door(recording: Any, arm: Any) -> None:
+    """The tool goes round the shoulder's axis, at its distance from it."""
+    assert isinstance(recording, Recording)
+    x, y, z = arm.matrix(BENT)[:3, 3]
+    assert_allclose(np.hypot(*recording.position[:, :2].T), np.hypot(x, y), atol=5e-3)
+    assert_allclose(recording.position[:, 2], z, atol=5e-3)
+    assert recording.quaternion is not None
+    turned = Rotation.from_quat(recording.quaternion) * Rotation.from_matrix(arm.matrix(BENT)[:3, :3]).inv()
+    assert_allclose(turned.as_rotvec()[-1], [0, 0, 1.2], atol=0.01)
+
+
+@pytest.mark.parametrize("angle", ["rad", "deg"])
+def test_a_table_of_joints(arm: Any, tmp_path: Path, angle: str) -> None:
+    columns = {"t": 0.05 * np.arange(ROWS)} | table(arm, factor=1.0 if angle == "rad" else 180 / np.pi)
+    found = load(csv(tmp_path / "log.csv", columns), angle=angle, name="door", **ROBOT)
+    is_the_door(found, arm)
+    assert isinstance(found, Recording)
+    assert found.parts == ("door",)
+    assert found.action is None
+    assert found.notes == ()
+    assert found.conventions["robot"] == str(ARM)
+
+
+def test_degrees_that_are_read_as_radians_are_told(arm: Any, tmp_path: Path) -> None:
+    columns = {"t": 0.05 * np.arange(ROWS)} | table(arm, factor=180 / np.pi)
+    found = load(csv(tmp_path / "log.csv", columns), **ROBOT)
+    assert isinstance(found, Recording)
+    (note,) = found.notes
+    assert "go beyond their limits; are these degrees? then say so: --units deg" in note
+
+
+def test_names_of_joints_and_targets(arm: Any, tmp_path: Path) -> None:
+    q, targets = opened()
+    columns = {"stamp": 50 * np.arange(ROWS)}
+    columns |= {f"q{i}": q[:, i] for i in range(7)} | {f"cmd{i}": -targets[:, i] for i in range(7)}
+    names = {"t": "stamp"} | {f"joint {joint}": f"q{i}" for i, joint in enumerate(arm.joints)}
+    names |= {f"target {joint}": f"-cmd{i}" for i, joint in enumerate(arm.joints)}
+    found = load(csv(tmp_path / "log.csv", columns), columns=names, time="ms", **ROBOT)
+    is_the_door(found, arm)
+    assert isinstance(found, Recording)
+    assert found.action is not None
+    expected = [arm.matrix(there)[:3, 3] - arm.matrix(here)[:3, 3] for here, there in zip(q, targets, strict=True)]
+    assert_allclose(found.action, expected, atol=1e-9)
+    assert_allclose(np.diff(found.time), 0.05)
+
+
+def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
+    """Names as LeRobot's arms have them, in degrees; the pushing tells that the door is shut."""
+    pa = pytest.importorskip("pyarrow", reason="needs the extra 'parquet'")
+    from pyarrow import parquet
+
+    q, targets = (np.rad2deg(each) for each in opened())
+    names = [f"{joint}.pos" for joint in arm.joints]
+    columns = {
+        "observation.state": pa.FixedSizeListArray.from_arrays(pa.array(q.ravel()), 7),
+        "action": pa.FixedSizeListArray.from_arrays(pa.array(targets.ravel()), 7),
+        "timestamp": pa.array(0.05 * np.arange(ROWS)),
+        "episode_index": pa.array(np.full(ROWS, 3)),
+    }
+    file = tmp_path / "data" / "chunk-000" / "file-000.parquet"
+    file.parent.mkdir(parents=True)
+    parquet.write_table(pa.table(columns), file)
+    (tmp_path / "meta").mkdir()
+    features = {key: {"dtype": "float32", "shape": [7], "names": names} for key in ("observation.state", "action")}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": features}))
+    with pytest.raises(InputError, match="say whose joints they are: --robot"):
+        load(file)
+    found = load(file, angle="deg", name="door", **ROBOT)
+    is_the_door(found, arm)
+    assert isinstance(found, Recording)
+    assert found.runs == (3,)
+    (edge,) = learn(found).graph.edges
+    assert [segment.joint.kind for segment in edge.segments] == ["revolute", "rigid"]
+    assert abs(edge.segments[1].start - MOVING) <= 3
+
+
+def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
+    from micah_plan.ros.log import Logged, header_at, write_log
+
+    q, _ = opened()
+    messages = []
+    for k in range(ROWS):
+        time = 1_700_000_000_000_000_000 + 50_000_000 * k
+        order = np.random.default_rng(k).permutation(7)
+        state = {"name": [arm.joints[i] for i in order], "position": q[k, order].tolist(), "velocity": [], "effort": []}
+        messages.append(
+            Logged("/joint_states", "sensor_msgs/msg/JointState", time, {"header": header_at(time, ""), **state})
+        )
+        gripper = {"name": ["finger"], "position": [0.01], "velocity": [], "effort": []}
+        messages.append(
+            Logged("/gripper", "sensor_msgs/msg/JointState", time + 7, {"header": header_at(time + 7, ""), **gripper})
+        )
+    (tmp_path / "log.mcap").write_bytes(write_log(messages))
+    found = load(tmp_path / "log.mcap", name="door", **ROBOT)
+    is_the_door(found, arm)
+    with pytest.raises(InputError, match=r"expected poses .*found '/gripper'.*whose joints they are: --robot"):
+        load(tmp_path / "log.mcap")
+
+
+def test_a_file_beside_the_log_names_the_robot(arm: Any, tmp_path: Path) -> None:
+    csv(tmp_path / "log.csv", {"t": 0.05 * np.arange(ROWS)} | table(arm))
+    (tmp_path / "arm.urdf").write_text(ARM.read_text())
+    beside = tmp_path / "log.conventions.yaml"
+    beside.write_text("format: micah-plan/conventions/1\nrobot: arm.urdf\ntool: tool\nname: door\n")
+    is_the_door(load(tmp_path / "log.csv"), arm)
+    beside.write_text("format: micah-plan/conventions/1\nrobot: arm.urdf\n")
+    with pytest.raises(InputError, match="a robot and its tool are given together"):
+        load(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("change", "conventions", "message"),
+    [
+        (
+            {"elbow": None},
+            {},
+            "the joint 'elbow' has no column; name them, as in --columns \"joint shoulder_pan=NAME\"",
+        ),
+        ({"left.elbow": np.zeros(ROWS)}, {}, "the columns 'elbow, left.elbow' are all called like the joint 'elbow'"),
+        ({"elbow": np.full(ROWS, np.nan)}, {}, "expected numbers in the column 'elbow'"),
+        (
+            {},
+            {"columns": {"joint elbow": "elbw"}},
+            "there is no column 'elbw' to read as joint elbow; did you mean 'elbow'?",
+        ),
+        ({"t": None}, {}, "column 't' is missing"),
+    ],
+)
+def test_joints_that_cannot_be_used(arm: Any, change: dict[str, Any], conventions: Any, message: str) -> None:
+    columns = {"t": 0.05 * np.arange(ROWS)} | table(arm)
+    tool_recording(columns, arm, Conventions(**ROBOT))
+    columns = {name: values for name, values in (columns | change).items() if values is not None}
+    with pytest.raises(InputError) as refused:
+        tool_recording(columns, arm, Conventions(**ROBOT, **conventions))
+    assert message in str(refused.value)
+
+
+def test_robots_that_there_are_not() -> None:
+    with pytest.raises(InputError, match=r"no file 'arm8\.urdf'|arm8"):
+        arm_of("arm8.urdf", "tool")
+    with pytest.raises(InputError, match="no robot of that name"):
+        arm_of("pandda", "panda_hand")
+    with pytest.raises(InputError, match="tool"):
+        arm_of(str(ARM), "no_such_frame")
