@@ -29,7 +29,7 @@ def new(
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML) or URDF.")],
+    source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML), URDF or MJCF.")],
     target: Annotated[Path, typer.Argument(help="File to write; its suffix chooses the format.")],
     topic: Topics = None,
     frame: Frame = None,
@@ -55,7 +55,7 @@ def convert(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF; to MJCF and SDF)."""
+    """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF and MJCF; to SDF)."""
     from micah_plan.exchange.convert import convert as converted
     from micah_plan.exchange.convert import targets
 

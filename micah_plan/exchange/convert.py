@@ -19,6 +19,7 @@ from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, left_out
 from micah_plan.exchange.load import load_recording
+from micah_plan.exchange.mjcf_read import load_mjcf
 from micah_plan.exchange.mjcf_write import mjcf_text
 from micah_plan.exchange.rerun_write import write_rrd
 from micah_plan.exchange.sdf_write import sdf_text
@@ -40,7 +41,7 @@ TARGETS = {
     **dict.fromkeys(READABLE, (*RECORDINGS, ".rrd")),
     ".json": (".json", ".mcap"),
     **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml", ".sdf")),
-    ".urdf": (".yaml", ".yml"),
+    **dict.fromkeys((".urdf", ".xml", ".mjcf"), (".yaml", ".yml")),
 }
 """What a file may be converted to, by its ending."""
 _MODELS = (".yaml", ".yml")
@@ -55,7 +56,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
     """
     suffix = Path(path).suffix.lower() or (".mcap" if is_log(path) else "")
     if suffix not in TARGETS:
-        remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml) or .urdf"
+        remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml), .urdf or .xml (MuJoCo)"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
     return TARGETS[suffix]
 
@@ -109,8 +110,8 @@ def convert(
             content = write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, message)])
         replace_file(target, content)
         return "plan", ()
-    if given == ".urdf":
-        automaton, notes = load_urdf(source, packages)
+    if given in (".urdf", ".xml", ".mjcf"):
+        automaton, notes = load_urdf(source, packages) if given == ".urdf" else load_mjcf(source)
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):

@@ -12,41 +12,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import (
-    Coordinate,
-    Edge,
-    HybridAutomaton,
-    Link,
-    Mode,
-    Noise,
-    Part,
-    Primitive,
-    Reset,
-    Tie,
-)
+from micah_plan.automaton.hybrid import HybridAutomaton, Link, Part, Primitive
 from micah_plan.automaton.joint import Joint, Vector3, prismatic, revolute
-from micah_plan.automaton.region import HalfSpace, Region, above, below
-from micah_plan.errors import InputError, located_in, shown
-from micah_plan.exchange.bodies import JOINT_SUFFIX
+from micah_plan.errors import InputError, located_in
+from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.robot.xml_text import Element, parse_xml, read_xml
 from micah_plan.scene.body import vector3
 from micah_plan.scene.mesh_file import load_box
 
-# A URDF has no noise; this is that of a good tracker, per step and per measurement, by unit.
-PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
-OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
-MODE = "moves"
-MOST_JOINTS = 100
-# Beyond these what a file says is doubted: its unit may be another.
-_MOST_TURNS, _LARGEST_OBJECT = 3.0, 20.0
 _HERE = RigidTransform.identity()
 
 
@@ -77,28 +56,12 @@ class _Body:
     frame: RigidTransform = field(default_factory=RigidTransform.identity)
 
 
-class _Moving(NamedTuple):
-    """A joint that moves, with its name in the file, its coordinate's name, and its limits [rad or m]."""
-
-    called: str
-    name: str
-    link: Link
-    joint: Joint
-    limits: tuple[float, float]
-
-
 def _meshes_of_handles(root: Element, folder: Path) -> frozenset[str]:
     """The files of meshes that are drawn as handles."""
     drawn = [visual for link in root.all("link") for visual in link.all("visual")]
     handles = [visual for visual in drawn if visual.attributes.get("name", "").lower().startswith("handle")]
     meshes = [mesh for visual in handles for geometry in visual.all("geometry") for mesh in geometry.all("mesh")]
     return frozenset(str((folder / mesh.attributes.get("filename", "")).resolve()) for mesh in meshes)
-
-
-def _coordinate(joint: Element, child: _Body) -> str:
-    """The name of the joint; without ``_joint`` where the rest is the name of what it moves, as `urdf_write` has it."""
-    name = joint.attributes["name"]
-    return child.name if name == f"{child.name}{JOINT_SUFFIX}" else name
 
 
 class _Tree:
@@ -118,7 +81,7 @@ class _Tree:
     def automaton(self) -> tuple[HybridAutomaton, tuple[str, ...]]:
         base = self._body(self._root)
         base.name, base.frame = BASE, _HERE
-        bodies, moving = [base], list[_Moving]()
+        bodies, moving = [base], list[Moving]()
         for body in bodies:  # grows: children come after their parents
             carried = [joint for link in body.poses for joint in self._joints.get(link, [])]
             for joint in (joint for joint in carried if joint.attributes["type"] != "fixed"):
@@ -126,46 +89,14 @@ class _Tree:
                 if child.name == BASE:
                     raise InputError("a moving link is called 'base'", remedy="give it another name")
                 link = Link(body.name, child.name, len(moving))
-                called, name = joint.attributes["name"], _coordinate(joint, child)
-                moving.append(_Moving(called, name, link, _joint(joint, body, child), _limits(joint)))
+                called = joint.attributes["name"]
+                name = coordinate_of(called, child.name)
+                moving.append(Moving(called, name, link, _joint(joint, body, child), _limits(joint)))
                 bodies.append(child)
-                self._doubt_units(moving[-1])
-        if len(moving) > MOST_JOINTS:
-            problem = f"expected at most {MOST_JOINTS} joints that move, found {len(moving)}"
-            raise InputError(problem, remedy="leave out the robot around the object")
-        if not moving:
-            raise InputError("expected a joint that moves, found none", remedy="a rigid object needs no model")
         parts = [self._part(body) for body in bodies]
-        return _automaton(moving, parts, self._followed(moving)), tuple(self._notes)
-
-    def _doubt_units(self, moving: _Moving) -> None:
-        """Limits of a hinge that are many turns, as degrees would be."""
-        widest = max((abs(end) for end in moving.limits if abs(end) < NO_LIMIT), default=0.0)
-        if moving.joint.kind != "prismatic" and widest > _MOST_TURNS * 2 * np.pi:
-            low, high = moving.limits
-            turns = widest / (2 * np.pi)
-            line = f"joint {moving.called}: limits of {low:g} to {high:g} rad are up to {turns:.0f} turns; "
-            self._notes.append(line + "if they are degrees, write them in rad")
-
-    def _followed(self, moving: Sequence[_Moving]) -> dict[int, tuple[int, float, float]]:
-        """By number of a joint that follows another one: that one's number, multiplier and offset."""
-        numbers, found = {one.called: i for i, one in enumerate(moving)}, dict[int, tuple[int, float, float]]()
-        for name, number in numbers.items():
-            multiplier, offset, leader, passed = 1.0, 0.0, name, [name]
-            while leader in self._mimics:
-                mimic = self._mimics[leader]
-                offset += multiplier * mimic.offset
-                multiplier, leader = multiplier * mimic.multiplier, mimic.joint
-                if leader in passed:
-                    raise InputError(f"joint {shown(leader)} follows itself", remedy="correct <mimic>")
-                passed.append(leader)
-            if leader == name:
-                continue
-            if leader not in numbers:
-                problem = f"joint {shown(name)} follows {shown(leader)}, which does not move"
-                raise InputError(problem, remedy="make one of them fixed")
-            found[number] = numbers[leader], multiplier, offset
-        return found
+        followers = {name: Follows(mimic.joint, mimic.multiplier, mimic.offset) for name, mimic in self._mimics.items()}
+        automaton = one_mode(moving, parts, followers, "urdf")
+        return automaton, (*self._notes, *doubts(moving, parts))
 
     def _body(self, root: str) -> _Body:
         body, members = _Body(root, {root: _HERE}, root), [root]
@@ -196,58 +127,12 @@ class _Tree:
                 boxes += solid.tag == "mesh"
                 if handle is None and solid.attributes.get("filename") in self._handles:
                     handle = shapes[-1].position
-            longest = max((side for shape in shapes for side in shape.size), default=0.0)
-            if longest > _LARGEST_OBJECT:
-                self._notes.append(f"link {link}: {longest:.3g} m long; if its mesh is in mm, give it scale 0.001")
             if boxes:
                 around = (
                     "a mesh became the box around it" if boxes == 1 else f"{boxes} meshes became the boxes around them"
                 )
                 self._notes.append(f"link {link}: {around}")
         return Part(body.name, tuple(shapes), handle)
-
-
-def _automaton(
-    moving: Sequence[_Moving], parts: Sequence[Part], followed: Mapping[int, tuple[int, float, float]]
-) -> HybridAutomaton:
-    """The model.
-
-    Args:
-        followed: by number of a joint that follows another: that one's number, multiplier and offset. Its coordinate is
-            tied to that of the other, and has no input.
-    """
-    n = len(moving)
-    led = [i for i in range(n) if i not in followed]
-    m = len(led)
-    units = ["m" if each.joint.kind == "prismatic" else "rad" for each in moving]
-    coordinates = tuple(Coordinate(each.name, unit) for each, unit in zip(moving, units, strict=True))
-    rows: list[HalfSpace] = []
-    edges: list[Edge] = []
-    ties = tuple(
-        Tie(i, tuple(times * float(j == leader) for j in range(n)), offset)
-        for i, (leader, times, offset) in followed.items()
-    )
-    for i in led:
-        _, name, _, _, (low, high) = moving[i]
-        for end, inside, outside in ((low, above, below), (high, below, above)):
-            if abs(end) < NO_LIMIT:
-                rows.append(inside(i, end, n, m, name=name))
-                stop = Region((outside(i, end, n, m, strict=True, name=name),))
-                edges.append(Edge(MODE, MODE, stop, Reset.to({i: end}, n, ties)))
-    follows = {i: (i, 1.0) for i in led} | {i: (leader, times) for i, (leader, times, _) in followed.items()}
-    gain = tuple(tuple(follows[i][1] * (follows[i][0] == j) for j in led) for i in range(n))
-    automaton = HybridAutomaton(
-        coordinates=coordinates,
-        inputs=tuple(coordinates[i] for i in led),
-        links=tuple(each.link for each in moving),
-        parts=tuple(parts),
-        modes=(Mode(MODE, tuple(each.joint for each in moving), gain, Region(tuple(rows)), ties=ties),),
-        edges=tuple(edges),
-        noise=Noise(tuple(PROCESS_STD[unit] for unit in units), tuple(OBSERVATION_STD[unit] for unit in units)),
-        provenance={"method": "urdf"},
-    )
-    check_automaton(automaton)
-    return automaton
 
 
 def _joint(joint: Element, parent: _Body, child: _Body) -> Joint:
