@@ -21,6 +21,8 @@ DENSITY = 500.0
 """Of wood, kg/m^3: nobody has weighed the object."""
 JOINT_SUFFIX = "_joint"
 _REMEDY = "that format cannot say it; keep the YAML"
+DAMPING = {"revolute": 0.05, "screw": 0.05, "prismatic": 2.0}
+"""Of joints, so that the object comes to rest, N m s/rad or N s/m: nobody has measured it."""
 # A part without shapes must weigh something, or no engine can move it.
 _BARE_MASS, _BARE_RADIUS = 0.1, 0.02
 

@@ -142,8 +142,12 @@ def write_model(
     if wanted not in _BODIES:
         remedy = f"choose one that ends in {', '.join((*_MODELS, *_BODIES))}"
         raise InputError(f"no model can be written to a {shown(wanted)} file", source=path, remedy=remedy)
-    replace_file(path, _BODIES[wanted](automaton, name, density).encode())
-    return left_out(automaton, density, handles=_BODIES[wanted] is mjcf_text)
+    from micah_plan.view.drawing import with_shapes
+
+    shaped = with_shapes(automaton)
+    replace_file(path, _BODIES[wanted](shaped, name, density).encode())
+    notes = left_out(shaped, density, handles=_BODIES[wanted] is mjcf_text)
+    return notes if shaped is automaton else (*notes, "the model has no shapes: those of the file are made up")
 
 
 def _chosen(

@@ -15,10 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
-from micah_plan.exchange.bodies import DENSITY, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts
 from micah_plan.robot.xml_text import Element, write_xml
 
-_DAMPING = {"revolute": 0.05, "screw": 0.05, "prismatic": 2.0}
 _SCALAR_FIRST = [3, 0, 1, 2]
 
 
@@ -76,7 +75,7 @@ def _joints(part: MovingPart) -> list[Element]:
     back = Rotation.from_quat(joint.quaternion).inv()
     axis = _words(back.apply(joint.axis))
     center = _words(back.apply(np.subtract(joint.center, joint.position)))
-    own = {"name": part.name, "axis": axis, "damping": repr(_DAMPING[kind])}
+    own = {"name": part.name, "axis": axis, "damping": repr(DAMPING[kind])}
     if all(map(math.isfinite, part.limits)):
         own["range"] = _words(part.limits)
     if kind == "prismatic":

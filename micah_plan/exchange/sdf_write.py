@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY
-from micah_plan.exchange.bodies import DENSITY, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts
 
 _Node = ElementTree.Element
 
@@ -63,10 +63,12 @@ def _joint(model: _Node, part: MovingPart) -> None:
     for key, end in zip(("lower", "upper"), part.limits, strict=True):
         if np.isfinite(end):
             _add(limit, key, text=repr(float(end)))
+    _add(_add(axis, "dynamics"), "damping", text=repr(DAMPING[joint.kind]))
 
 
 def _link(model: _Node, part: Part, density: float) -> _Node:
     link, own = _add(model, "link", {"name": part.name}), inertia_of(part, density)
+    _add(link, "gravity", text="false")  # the base frame of a learned model is seldom level
     inertial = _add(link, "inertial")
     inertial.append(_pose(own.center, IDENTITY))
     _add(inertial, "mass", text=repr(own.mass))

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY
-from micah_plan.exchange.bodies import DENSITY, Inertia, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, Inertia, MovingPart, inertia_of, moving_parts
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.xml_text import Element, write_xml
 
@@ -54,6 +54,7 @@ def _moved(part: MovingPart, density: float) -> list[Element]:
     low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in part.limits)
     bounds = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "1"}
     described = [axis] if free else [axis, Element("limit", bounds, 0)]
+    described.append(Element("dynamics", {"damping": repr(DAMPING[joint.kind]), "friction": "0"}, 0))
     if part.follows is not None:
         leader, times, offset_at = part.follows
         words = {"joint": leader, "multiplier": repr(times), "offset": repr(offset_at)}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint, Quaternion
 from micah_plan.automaton.kinematics import origin
@@ -116,6 +117,17 @@ def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
         return shapes
     carried = (i for i, link in shown_links(automaton) if link.parent not in children)
     return tuple(s for i in carried for s in base_shapes(automaton.moving_joint(i), reach(automaton, i)))
+
+
+def with_shapes(automaton: HybridAutomaton) -> HybridAutomaton:
+    """The model with the shapes that are drawn of it: where no part that moves has any, with default ones."""
+    if any(automaton.part(link.child).shapes for link in automaton.links):
+        return automaton
+    shapes = {link.child: link_shapes(automaton, number) for number, link in enumerate(automaton.links)}
+    if not automaton.part(BASE).shapes:
+        shapes[BASE] = fixed_shapes(automaton)
+    parts = {part.name: part for part in automaton.parts} | {name: automaton.part(name) for name in shapes}
+    return replace(automaton, parts=tuple(replace(part, shapes=shapes.get(name, ())) for name, part in parts.items()))
 
 
 def reach(automaton: HybridAutomaton, link: int) -> float:

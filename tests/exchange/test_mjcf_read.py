@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
-from micah_plan.exchange.convert import convert
+from micah_plan.exchange.convert import convert, write_model
 from micah_plan.exchange.mjcf_read import load_mjcf
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'sim'")
@@ -241,3 +242,20 @@ def test_limits_that_look_like_degrees_are_doubted(tmp_path: Path) -> None:
     (note,) = loaded(tmp_path, text)[1]
     assert "limits of 0 to 90 rad are up to 14 turns; if they are degrees" in note
     assert loaded(tmp_path, text.replace("radian", "degree"))[1] == ()
+
+
+@pytest.mark.parametrize("ending", ["urdf", "xml", "sdf"])
+def test_a_model_without_shapes_gets_those_that_are_drawn(tmp_path: Path, ending: str) -> None:
+    model = load_model(ROOT / "models" / "drawer.yaml")
+    assert write_model(model, tmp_path / f"with.{ending}")[-1].startswith("masses are those of shapes")
+    bare = replace(model, parts=tuple(replace(part, shapes=(), handle=None) for part in model.parts))
+    notes = write_model(bare, tmp_path / f"bare.{ending}")
+    assert notes[-1] == "the model has no shapes: those of the file are made up"
+    text = (tmp_path / f"bare.{ending}").read_text()
+    assert "box" in text
+    assert "damping" in text
+    assert ("<gravity>false</gravity>" in text) == (ending == "sdf")
+    if ending != "sdf":
+        compiled = mujoco.MjModel.from_xml_path(str(tmp_path / f"bare.{ending}"))
+        assert compiled.ngeom > 0
+        assert compiled.dof_damping[0] == pytest.approx(2.0)
