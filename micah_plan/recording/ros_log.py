@@ -1,16 +1,19 @@
 """Recordings from ROS logs: MCAP files, bags of ROS 1 (.bag) and rosbag2 (.db3), and folders of rosbag2.
 
-Poses are those of ``PoseStamped``, ``PoseWithCovarianceStamped`` and ``PoseArray``, named after their topic, and of
+Poses are those of ``PoseStamped``, ``PoseWithCovarianceStamped``, ``PoseArray`` and ``PointStamped``, named after their
+topic (of several runs, as ``/run_3/door/pose``, all must be called so), and of
 ``TFMessage``, ``TransformStamped`` and ``Odometry``, named after their child frame. Where they are wanted in another
 frame, transforms are composed at the stamps of the part's own. Actions and forces are ``Vector3Stamped`` on
 ``/PART/action`` and ``/PART/force``, at the stamps of the poses or joined to them. Positions of ``JointState`` become
-columns ``joint NAME``, each row with the last message until its time.
+columns ``joint NAME``, each row with the last message until its time; so do ``Float64``, ``Int64`` and ``String`` on
+``/PART/COLUMN``.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +31,10 @@ from micah_plan.ros.bags import messages_of, topics_of
 from micah_plan.ros.log import NANOSECONDS, Logged, stamp_ns
 
 JOINT = "joint "
+_COLUMNS = ("std_msgs/msg/Float64", "std_msgs/msg/Int64", "std_msgs/msg/String")
+_RUN = re.compile(r"run_(-?\d{1,18})/(.+)")
 READ = {
+    "geometry_msgs/msg/PointStamped": "poses",
     "geometry_msgs/msg/PoseArray": "poses",
     "geometry_msgs/msg/PoseStamped": "poses",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "poses",
@@ -37,6 +43,7 @@ READ = {
     "tf2_msgs/msg/TFMessage": "poses",
     "geometry_msgs/msg/Vector3Stamped": "actions, forces",
     "sensor_msgs/msg/JointState": "joints",
+    **dict.fromkeys(_COLUMNS, "columns, on /PART/..."),
 }
 """What a recording takes from the messages of a type."""
 _MOST_LISTED = 12
@@ -105,12 +112,14 @@ class _Log:
     Attributes:
         edges: by topic and part or child frame.
         vectors: samples by topic without slashes at its ends, and the frame that they are in.
-        joints: positions by joint.
+        joints: positions by run, as ``run_3/`` or empty where that is not said, and joint.
+        columns: texts by topic.
     """
 
     edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
     vectors: dict[str, tuple[str, dict[int, tuple[float, ...]]]] = field(default_factory=dict)
-    joints: dict[str, list[Sample]] = field(default_factory=dict)
+    joints: dict[tuple[str, str], list[Sample]] = field(default_factory=dict)
+    columns: dict[str, dict[int, str]] = field(default_factory=dict)
 
     def add(self, logged: Logged) -> None:
         """Take in a message.
@@ -125,8 +134,13 @@ class _Log:
             given[1][stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
         elif logged.kind == "sensor_msgs/msg/JointState":
             time = stamp_ns(message.header, logged.time)
+            match = _RUN.fullmatch(logged.topic.strip("/"))
+            run = f"run_{match[1]}/" if match else ""
             for name, position in zip(message.name, message.position, strict=False):
-                self.joints.setdefault(name, []).append((time, (position,)))
+                self.joints.setdefault((run, name), []).append((time, (position,)))
+        elif logged.kind in _COLUMNS:
+            text = message.data if logged.kind == "std_msgs/msg/String" else repr(message.data)
+            self.columns.setdefault(logged.topic.strip("/"), {})[logged.time] = text
         for child, header, p, q in _poses(logged):
             parent = header.frame_id.strip("/")
             edge = self.edges.get((logged.topic, child))
@@ -136,7 +150,8 @@ class _Log:
             if edge.parent != parent:
                 problem = f"{shown(child)} is given in the frames {shown(edge.parent)} and {shown(parent)}"
                 raise InputError(problem, remedy="choose another topic: --topic NAME")
-            edge.samples.append((stamp_ns(header, logged.time), (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+            turn = (np.nan,) * 4 if q is None else (q.x, q.y, q.z, q.w)
+            edge.samples.append((stamp_ns(header, logged.time), (p.x, p.y, p.z, *turn)))
 
     def recording(self, topics: Sequence[str], frame: str | None) -> Recording:
         """The rows of the parts that are chosen, in the frame that is chosen.
@@ -157,18 +172,57 @@ class _Log:
         for kind in ("action", "force"):
             values = self._vectors(kind, {name: own for name, (own, _) in tracks.items()}, target, frames, notes)
             vectors[kind] = None if values is None else values[order]
-        times = stamps[order]
+        times, quaternion = stamps[order], poses[order, 3:]
+        if not np.isfinite(quaternion).all() and np.isfinite(quaternion).any():
+            raise InputError("some parts have orientations and others not", remedy="choose parts: --topic NAME")
+        runs = [_RUN.fullmatch(name) for name in names]
+        called = [match[2] if match else name for match, name in zip(runs, names, strict=True)]
+        has_run = all(runs)
+        numbers = np.array([int(match[1]) if match and has_run else 0 for match in runs], dtype=np.int64)
+        columns = self._columns(tracks)
         return Recording(
             time=times / NANOSECONDS,
             position=poses[order, :3],
-            quaternion=poses[order, 3:],
+            quaternion=quaternion if np.isfinite(quaternion).all() else None,
             action=vectors["action"],
             force=vectors["force"],
-            part=tuple(names[i] for i in part[order].tolist()),
+            run=numbers[part[order]],
+            part=tuple((called if has_run else names)[i] for i in part[order].tolist()),
+            has_run=has_run,
             has_part=True,
-            extra={f"{JOINT}{name}": _held(samples, times) for name, samples in sorted(self.joints.items())},
+            extra=self._joints([names[i] for i in part[order].tolist()], times)
+            | {name: tuple(texts[i] for i in order.tolist()) for name, texts in columns.items()},
             notes=tuple(notes),
         )
+
+    def _joints(self, parts: Sequence[str], times: Ints) -> dict[str, tuple[str, ...]]:
+        """Columns of joints at the rows, of each run from its own messages."""
+        found = {f"{JOINT}{name}": [""] * len(times) for name in sorted({name for _, name in self.joints})}
+        for (run, name), samples in sorted(self.joints.items()):
+            for i, text in enumerate(_held(samples, times)):
+                if parts[i].startswith(run):
+                    found[f"{JOINT}{name}"][i] = text
+        return {name: tuple(texts) for name, texts in found.items()}
+
+    def _columns(self, tracks: Mapping[str, tuple[Ints, Floats]]) -> dict[str, list[str]]:
+        """Further columns on topics of the parts, as text in the order of the parts: at the stamps of the poses where
+        all have these, or else the last until then."""
+        names: dict[str, None] = {}
+        for topic in self.columns:
+            part, _, name = topic.rpartition("/")
+            if part in tracks:
+                names.setdefault(name)
+        found: dict[str, list[str]] = {name: [] for name in names}
+        for part, (stamps, _) in tracks.items():
+            for name, texts in found.items():
+                given = self.columns.get(f"{part}/{name}", {})
+                if set(given) <= set(stamps.tolist()):
+                    texts += [given.get(stamp, "") for stamp in stamps.tolist()]
+                    continue
+                times = sorted(given)
+                last = np.searchsorted(times, stamps, side="right") - 1
+                texts += ["" if i < 0 else given[times[i]] for i in last.tolist()]
+        return found
 
     def _chosen(self, topics: Sequence[str]) -> list[Edge]:
         """The parts: those on topics or with frames that are named, or else all that do not stand still for good."""
@@ -264,6 +318,10 @@ def _track(edge: Edge, target: str, frames: Frames, notes: list[str]) -> tuple[I
     stamps, poses = edge.once()
     if edge.parent == target:
         return stamps, poses
+    is_point = np.isnan(poses[:, 3:])
+    if is_point.any():  # where it is needs no orientation of its own
+        upright = [(stamp, (*pose[:3], 0.0, 0.0, 0.0, 1.0)) for stamp, pose in edge.samples]
+        edge = replace(edge, samples=upright)
     origin, turn, known = replace(frames, edges={**frames.edges, edge.child: edge}).placed(edge.child, target, stamps)
     if not known.any():
         problem = f"at no pose of {shown(edge.child)} it is known where {shown(edge.parent)} is in {shown(target)}"
@@ -272,7 +330,8 @@ def _track(edge: Edge, target: str, frames: Frames, notes: list[str]) -> tuple[I
     if lost:
         of = f"where {shown(edge.parent)} is in {shown(target)}"
         notes.append(f"{count(lost, 'pose')} of {shown(edge.child)} are left out: it is not known then {of}")
-    return stamps[known], np.concatenate([origin, turn.as_quat()], axis=1)[known]
+    quaternion = np.where(is_point, np.nan, turn.as_quat())
+    return stamps[known], np.concatenate([origin, quaternion], axis=1)[known]
 
 
 def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
@@ -281,6 +340,8 @@ def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
     named = logged.topic.strip("/").removesuffix("/pose") or DEFAULT_PART
     if kind == "geometry_msgs/msg/PoseStamped":
         yield named, message.header, message.pose.position, message.pose.orientation
+    elif kind == "geometry_msgs/msg/PointStamped":
+        yield named, message.header, message.point, None
     elif kind == "geometry_msgs/msg/PoseWithCovarianceStamped":
         yield named, message.header, message.pose.pose.position, message.pose.pose.orientation
     elif kind == "geometry_msgs/msg/PoseArray":

@@ -41,7 +41,7 @@ class Edge:
         stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
         poses = np.array([pose for _, pose in samples])
         again = np.flatnonzero(np.diff(stamps) == 0)
-        apart = np.abs(poses[again + 1] - poses[again]).max(axis=1, initial=0.0) > _SAME
+        apart = np.nan_to_num(np.abs(poses[again + 1] - poses[again])).max(axis=1, initial=0.0) > _SAME
         if not self.static and apart.any():
             time = stamps[again[apart][0]] / 1e9
             problem = f"{shown(self.topic)} has two poses of {shown(self.child)} at {time:.3f} s"

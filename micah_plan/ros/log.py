@@ -21,6 +21,7 @@ NANOSECONDS = 1_000_000_000
 _REMEDY = "record it again, or repair it with `mcap recover`"
 
 MessageType = Literal[
+    "geometry_msgs/msg/PointStamped",
     "geometry_msgs/msg/PoseArray",
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -29,10 +30,14 @@ MessageType = Literal[
     "nav_msgs/msg/Odometry",
     "tf2_msgs/msg/TFMessage",
     "sensor_msgs/msg/JointState",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/Int64",
+    "std_msgs/msg/String",
     "trajectory_msgs/msg/JointTrajectory",
 ]
 
 DEFINITIONS: Mapping[str, str] = {
+    "geometry_msgs/msg/PointStamped": "std_msgs/Header header\ngeometry_msgs/Point point",
     "geometry_msgs/msg/PoseArray": "std_msgs/Header header\ngeometry_msgs/Pose[] poses",
     "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
     "geometry_msgs/msg/PoseWithCovarianceStamped": ("std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose"),
@@ -48,6 +53,9 @@ DEFINITIONS: Mapping[str, str] = {
     "sensor_msgs/msg/JointState": (
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
     ),
+    "std_msgs/msg/Float64": "float64 data",
+    "std_msgs/msg/Int64": "int64 data",
+    "std_msgs/msg/String": "string data",
     "trajectory_msgs/msg/JointTrajectory": (
         "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint[] points"
     ),
