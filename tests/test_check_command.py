@@ -145,3 +145,32 @@ def test_errors_that_come_together_are_told_apart_again() -> None:
     assert [str(error) for error in both.located("f").each()] == ["f, line 1: a; r", "f: b"]
     assert both.each()[0].position == (1, 2)
     assert str(together([second])) == "b"
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (
+            ["execute", "models/drawer.yaml", "-o", "x.csv"],
+            "expected a plan (.json), found a YAML file; solve",
+        ),
+        (["explain", "examples/demonstrations/drawer.csv"], "expected a plan (.json), found a .csv file; solve the"),
+        (
+            ["predict", "examples/demonstrations/drawer.csv", "models/drawer.yaml"],
+            "found a recording (.csv); give",
+        ),
+        (
+            ["predict", "models/robots/arm7.urdf", "examples/demonstrations/drawer.csv"],
+            "`micah-plan convert`",
+        ),
+        (["solve", "models/drawer.yaml", "-o", "x.json"], "expected a problem file, found a model file"),
+        (["learn", "models/drawer.yaml", "-o", "x.yaml"], "expected a recording, found the extension '.yaml'"),
+    ],
+)
+def test_a_file_of_another_kind_is_called_that(command: list[str], said: str, tmp_path: Path) -> None:
+    arguments = [str(ROOT / word) if "/" in word else word.replace("x.", f"{tmp_path}/x.") for word in command]
+    command = [sys.executable, "-m", "micah_plan", *arguments]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert said in refused.stderr
+    assert not list(tmp_path.iterdir())

@@ -348,6 +348,11 @@ def _parsed(content: bytes, source: str) -> Any:
     except UnicodeDecodeError:
         raise InputError("expected a plan (JSON), found bytes that are no text", source=source, remedy=_AGAIN) from None
     except json.JSONDecodeError as error:
+        suffix = Path(source).suffix.lower()
+        if suffix not in ("", ".json"):
+            what = "a YAML file" if suffix in (".yaml", ".yml") else f"a {suffix} file"
+            remedy = "solve the problem first: micah-plan solve PROBLEM -o plan.json"
+            raise InputError(f"expected a plan (.json), found {what}", source=source, remedy=remedy) from None
         where, problem = f"line {error.lineno}", f"not valid JSON, damaged or cut short: {error.msg}"
         raise InputError(problem, source=source, where=where, remedy=_AGAIN) from None
     except _TwiceError as twice:

@@ -29,6 +29,11 @@ MOST_VALUES = 100_000
 DEEPEST = 24
 _LINE_WIDTH = 120
 
+# What files of these endings hold; they are given in the wrong place.
+_OTHERS = {
+    **dict.fromkeys((".csv", ".tum", ".npz", ".parquet", ".mcap", ".bag", ".db3"), "a recording"),
+    ".urdf": "a URDF, which `micah-plan convert` makes a model of",
+}
 _INTEGER = re.compile(r"[-+]?[0-9]{1,30}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_TEXT = (
@@ -69,6 +74,10 @@ def read_yaml(content: bytes, source: str, until: str | None = None) -> Located:
     Raises:
         InputError: if it is not YAML, not a mapping, or uses what the module's docstring excludes.
     """
+    suffix = Path(source).suffix.lower()
+    if suffix in _OTHERS:
+        problem = f"expected a YAML file, found {_OTHERS[suffix]} ({suffix})"
+        raise InputError(problem, source=source, remedy="give a model, problem or other YAML file")
     text = _decoded(content, source)
     try:
         return _Reader(_events(text, source), source, until).document()
