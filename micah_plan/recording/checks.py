@@ -85,10 +85,8 @@ def check_header(names: Collection[str], where: str) -> None:
             raise InputError(f"column {shown(name)} appears twice", where=where, remedy="rename or remove one of them")
     for name in REQUIRED:
         if name not in names:
-            text = ",".join(names)
-            separators = len(names) == 1 and (";" in text or "\t" in text)
-            remedy = "separate the columns by commas" if separators else _HEADER_REMEDY
-            raise InputError(f"column '{name}' is missing, found {shown(text)}", where=where, remedy=remedy)
+            problem = f"column '{name}' is missing, found {shown(','.join(names))}"
+            raise InputError(problem, where=where, remedy=_HEADER_REMEDY)
     for group in OPTIONAL_GROUPS:
         missing = [name for name in group if name not in names]
         if missing and len(missing) < len(group):

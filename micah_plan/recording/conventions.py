@@ -181,7 +181,8 @@ def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
     """
     lost: Booleans = np.asarray(np.isnan(rows.position).all(axis=1))
     if rows.quaternion is not None:
-        lost |= np.isnan(rows.quaternion).all(axis=1)
+        zero = (rows.quaternion == 0.0).all(axis=1)  # no orientation; some trackers say so that they see nothing
+        lost |= np.isnan(rows.quaternion).all(axis=1) | (zero & ~zero.all())
     every = np.arange(len(rows))
     if not lost.any():
         return rows, every

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +33,18 @@ from micah_plan.recording.columns import counted, gathered, named
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
+    TIMES,
     Conventions,
     as_recorded,
     source_of,
     without_gaps,
 )
 from micah_plan.recording.motion_capture import Table, motion_capture_table
-from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines
+from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines, seconds
 from micah_plan.recording.value import DEFAULT_PART, Recording
+
+_SEPARATORS = (",", ";", "\t")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
 def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
@@ -121,15 +127,28 @@ def _table(lines: list[str], meant: Conventions) -> Table:
 
 
 def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
-    """Names, fields of each row, and line numbers of the header and of each row; blank lines are skipped."""
+    """Names, fields of each row, and line numbers of the header and of each row; blank lines, and comments above the
+    header, are skipped."""
     filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
+    comments = list(takewhile(lambda number: lines[number - 1].lstrip().startswith("#"), filled))
+    filled = filled[len(comments) :]
+    if not filled:
+        raise InputError("the file has only comments", where=f"line {comments[-1]}", remedy="record at least one row")
     header, numbers = filled[0], filled[1:]
-    raw = _fields(lines[header - 1], header)
+    separator = max(_SEPARATORS, key=lines[header - 1].count)  # the first of equals
+
+    def fields(number: int) -> list[str]:
+        return _fields(lines[number - 1], number, separator)
+
+    raw = fields(header)
+    if comments and all(is_number(name) for name in raw):  # NumPy writes the names as a comment
+        header, numbers = comments[-1], filled
+        raw = _fields(lines[header - 1].lstrip(" \t#"), header, separator)
     if all(is_number(name) for name in raw):
         problem = f"expected a header line, found {shown(','.join(raw))}"
         remedy = "put the names of the columns first, such as t,x,y,z"
         raise InputError(problem, where=f"line {header}", remedy=remedy)
-    rows = [_fields(lines[n - 1], n) for n in numbers]
+    rows = [fields(number) for number in numbers]
     for number, row in zip(numbers, rows, strict=True):
         if len(row) != len(raw):
             problem = f"expected {len(raw)} fields as in the header, found {len(row)}"
@@ -138,7 +157,11 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     return raw, rows, [header, *numbers]
 
 
-def _fields(line: str, number: int) -> list[str]:
+def _fields(line: str, number: int, separator: str) -> list[str]:
+    """The fields of a line; where commas do not separate them, they may stand for the point of a number."""
+    if separator != ",":
+        texts = line.split(separator)
+        return [text.replace(",", ".") if _DECIMAL_COMMA.fullmatch(text.strip()) else text for text in texts]
     if '"' not in line:
         return line.split(",")
     try:
@@ -162,6 +185,8 @@ def _recording(table: Table, place: Place, meant: Conventions) -> Recording:
                 values[name] = floats(
                     ["" if text.strip().lower() == "nan" else text for text in texts], may_be_empty=True
                 )
+            elif name == "t":
+                values[name] = seconds(texts, TIMES[meant.time or "s"])
             elif name in NUMERIC:
                 values[name] = floats(texts, may_be_empty=name in MAY_BE_EMPTY)
             if table.factors.get(name, 1.0) != 1.0 and name in values and name != "run":

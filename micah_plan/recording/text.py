@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,23 @@ def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.fl
     if values is not None:
         return values
     return np.array([_float(row, text.strip(), may_be_empty) for row, text in enumerate(texts)])
+
+
+def seconds(texts: Sequence[str], unit: float) -> NDArray[np.float64]:
+    """Times in units of so many seconds: numbers, or times of day in ISO 8601, which count from 1970 (UTC where none is
+    given).
+
+    Raises:
+        UnreadableValue: for the first text that is neither.
+    """
+    try:
+        return floats(texts)
+    except UnreadableValue as unreadable:
+        try:
+            moments = [datetime.fromisoformat(text.strip()) for text in texts]
+        except ValueError:
+            raise unreadable from None
+    return np.array([(each if each.tzinfo else each.replace(tzinfo=UTC)).timestamp() for each in moments]) / unit
 
 
 def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float64] | None:

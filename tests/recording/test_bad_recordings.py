@@ -22,7 +22,9 @@ A = "t,x,y,z,ax,ay,az\n"
 F = "t,x,y,z,fx,fy,fz\n"
 BAD = {
     "missing column": ("t,x,z\n0,1,2\n", "line 1", "column 'y' is missing", "the first line names the columns"),
-    "semicolons": ("t;x;y;z\n0;1;2;3\n", "line 1", "'t' is missing", "separate the columns by commas"),
+    "colons": ("t:x:y:z\n0:1:2:3\n", "line 1", "'t' is missing", "the first line names the columns"),
+    "only comments": ("# t,x,y,z\n# nothing\n", "line 2", "the file has only comments", "at least one row"),
+    "no time": (H + "noon,1,2,3\n", "line 2, column 't'", "expected a number, found 'noon'", "decimal number"),
     "no header": (ROW + ROW, "line 1", "expected a header line, found '0,1,2,3'", "put the names"),
     "text": (H + ROW + "1,abc,2,3\n", "line 3, column 'x'", "expected a number, found 'abc'", "such as 0.25"),
     "underscore": (H + "0,1_0,2,3\n", "line 2, column 'x'", "expected a number, found '1_0'", "decimal number"),

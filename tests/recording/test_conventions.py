@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -215,6 +216,57 @@ def test_conventions_that_there_are_not(given: dict[str, Any], message: str) -> 
     with pytest.raises(InputError) as refused:
         Conventions(**given)
     assert message in str(refused.value)
+
+
+WRITINGS = {
+    "as ours": "t,x,y,z,note\n0,1,2,3,a\n0.5,1,2.5,3,a\n",
+    "semicolons": "t;x;y;z;note\n0;1;2;3;a\n0.5;1;2.5;3;a\n",
+    "decimal commas": "t;x;y;z;note\n0;1;2;3;a\n0,5;1;2,5;3;a\n",
+    "tabs": "t\tx\ty\tz\tnote\n0\t1\t2\t3\ta\n5e-1\t1\t2,5\t3\ta\n",
+    "comments": "# of the third day\n\n# by me, here\nt,x,y,z,note\n0,1,2,3,a\n0.5,1,2.5,3,a\n",
+    "lost": "t,x,y,z,note\n0,1,2,3,a\n0.25,,,,\n0.5,1,2.5,3,a\n",
+    "nan": "t,x,y,z,note\n0,1,2,3,a\n0.25,nan,NaN,nan,\n0.5,1,2.5,3,a\n",
+}
+
+
+@pytest.mark.parametrize("writing", WRITINGS)
+def test_one_table_in_many_writings(tmp_path: Path, writing: str) -> None:
+    (tmp_path / "r.csv").write_text(WRITINGS[writing])
+    read = read_recording(tmp_path / "r.csv")
+    assert_allclose(read.time, [0, 0.5])
+    assert_allclose(read.position, [[1, 2, 3], [1, 2.5, 3]])
+    assert read.extra["note"] == ("a", "a")
+
+
+def test_names_that_numpy_writes_as_a_comment(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "r.csv", [[0, 1, 2, 3], [0.5, 1, 2.5, 3]], delimiter=",", header="t,x,y,z")
+    assert_allclose(read_recording(tmp_path / "r.csv").position, [[1, 2, 3], [1, 2.5, 3]])
+    # Without names there is none, and rows that begin with # are rows.
+    np.savetxt(tmp_path / "none.csv", [[0, 1, 2, 3]], delimiter=",")
+    with pytest.raises(InputError, match="expected a header line"):
+        read_recording(tmp_path / "none.csv")
+    (tmp_path / "numbers.csv").write_text("part,t,x,y,z\n#1,0,1,2,3\n#2,0,1,2,3\n")
+    assert read_recording(tmp_path / "numbers.csv").parts == ("#1", "#2")
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+def test_times_of_day(tmp_path: Path, zone: str) -> None:
+    stamps = [f"2026-11-25T12:00:0{k}.250{zone}" for k in range(4)]
+    (tmp_path / "r.csv").write_text("t,x,y,z\n" + "".join(f"{stamp},0,0,0\n" for stamp in stamps))
+    begin = datetime.fromisoformat(f"2026-11-25T12:00:00.250{zone or 'Z'}").timestamp()
+    for conventions in (Conventions(), Conventions(time="ms")):
+        assert_allclose(
+            read_recording(tmp_path / "r.csv", conventions=conventions).time, begin + np.arange(4), rtol=1e-15
+        )
+
+
+def test_rows_with_a_quaternion_of_zeros_are_gaps(truth: Recording, tmp_path: Path) -> None:
+    columns = columns_of(truth)
+    for name in ("x", "y", "z", "qx", "qy", "qz", "qw"):
+        columns[name][2:4] = 0.0
+    read = read_recording(table(tmp_path / "r.csv", columns))
+    assert len(read) == ROWS - 2
+    assert "2 rows of 12 have no pose" in read.notes[0]
 
 
 def test_a_file_beside_the_recording_says_the_same_as_options_and_keywords(truth: Recording, tmp_path: Path) -> None:
