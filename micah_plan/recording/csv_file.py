@@ -135,7 +135,7 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     if not filled:
         raise InputError("the file has only comments", where=f"line {comments[-1]}", remedy="record at least one row")
     header, numbers = filled[0], filled[1:]
-    separator = max(_SEPARATORS, key=lines[header - 1].count)  # the first of equals
+    separator = next((one for one in _SEPARATORS if one in lines[header - 1]), ",")
 
     def fields(number: int) -> list[str]:
         return _fields(lines[number - 1], number, separator)
