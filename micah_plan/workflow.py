@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from micah_plan import __version__
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.quantities import quantity
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
@@ -78,6 +79,45 @@ def read(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | 
     from micah_plan.exchange.load import load_recording
 
     return load_recording(Path(path), minimum_rows=minimum_rows, conventions=conventions)
+
+
+def read_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -> tuple[Problem, tuple[str, ...]]:
+    """A problem from its file, and what to know of it, one line each; of the file of a model that which
+    `micah-plan new problem` writes for it.
+
+    Args:
+        path: of the problem or model.
+        overrides: values to take instead of the file's, by dotted key.
+
+    Raises:
+        InputError: if it cannot be used.
+    """
+    from micah_plan.documents.kind import kind_of
+    from micah_plan.documents.problem import load_problem
+
+    overrides = overrides or {}
+    if kind_of(path) != "model":
+        return load_problem(path, overrides), ()
+    from micah_plan.documents.model import load_model
+    from micah_plan.templates.first_problem import problem_for
+
+    if overrides.keys() - {"planner.method"}:
+        raise InputError("a model is solved as it is", source=path, remedy="give a problem, or leave out the model")
+    problem = problem_for(load_model(path), str(path))
+    if "planner.method" in overrides:
+        problem = replace(problem, settings=replace(problem.settings, method=overrides["planner.method"]))
+    return problem, (_of_model(problem),)
+
+
+def _of_model(problem: Problem) -> str:
+    """What is asked where only a model is given."""
+    aims = []
+    for i, value, _ in problem.goal.target:
+        coordinate = problem.automaton.coordinates[i]
+        begin, end = (quantity(float(number), coordinate.unit) for number in (problem.start.mean[i], value))
+        aims.append(f"{coordinate.name} from {begin} to {end}")
+    asked = f"no problem is given, so the model is moved most of its way: {', '.join(aims)}"
+    return f"{asked}; `micah-plan new problem FOLDER --model MODEL` writes a problem to edit"
 
 
 def is_long_enough(recording: Recording) -> bool:

@@ -163,7 +163,7 @@ def test_errors_that_come_together_are_told_apart_again() -> None:
             ["predict", "models/robots/arm7.urdf", "examples/demonstrations/drawer.csv"],
             "`micah-plan convert`",
         ),
-        (["solve", "models/drawer.yaml", "-o", "x.json"], "expected a problem file, found a model file"),
+        (["solve", "problems/explore_handle.yaml", "-o", "x.json"], "expected a problem file, found a scene file"),
         (["learn", "models/drawer.yaml", "-o", "x.yaml"], "expected a recording, found the extension '.yaml'"),
     ],
 )

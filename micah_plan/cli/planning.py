@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def solve(
-    problem: Annotated[Path, typer.Argument(help="Problem (YAML).")],
+    problem: Annotated[Path, typer.Argument(help="Problem (YAML), or a model that is moved most of its way.")],
     output: OutputPath,
     model: Annotated[
         Path | None, typer.Option(help="Model (YAML) to use instead of the one that the problem names.")
@@ -57,7 +57,6 @@ def solve(
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan import workflow
     from micah_plan.documents.plan import plan_text, timings_path, timings_text
-    from micah_plan.documents.problem import load_problem
     from micah_plan.files import replace_files
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
@@ -65,10 +64,10 @@ def solve(
     check_outputs((problem, model), outputs)
     overrides = {} if model is None else {"model": str(model.resolve())}
     overrides |= {} if planner is None else {"planner.method": planner}
-    asked = load_problem(problem, overrides)
+    asked, notes = workflow.read_problem(problem, overrides)
     with progress_bar(as_json) as progress:
         plan = workflow.solve(asked, seed=seed, progress=progress)
-    print_warnings(plan.warnings)
+    print_warnings((*notes, *plan.warnings))
     contents = {output: plan_text(plan, asked).encode(), timings_path(output): timings_text(plan).encode()}
     if html is not None:
         from micah_plan.view.plan_page import plan_page

@@ -175,6 +175,24 @@ def load_problem(
     return ProblemReader(path, model).load(overrides)
 
 
+def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -> Problem:
+    """The problem that the text of a file describes, with a model in place of the one that it names.
+
+    Raises:
+        InputError: as `load_problem` does.
+    """
+    located = read_yaml(content, source)
+    problem = problem_of(validated(located, ProblemDocument), automaton, located)
+    _check_possible(problem, located)
+    return replace(problem, source=source)
+
+
+def _check_possible(problem: Problem, located: Located) -> None:
+    check_start(problem.start, problem.automaton, located)
+    if problem.release is None:
+        _check_goal(problem.goal, problem.automaton, located)
+
+
 class ProblemReader:
     """Reads one problem file again and again, with other overrides each time.
 
@@ -193,10 +211,8 @@ class ProblemReader:
     def load(self, overrides: Mapping[str, Any] | None = None) -> Problem:
         """As `load_problem`."""
         problem, located = self._described(overrides or {})
-        check_start(problem.start, problem.automaton, located)
-        if problem.release is None:
-            _check_goal(problem.goal, problem.automaton, located)
-        else:  # the goal speaks of the object at rest, not of the hand
+        _check_possible(problem, located)
+        if problem.release is not None:  # the goal speaks of the object at rest, not of the hand
             from micah_plan.task.release import carrying  # SciPy is loaded only where it is needed
 
             with located.at("release").locating_errors():

@@ -63,7 +63,7 @@ def learn(
 
 
 def solve(
-    problem: Source | Problem | PlanningResult,
+    problem: Source | Problem | LearningResult | ExplorationResult | CalibrationResult | PlanningResult,
     *,
     model: Modelled | None = None,
     seed: int = 0,
@@ -74,7 +74,8 @@ def solve(
     """A plan that holds with the problem's confidence, or what is in the way.
 
     Args:
-        problem: a path, a problem, or an earlier result whose problem is solved again.
+        problem: a path, a problem, or an earlier result whose problem is solved again; a model, or what learned one, is
+            moved most of its way.
         model: to use instead of the problem's: a path, an automaton, or what `learn` or `calibrate` returned.
         seed: of everything random.
         advise: whether remedies name numbers, which takes further solutions.

@@ -215,17 +215,22 @@ def _read_automaton(path: Source) -> HybridAutomaton:
     return load_plan(path).automaton if kind == "plan" else load_model(path)
 
 
-def problem_of(given: Source | Problem | PlanningResult, model: Modelled | None = None) -> Problem:
-    """A problem, with another model if one is given.
+def problem_of(given: Source | Problem | Learnt | PlanningResult, model: Modelled | None = None) -> Problem:
+    """A problem, with another model if one is given; of a model alone, or what learned one, that of moving it most of
+    its way.
 
     Raises:
         InputError: if it cannot be used, or the model has other coordinates.
     """
+    from micah_plan import workflow
     from micah_plan.documents.problem import load_problem
+    from micah_plan.templates.first_problem import problem_for
 
     automaton = None if model is None else automaton_of(model)
+    if isinstance(given, Learnt | HybridAutomaton) and automaton is None:
+        return problem_for(automaton_of(given))
     if isinstance(given, Source):
-        return load_problem(given, model=automaton)
+        return workflow.read_problem(given)[0] if automaton is None else load_problem(given, model=automaton)
     problem = given.problem if isinstance(given, PlanningResult) else given
     if not isinstance(problem, Problem):
         raise _other("a problem", given, "give the path of one, or what load returns for it")

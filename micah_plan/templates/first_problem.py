@@ -9,7 +9,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.documents.problem import problem_from_text
 from micah_plan.errors import InputError
+from micah_plan.task.problem import Problem
 from micah_plan.view.placement import coordinate_range, representative_state
 
 _START, _GOAL = 0.1, 0.8
@@ -91,6 +93,19 @@ def first_problem(automaton: HybridAutomaton) -> str:
         observation=_mapping(names, automaton.noise.observation_std),
         step=_mapping(list(steps), steps.values()),
     )
+
+
+def problem_for(automaton: HybridAutomaton, source: str = "problem.yaml") -> Problem:
+    """The problem that `first_problem` writes.
+
+    Args:
+        automaton: the model.
+        source: name of the file that it would be in, for messages.
+
+    Raises:
+        InputError: if nothing in the model can be moved.
+    """
+    return problem_from_text(first_problem(automaton).encode(), source, automaton)
 
 
 def _moving_mode(automaton: HybridAutomaton) -> tuple[Mode, list[int]]:
