@@ -67,6 +67,7 @@ LIBRARIES = (
     Library("pytest-xdist", "xdist", "run the tests", "test"),
     Library("hypothesis", "hypothesis", "run the tests", "test"),
     Library("jsonschema", "jsonschema", "run the tests", "test"),
+    Library("pandas", "pandas", "take data frames", "test"),
     Library("evo", "evo", "judge trajectories", "evo"),
     Library("playwright", "playwright.sync_api", "test pages in a browser", "browser"),
     Library("imageio-ffmpeg", "imageio_ffmpeg", "write videos", "video"),
