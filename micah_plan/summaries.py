@@ -1,9 +1,13 @@
-"""Values that print as a few lines, also in a notebook: what matters of them, not all that they hold."""
+"""What is said while work goes on and of what came out: progress, and values that print as a few lines."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from html import escape
+
+Progress = Callable[[str, float], None]
+"""Is called during long work with a message and the fraction that is done."""
 
 
 class Summarised(ABC):

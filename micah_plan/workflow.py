@@ -21,6 +21,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import quantity
+from micah_plan.summaries import Progress
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from micah_plan.task.settings import Method as PlanningMethod
 
 Method = Literal["act-champ", "champ"]
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +299,9 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
     return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
 
 
-def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:
+def predict(
+    automaton: HybridAutomaton, recording: Recording, *, progress: Progress | None = None
+) -> tuple[RunPrediction, ...]:
     """One-step and roll-out prediction of every run of a recording.
 
     Raises:
@@ -307,7 +309,7 @@ def predict(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPredic
     """
     from micah_plan.residual.prediction import predict_recording
 
-    return predict_recording(automaton, recording)
+    return predict_recording(automaton, recording, progress)
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Progress | None = None) -> Calibration:

@@ -91,7 +91,8 @@ def run_demo(place: Path, output: Path, *, quiet: bool = False) -> int:
             print(f"this step ended with exit code {code}", file=sys.stderr)
             return code
     if not quiet:
-        pages = " and ".join(str(place / output / name) for name in ("plan.html", "nominal.html"))
+        last = "runs.html" if steps is STEPS else "nominal.html"  # in physics, or in the model
+        pages = " and ".join(str(place / output / name) for name in ("plan.html", last))
         print_lines((f"\nDone in {duration(time.monotonic() - begin)}. Open {pages} in a browser.",))
         if steps is not STEPS:
             print_lines(("With the extra 'sim' (MuJoCo) physics executes the plan, too.",))

@@ -60,8 +60,10 @@ def predict(
     measured = workflow.read(recording, minimum_rows=2)
     with located_in(recording):
         automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
-        runs = workflow.predict(automaton, measured)
-    judged = judge(automaton, measured, runs)
+        with progress_bar(as_json) as progress:
+            runs = workflow.predict(automaton, measured, progress=progress)
+            progress("compare with the noise", 1.0)
+            judged = judge(automaton, measured, runs)
     if html is not None:
         from micah_plan.view.prediction_page import prediction_page
 

@@ -17,6 +17,7 @@ from micah_plan.execution.log import concatenated
 from micah_plan.execution.pilot import ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
@@ -24,7 +25,6 @@ from micah_plan.task.release import carrying
 
 ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
-Progress = Callable[[str, float], None]
 Keep = Callable[[Recording], None]
 
 # Trials in the model that run in step with each other.

@@ -17,10 +17,11 @@ from micah_plan.front.results import ExplorationResult, LearningResult, Planning
 from micah_plan.front.showing import Page
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 from micah_plan.task.exploration import Scene
 from micah_plan.task.plants import DEFAULT_PLANT
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import Method, Progress
+from micah_plan.workflow import Method
 
 if TYPE_CHECKING:
     from micah_plan.execution.plant import Plant, PlantMaker

@@ -6,7 +6,7 @@ models", ICRA 2015 (CHAMP).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +30,7 @@ from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.short_runs import cut_into_runs, one_after_another
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.value import Recording
-
-Progress = Callable[[str, float], None]
+from micah_plan.summaries import Progress
 
 
 def learn_graph(

@@ -10,14 +10,13 @@ from micah_plan.planning.findings import endpoint_findings, finding_of_reason
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.scene_cuts import with_scene
+from micah_plan.summaries import Progress
 from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 from micah_plan.task.start import start_mode
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.planning.attempt import Attempt, Progress, attempted
+from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.chains import with_chains
 from micah_plan.planning.cost import time_cost
 from micah_plan.planning.cuts import Cut, tight_places, without
@@ -33,6 +33,7 @@ from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, s
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
+from micah_plan.summaries import Progress
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,8 +30,7 @@ from micah_plan.residual.seen import Beyond, closed, with_shifts, without_old_en
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
-
-Progress = Callable[[str, float], None]
+from micah_plan.summaries import Progress
 
 FEWEST_ROWS = 8
 # Width of an interval in standard deviations.

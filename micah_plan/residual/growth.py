@@ -7,7 +7,7 @@ adds up to a larger error hides that something else is missing as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +16,7 @@ from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.search import Errors, Scored, Search, gated
 from micah_plan.residual.simulation import Term
-
-Progress = Callable[[str, float], None]
+from micah_plan.summaries import Progress
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
 LEAST_EVIDENCE = 8.0

@@ -23,6 +23,7 @@ from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.geometry import beside
 from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened, read_tracks, without_gaps
+from micah_plan.summaries import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,9 @@ class RunPrediction:
     rollout: PredictionError
 
 
-def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple[RunPrediction, ...]:
+def predict_recording(
+    automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None
+) -> tuple[RunPrediction, ...]:
     """Predict every run of a recording with at least two rows.
 
     One step: from the measured pose of a row and its action to the next row, Δ̂_(t+1) = f(f^-1(y_t) + J^-1 a_t) (MICAH,
@@ -85,6 +88,11 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     A run with gaps in its times is predicted in its consecutive parts, and joints go on where the recording goes beyond
     a range that no mode ends (see `seen`). Over rows that are no measurements the prediction goes on, to the next that
     is one.
+
+    Args:
+        automaton: the model.
+        recording: with actions.
+        progress: called with a message and the fraction done.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -98,7 +106,12 @@ def predict_recording(automaton: HybridAutomaton, recording: Recording) -> tuple
     reaching, usable = _usable(automaton, recording)
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    return tuple(_predicted(reaching, track) for track in usable)
+    found = []
+    for number, track in enumerate(usable):
+        if progress is not None:
+            progress(f"predict part {number + 1} of {len(usable)}", number / len(usable))
+        found.append(_predicted(reaching, track))
+    return tuple(found)
 
 
 def refused(automaton: HybridAutomaton, recording: Recording) -> str:

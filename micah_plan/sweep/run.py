@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from pathlib import Path
 from micah_plan.errors import MicahError
 from micah_plan.files import replace_files
 from micah_plan.outputs import TABLE, Output, check_outputs
+from micah_plan.summaries import Progress
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun, results_table, timings_path, timings_table
 from micah_plan.sweep.solve_case import worker_died
@@ -22,7 +23,6 @@ MOST_ATTEMPTS = 3
 _GO_ON = "what is finished is in the journal; give the command again to go on"
 # More than any executor has workers.
 _EXECUTOR_IN_FLIGHT = 1000
-Progress = Callable[[str, float], None]
 
 
 class SweepStoppedError(MicahError):

@@ -10,18 +10,18 @@ import io
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
+from micah_plan.summaries import Progress
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-Progress = Callable[[str, float], None]
 
 VIDEO = (".mp4", ".gif", ".webp")
 PICTURE = (".png",)

@@ -49,9 +49,9 @@ from micah_plan.learn.parts.comotion import carriers, moves_far
 from micah_plan.learn.parts.relative import RelativeRows, in_whole_recording, relative_rows
 from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 
 PairLearner = Callable[[Recording], KinematicEdge]
-Progress = Callable[[str, float], None]
 
 _MOST_ROUNDS = 5  # of poses along a tree and trees in turn
 _LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one

@@ -22,7 +22,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.planning.attempt import Attempt, Progress, attempted
+from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.baselines.open_loop import plan_along
 from micah_plan.planning.cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.limits import Limits
@@ -30,6 +30,7 @@ from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.transcription.layout import pack, packed
+from micah_plan.summaries import Progress
 from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
 from micah_plan.task.deadline import Deadline
