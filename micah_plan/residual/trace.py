@@ -20,7 +20,6 @@ from micah_plan.residual.growth import (
     LEAST_EVIDENCE,
     TIE,
     Growth,
-    Progress,
     grow,
     is_worth,
     ranked,
@@ -34,6 +33,7 @@ from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.search import Scored, Search
 from micah_plan.residual.simulation import GATES
 from micah_plan.residual.verdict import Facts, Outcome, outcome_of
+from micah_plan.summaries import Progress
 
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
