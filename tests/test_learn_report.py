@@ -19,7 +19,9 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.cli import learning as report
 from micah_plan.cli.console import table
 from micah_plan.documents.model import load_model
+from micah_plan.errors import InputError
 from micah_plan.learn import learn as learning
+from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.view.learning_words import action_words
 
@@ -255,3 +257,29 @@ def test_a_narrow_terminal_loses_no_number() -> None:
     Console(width=22, file=written).print(shown)
     cells = "".join(written.getvalue().split()).replace("─", "")
     assert sorted(cells) == sorted("configurationaxis0→1.21rad0.000.00-1.00±0.18°")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["draws"], "--set: expected NAME=VALUE, each once, found 'draws'"),
+        (["draws=3", "draws=4"], "--set: expected NAME=VALUE, each once, found 'draws=4'"),
+        (["draws=2.5"], "--set: expected a whole number for draws, found '2.5'"),
+        (["rest=none"], "--set: expected a number for rest, found 'none'"),
+        (["paths=perhaps"], "--set: expected true or false for paths, found 'perhaps'"),
+        (["drawz=3"], "learn: unknown setting 'drawz'"),
+        (["kinds=rigid,ball"], "LearnSettings.kinds must be among"),
+        (["rest=-1"], "LearnSettings.rest must be positive"),
+    ],
+)
+def test_settings_that_are_none(settings: list[str], message: str) -> None:
+    with pytest.raises(InputError) as refused:
+        report._settings(settings)
+    assert message in str(refused.value)
+
+
+def test_settings_of_learning_by_name() -> None:
+    given = ["kinds=rigid, screw", "paths=False", "draws=7", "rest=0.1", "trust=none", "mean_length=2e0"]
+    expected = LearnSettings(kinds=("rigid", "screw"), paths=False, draws=7, rest=0.1, mean_length=2.0)
+    assert report._settings(given) == expected
+    assert report._settings([]) == LearnSettings()

@@ -23,15 +23,17 @@ from micah_plan.cli.console import (
     table,
 )
 from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
-from micah_plan.errors import InputError, located_in
+from micah_plan.errors import InputError, located_in, shown
 from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
+from micah_plan.recording.text import is_number
 
 if TYPE_CHECKING:
     from micah_plan.automaton.certainty import ActionChannel
     from micah_plan.automaton.graph import KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
+    from micah_plan.learn.settings import LearnSettings
     from micah_plan.workflow import Learned
 
 _COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
@@ -63,6 +65,10 @@ def learn(
     robot: Robot = None,
     tool: Tool = None,
     list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="A setting of learning, as kinds=rigid,screw; repeatable."),
+    ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
     seed: Seed = 0,
@@ -83,12 +89,14 @@ def learn(
 
     asked = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
     check_outputs((recording, parts), asked)
-    shapes = () if parts is None else load_parts(parts)
+    shapes, settings = () if parts is None else load_parts(parts), _settings(setting or ())
     with progress_bar(as_json) as progress:
         measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=conventions)
         with located_in(recording):
             require_conventions(measured)
-            found = workflow.learn(measured, method=method, seed=seed, parts=shapes, base=base, progress=progress)
+            found = workflow.learn(
+                measured, method=method, seed=seed, parts=shapes, settings=settings, base=base, progress=progress
+            )
     print_warnings(found.warnings)
     written = (output if found.automaton is not None else None, figure, html)
     replace_files(_contents(found, *written, title=recording.stem))
@@ -110,6 +118,49 @@ def learned(result: Learned, seed: int) -> dict[str, Any]:
     modes = () if result.automaton is None else result.automaton.mode_names
     outcome = {"modes": modes, "reason": result.reason, "warnings": result.warnings}
     return {**found, **outcome, "seconds": result.seconds, "seed": seed}
+
+
+def _settings(texts: Sequence[str]) -> LearnSettings:
+    """The settings of learning, with those changed that are given as NAME=VALUE.
+
+    Raises:
+        InputError: for a name that is none, and a value that is none of it.
+    """
+    from micah_plan.front.inputs import learn_settings
+    from micah_plan.learn.settings import LearnSettings
+
+    changes: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = (piece.strip() for piece in text.partition("="))
+        if not (name and equals and value) or name in changes:
+            problem = f"expected NAME=VALUE, each once, found {shown(text)}"
+            raise InputError(problem, source="--set", remedy="e.g. --set position_wander=0.001")
+        changes[name] = _setting(name, value, getattr(LearnSettings(), name, None))
+    return learn_settings(None, changes)
+
+
+def _setting(name: str, text: str, default: Any) -> Any:
+    """The value of a setting, of the type that its default has.
+
+    Raises:
+        InputError: if the text is none.
+    """
+    if isinstance(default, tuple):
+        return tuple(piece.strip() for piece in text.split(","))
+    expected: str
+    found: float | None
+    if isinstance(default, bool):
+        expected, found = "true or false", {"true": True, "false": False}.get(text.lower())
+    elif isinstance(default, int):
+        expected, found = "a whole number", int(text) if text.isdecimal() and len(text) < 10 else None
+    else:
+        expected, found = "a number", float(text) if is_number(text) else None
+        if default is None and text.lower() == "none":
+            return None
+    if found is None:
+        problem = f"expected {expected} for {name}, found {shown(text)}"
+        raise InputError(problem, source="--set", remedy="e.g. --set position_wander=0.001")
+    return found
 
 
 def _contents(
