@@ -27,7 +27,6 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.front.words import SUREST
 from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
-from micah_plan.recording.text import is_number
 
 if TYPE_CHECKING:
     from micah_plan.automaton.certainty import ActionChannel
@@ -80,29 +79,34 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    conventions = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool).conventions()
-    from micah_plan import workflow
+    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool)
     from micah_plan.documents.parts import load_parts
     from micah_plan.files import replace_files
-    from micah_plan.learn.settings import FEWEST_ROWS
-    from micah_plan.recording.suspicion import require_conventions
 
     asked = Output("-o", output, MODEL), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
     check_outputs((recording, parts), asked)
     shapes, settings = () if parts is None else load_parts(parts), _settings(setting or ())
     with progress_bar(as_json) as progress:
-        measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=conventions)
-        with located_in(recording):
-            require_conventions(measured)
-            found = workflow.learn(
-                measured, method=method, seed=seed, parts=shapes, settings=settings, base=base, progress=progress
-            )
+        options = {"method": method, "seed": seed, "parts": shapes, "settings": settings, "base": base}
+        found = _learned_from(recording, said, progress=progress, **options)
     print_warnings(found.warnings)
     written = (output if found.automaton is not None else None, figure, html)
     replace_files(_contents(found, *written, title=recording.stem))
     print_summary(as_json, learned(found, seed), lambda: _print_learned(found, written))
     if found.automaton is None:
         raise typer.Exit(NO_RESULT)
+
+
+def _learned_from(recording: Path, said: Said, **options: Any) -> Learned:
+    """What `workflow.learn` finds in a file, whose units must be clear."""
+    from micah_plan import workflow
+    from micah_plan.learn.settings import FEWEST_ROWS
+    from micah_plan.recording.suspicion import require_conventions
+
+    measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=said.conventions())
+    with located_in(recording):
+        require_conventions(measured)
+        return workflow.learn(measured, **options)
 
 
 def learned(result: Learned, seed: int) -> dict[str, Any]:
@@ -147,6 +151,8 @@ def _setting(name: str, text: str, default: Any) -> Any:
     """
     if isinstance(default, tuple):
         return tuple(piece.strip() for piece in text.split(","))
+    from micah_plan.recording.text import is_number
+
     expected: str
     found: float | None
     if isinstance(default, bool):
