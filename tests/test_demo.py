@@ -51,7 +51,7 @@ def test_only_copying_is_quick(tmp_path: Path) -> None:
     assert said["files"] == len([file for file in (tmp_path / "new").rglob("*") if file.is_file()])
 
 
-@pytest.mark.slow
+@pytest.mark.evidence  # every landing runs the same steps as examples/demo.py
 def test_the_demo_runs_in_a_new_folder(tmp_path: Path) -> None:
     done = run(tmp_path / "new")
     assert done.returncode == 0, done.stderr

@@ -63,7 +63,7 @@ def test_links_of_a_notebook_lead_somewhere(name: str) -> None:
         assert (FOLDER / target).is_file(), target
 
 
-@pytest.mark.slow
+@pytest.mark.evidence  # the docs of every landing run the notebooks; here their numbers are those of the prose
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_offline_and_tells_what_its_prose_says(name: str) -> None:
     pytest.importorskip("ipykernel", reason="needs the extra 'notebooks' or 'docs'")

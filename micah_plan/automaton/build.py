@@ -257,11 +257,14 @@ def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:
     if misfit.rotation is not None and misfit.rotation_noise is not None:
         distances.append((misfit.rotation, misfit.rotation_noise, "rad"))
     missed = " and ".join(quantity(miss, unit, degrees=False) for miss, _, unit in distances)
-    noise = " and ".join(quantity(alone, unit, digits=2, degrees=False) for _, alone, unit in distances)
-    return (
+    best = (
         f"no single-joint model fits rows {segment.start} to {segment.end} of part '{part}' (run {segment.run}): the "
-        f"best, {segment.joint.kind}, misses them by {missed} where the measurement alone would leave {noise}"
+        f"best, {segment.joint.kind}, misses them by {missed}"
     )
+    if all(miss <= alone for miss, alone, _ in distances):  # no more than noise would, but row after row the same way
+        return f"{best}, row after row the same way: motion along a smooth curve explains them better"
+    noise = " and ".join(quantity(alone, unit, digits=2, degrees=False) for _, alone, unit in distances)
+    return f"{best} where the measurement alone would leave {noise}"
 
 
 def _learned_edges(graph: KinematicGraph) -> Iterator[LearnedEdge]:

@@ -65,7 +65,7 @@ def test_a_screw_that_positions_hardly_tell_says_so(coverage: ModuleType, wander
     assert (found.share * trials >= least_hits(trials, 0.93) - 0.5).all()
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_slow_wander_ends_what_intervals_can_promise(coverage: ModuleType) -> None:
     fast = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=5.0), 150)
     slow = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=150.0), 150)

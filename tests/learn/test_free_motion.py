@@ -65,8 +65,14 @@ def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: Module
     assert misfit_of(calibration.joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("memory", [5.0, 15.0, 40.0])
+@pytest.mark.parametrize(
+    "memory",
+    [
+        pytest.param(5.0, marks=pytest.mark.evidence),
+        pytest.param(15.0, marks=pytest.mark.slow),
+        pytest.param(40.0, marks=pytest.mark.evidence),
+    ],
+)
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_trackers_raise_no_false_alarm(calibration: ModuleType, kind: str, memory: float) -> None:
     for seed in range(5):

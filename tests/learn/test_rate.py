@@ -150,10 +150,16 @@ def test_a_demonstration_at_any_rate_has_the_same_segments(shared_data, name: st
 
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "demonstrations"
+BLOCKING = ("microwave", "cabinet")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.csv")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in BLOCKING else pytest.mark.evidence)
+        for path in sorted(SHIPPED.glob("*.csv"))
+    ],
+)
 def test_a_shipped_demonstration_at_any_rate_has_the_same_segments(path: Path) -> None:
     recording = read_recording(path)
     recording = recording.rows(np.flatnonzero(np.array(recording.part) == recording.parts[0]))

@@ -79,6 +79,9 @@ def rails(slide: str = "carriage", on_it: str = "tray", mark: str = "tag") -> di
 SMALL = {"position": STD, "rotation": 0.002}
 
 
+SEEDS = [pytest.param(seed, marks=pytest.mark.evidence if seed else pytest.mark.slow) for seed in range(3)]
+
+
 class TestSearch:
     """With the small learner, which is fast."""
 
@@ -293,8 +296,7 @@ class TestWithTheLearner:
         assert tree(graph) == {"drawer": BASE, "door": BASE, "lid": "drawer"}
         assert 0.5 < graph.probability < 0.999
 
-    @pytest.mark.slow
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize("method", ["champ", "act-champ"])
     @pytest.mark.parametrize("planting", [carriage, arm])
     @pytest.mark.parametrize("together", [True, False])
@@ -307,8 +309,7 @@ class TestWithTheLearner:
         assert inner.kind == true.kind
         assert abs(np.dot(inner.axis, true.axis)) > np.cos(0.05)
 
-    @pytest.mark.slow
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize("method", ["champ", "act-champ"])
     def test_cabinets(self, method: str, seed: int) -> None:
         assert tree(planted(cabinet(), method, seed)) == {"door": BASE, "drawer": BASE, "knob": "door"}

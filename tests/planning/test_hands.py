@@ -46,7 +46,9 @@ PROBLEMS: dict[str, tuple[Callable[[], Problem], int]] = {
 }
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.evidence)]
+)
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_hands_carry_let_go_and_take_hold_elsewhere(name: str, seed: int) -> None:
     make, least = PROBLEMS[name]

@@ -21,7 +21,7 @@ from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.workflow import solve
 
-QUICK, ALL = 15, 200
+QUICK, BLOCKING, ALL = 15, 100, 200
 # Fresh roll-outs of a verified plan, and by how much their share may be smaller than what was asked: 4 standard errors.
 FRESH, SHORTFALL = 200, 0.08
 
@@ -83,7 +83,14 @@ def is_noisy(problem: Problem) -> bool:
     return problem.automaton.noise.process_std[0] > 0.001 or problem.start.std[0] > 0.004
 
 
-@pytest.mark.parametrize("seed", [*range(QUICK), *(pytest.param(s, marks=pytest.mark.slow) for s in range(QUICK, ALL))])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        *range(QUICK),
+        *(pytest.param(s, marks=pytest.mark.slow) for s in range(QUICK, BLOCKING)),
+        *(pytest.param(s, marks=pytest.mark.evidence) for s in range(BLOCKING, ALL)),
+    ],
+)
 def test_a_plan_that_verifies_or_a_reason_that_is_true(seed: int) -> None:
     problem = random_problem(seed)
     found = solve(problem)

@@ -28,8 +28,8 @@ PLANTS = [
 ]
 
 
-# One of a command and one of a sensor; the others are evidence.
-BLOCKING = (plants.short_steps, plants.stretched)
+# One of a joint; the others are evidence.
+BLOCKING = (plants.stretched,)
 
 
 def run_of(plant, seed):
@@ -60,7 +60,7 @@ def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     assert again.before.one_step < 1.3 * once.after.one_step
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_servo_that_the_model_knows_is_not_put_behind_another(door) -> None:
     once, again = (plants.door_recording([servo_run(300, seed, share=0.3)]) for seed in (1, 2))
     known = calibrate(door, once).automaton

@@ -59,8 +59,13 @@ def test_places_predict_better_than_displacements(door) -> None:
     assert place.names == ("follow",)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("noise", "disturbance"), [(0.001, 0.004), (0.003, 0.001)])
+@pytest.mark.parametrize(
+    ("noise", "disturbance"),
+    [
+        pytest.param(0.001, 0.004, marks=pytest.mark.slow),
+        pytest.param(0.003, 0.001, marks=pytest.mark.evidence),
+    ],
+)
 def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -> None:
     """Also where what disturbs the part is larger than what blurs its measurement, and roll-outs of places peek."""
     runs = plants.runs_of(plants.short_steps, 8, 40, 3, noise=noise, disturbance=disturbance)

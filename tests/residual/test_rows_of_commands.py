@@ -102,7 +102,7 @@ def test_poses_that_are_held_for_three_rows_are_no_effect(door) -> None:
     assert rmse([run.one_step.configuration for run in runs]) < 0.008
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_effects_are_sized_between_held_poses(door) -> None:
     found = calibrate(door, held(plants.door_recording(plants.runs_of(plants.feeble, 10, 60, 0), across=0.001), 3))
     sizes = {effect.effect.name: effect.effect.values[0] for effect in found.effects}

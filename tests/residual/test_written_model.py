@@ -52,7 +52,7 @@ def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
     assert any(unit in note for note in found.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_weak_motor_is_no_unit(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 6, 50, 0)))
     assert not any("convert" in note for note in found.notes)
