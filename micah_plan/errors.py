@@ -6,14 +6,17 @@ The command line turns them into exit codes: 2 for bad input, 1 where no plan, j
 
 from __future__ import annotations
 
+import difflib
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 _LONGEST_VALUE = 60
+_LONGEST_LIST = 200
+_LONGEST_NAME = 120
 _LONGEST_LINE = 1000
 
 
@@ -134,3 +137,20 @@ def shown(value: object) -> str:
     """A value as error messages quote it: its repr, on one line and cut to a readable length."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+
+
+def choices(name: str, allowed: Iterable[str]) -> str:
+    """The remedy for an unknown name: ``did you mean 'door'? choose one of door, drawer``."""
+    names = list(allowed)
+    if not names:
+        return "none is allowed here"
+    listed = ", ".join(names)
+    listed = listed if len(listed) <= _LONGEST_LIST else listed[: _LONGEST_LIST - 3] + "..."
+    near = nearest(name, names)
+    return (f"did you mean '{near}'? " if near is not None else "") + f"choose one of {listed}"
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str | None:
+    """The allowed name that looks most like this one, if any does."""
+    near = difflib.get_close_matches(name[:_LONGEST_NAME], list(allowed), n=1)
+    return near[0] if near else None

@@ -24,8 +24,8 @@ from pydantic_core import PydanticCustomError
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.documents.fields import checked_name
 from micah_plan.documents.layout import Mark, Scope
-from micah_plan.documents.located import Located, choices
-from micah_plan.errors import InputError, shown
+from micah_plan.documents.located import Located
+from micah_plan.errors import InputError, choices, shown
 
 INPUT = "input"
 _LONGEST = 4000

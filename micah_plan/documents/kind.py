@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from micah_plan.documents.layout import Document
-from micah_plan.documents.located import choices
 from micah_plan.documents.yaml_lines import read_yaml_file
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, choices, shown
 
 FileKind = Literal["model", "parts", "problem", "scene", "sweep", "experiment", "conventions", "plan", "recording"]
 _YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "sweep", "experiment", "conventions")

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import copy
-import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, choices, shown
 
 T = TypeVar("T")
 KeyPath = tuple[str | int, ...]
 _LONGEST_PATH = 120
-_LONGEST_LIST = 200
 
 
 @dataclass(frozen=True)
@@ -148,20 +146,3 @@ def dotted(path: Iterable[str | int]) -> str:
     """A key path as messages write it: ``modes.shut.joints.door``, on one line and of readable length."""
     text = " ".join("".join(c if c.isprintable() else "?" for c in ".".join(map(str, path))).split())
     return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
-
-
-def choices(name: str, allowed: Iterable[str]) -> str:
-    """The remedy for an unknown name: ``did you mean 'door'? choose one of door, drawer``."""
-    names = list(allowed)
-    if not names:
-        return "none is allowed here"
-    listed = ", ".join(names)
-    listed = listed if len(listed) <= _LONGEST_LIST else listed[: _LONGEST_LIST - 3] + "..."
-    near = nearest(name, names)
-    return (f"did you mean '{near}'? " if near is not None else "") + f"choose one of {listed}"
-
-
-def nearest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name that looks most like this one, if any does."""
-    near = difflib.get_close_matches(name[:_LONGEST_PATH], list(allowed), n=1)
-    return near[0] if near else None

@@ -24,10 +24,10 @@ from micah_plan.documents.fields import (
     Vector3,
 )
 from micah_plan.documents.layout import Document, Scope, doc
-from micah_plan.documents.located import Located, choices
+from micah_plan.documents.located import Located
 from micah_plan.documents.parts import check_sizes
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
-from micah_plan.errors import InputError, pip_install, shown
+from micah_plan.errors import InputError, choices, pip_install, shown
 from micah_plan.files import contained, read_bytes
 from micah_plan.scene.body import Body, Hull, Shape
 from micah_plan.scene.mesh_file import convex_corners, load_hull

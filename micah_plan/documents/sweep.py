@@ -13,11 +13,11 @@ from pydantic import Field
 
 from micah_plan.documents.fields import Line, Name
 from micah_plan.documents.layout import Document, doc, is_document, kind_at
-from micah_plan.documents.located import Located, nearest
+from micah_plan.documents.located import Located
 from micah_plan.documents.problem import ProblemDocument, ProblemReader
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, nearest
 from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES, PlantName
 from micah_plan.task.problem import Problem
 from micah_plan.task.sweep import MOST_CASES, Digests, Sweep, SweptProblem

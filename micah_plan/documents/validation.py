@@ -10,8 +10,8 @@ from pydantic_core import ErrorDetails
 
 from micah_plan.documents.fields import LARGEST_STD
 from micah_plan.documents.layout import Document, is_document, kind_at
-from micah_plan.documents.located import KeyPath, Located, choices, nearest
-from micah_plan.errors import InputError, shown, together
+from micah_plan.documents.located import KeyPath, Located
+from micah_plan.errors import InputError, choices, nearest, shown, together
 
 D = TypeVar("D", bound=Document)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
-from micah_plan.errors import InputError, located_in, shown
+from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.front.comparisons import CalibrationResult
 from micah_plan.front.results import ExplorationResult, LearningResult, PlanningResult, RunsResult
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
@@ -273,7 +273,6 @@ def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -
     Raises:
         InputError: for a name that is none, and a value that is none of it.
     """
-    from micah_plan.documents.located import choices
 
     names = [item.name for item in fields(LearnSettings)]
     for name in changes:

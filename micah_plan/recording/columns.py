@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError, choices, shown
 from micah_plan.recording.checks import KNOWN, NUMERIC, check_header
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
@@ -104,9 +103,8 @@ def named(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list
     for wanted, text in meant.columns.items():
         name, factors[wanted] = source_of(text, stripped)
         if name not in stripped:
-            close = difflib.get_close_matches(name, stripped, 1)
-            remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(','.join(stripped))}"
-            raise InputError(f"there is no column {shown(name)} to read as {wanted}", where=where, remedy=remedy)
+            problem = f"there is no column {shown(name)} to read as {wanted}"
+            raise InputError(problem, where=where, remedy=choices(name, stripped))
         if name in ours:
             problem = f"column {shown(name)} is read as {ours[name]} and as {wanted}"
             raise InputError(problem, where=where, remedy="name each column once")

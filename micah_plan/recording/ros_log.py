@@ -11,7 +11,6 @@ columns ``joint NAME``, each row with the last message until its time; so do ``F
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.errors import InputError, located_in, shown
+from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions, as_recorded
@@ -231,9 +230,7 @@ class _Log:
         for name, text in zip(wanted, topics, strict=True):
             if not any(name in names for names in named):
                 there = sorted({other for names in named for other in names})
-                close = difflib.get_close_matches(name, there, 1)
-                remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(', '.join(there))}"
-                raise InputError(f"there is no topic or frame {shown(text)} with poses", remedy=remedy)
+                raise InputError(f"there is no topic or frame {shown(text)} with poses", remedy=choices(name, there))
         pairs = zip(self.edges.values(), named, strict=True)
         chosen = [edge for edge, names in pairs if (set(names) & set(wanted) if wanted else not edge.static)]
         by_child: dict[str, Edge] = {}
@@ -250,9 +247,7 @@ class _Log:
             name = frame.strip("/")
             there = sorted({end for edge in self.edges.values() for end in (edge.parent, edge.child)})
             if name not in there:
-                close = difflib.get_close_matches(name, there, 1)
-                remedy = f"did you mean {shown(close[0])}?" if close else f"it has {shown(', '.join(there))}"
-                raise InputError(f"there is no frame {shown(frame)}", remedy=remedy)
+                raise InputError(f"there is no frame {shown(frame)}", remedy=choices(name, there))
             return name
         parents = sorted({edge.parent for edge in chosen})
         if len(parents) > 1:

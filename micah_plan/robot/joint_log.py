@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.errors import InputError, pip_install, shown
+from micah_plan.errors import InputError, choices, pip_install, shown
 from micah_plan.quantities import count
 from micah_plan.recording.checks import ACTION, POSITION, QUATERNION
 from micah_plan.recording.columns import recording_of_columns
@@ -35,12 +34,9 @@ def arm_of(robot: str, tool: str) -> Arm:
         return load_arm(describe_robot(robot, tool))
     robots = named_robots()
     if robot not in robots:
-        close = difflib.get_close_matches(robot, robots, 1)
-        remedy = f"did you mean {shown(close[0])}?" if close else f"choose among {', '.join(robots)}"
         problem = f"there is no file {shown(robot)}, and no robot of that name"
-        raise InputError(
-            problem, remedy=remedy if robots else f"robots by name need a package: {pip_install('robots')}"
-        )
+        remedy = choices(robot, robots) if robots else f"robots by name need a package: {pip_install('robots')}"
+        raise InputError(problem, remedy=remedy)
     return load_arm(describe_robot(robots[robot], tool))
 
 
@@ -93,9 +89,8 @@ def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventio
         if name is None:
             continue
         if name not in columns:
-            close = difflib.get_close_matches(name, list(columns), 1)
-            remedy = f"did you mean {shown(close[0])}?" if close else _named(arm, columns)
-            raise InputError(f"there is no column {shown(name)} to read as {kind} {joint}", remedy=remedy)
+            problem = f"there is no column {shown(name)} to read as {kind} {joint}"
+            raise InputError(problem, remedy=choices(name, columns))
         values = columns[name]
         if isinstance(values, tuple) or not np.isfinite(values).all():
             raise InputError(f"expected numbers in the column {shown(name)}", remedy="leave out the rows without")

@@ -188,7 +188,7 @@ def test_a_pose_of_which_one_number_is_missing_is_refused(truth: Recording, tmp_
     ("columns", "message"),
     [
         ({"t": "Tiem"}, "there is no column 'Tiem' to read as t; did you mean 'Time'?"),
-        ({"t": "seconds"}, "there is no column 'seconds' to read as t; it has 'Time,x,y,z'"),
+        ({"t": "seconds"}, "there is no column 'seconds' to read as t; choose one of Time, x, y, z"),
         ({"t": "Time", "ax": "x"}, "column 'x' is missing, found 't,ax,y,z'"),
         ({"t": "Time", "x": "y"}, "column 'y' is missing, found 't,x of the file,x,z'"),
         ({"t": "Time", "x": "y", "z": "-y"}, "column 'y' is read as x and as z"),
