@@ -19,9 +19,9 @@ Rules, each of them with what it cannot see:
 - **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
   map of quaternions, so all angles between rows remain. But a part that turns about a fixed axis moves with it: its
   origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, or four times as
-  well with other signs (the inverse turn; positions and turns of frames of which one is left-handed), it is probably so; but
-  a screw, or a part that moves freely, can look like that, so it is only said. A part that does not turn, or only about
-  what remains its axis, does not show it.
+  well with other signs (the inverse turn; positions and turns of frames of which one is left-handed), it is probably
+  so; but a screw, or a part that moves freely, can look like that, so it is only said. A part that does not turn, or
+  only about what remains its axis, does not show it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _SLOWEST_S = 1.0
 # Below this range of turning, noise and the motion of the origin cannot be told apart [rad].
 _LEAST_TURN = 0.3
 # The given order must leave much of the motion of the origin unexplained, and the other one at most half of that; other
-# signs, of which there are four, a quarter: of 826 simulated recordings of all kinds 5 are doubted, screws among them.
+# signs, of which there are four, a quarter: of 826 simulated recordings of all kinds 7 are doubted, screws among them.
 _UNEXPLAINED = 0.2
 _FAR_BETTER, _WITH_OTHER_SIGNS = 0.5, 0.25
 # Signs of a quaternion that differ, by what it then means: what is mirrored along an axis turns the other way about the
