@@ -46,8 +46,7 @@ def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
         except (ValueError, RuntimeError) as error:
             said = " ".join(str(error).split())[:160]
             raise InputError(f"cannot be read as an object: {said}", remedy="correct the file") from None
-        ignored = [f"<{tag}>" for tag in ("tendon",) if root.all(tag)]
-        notes = [f"left out: {', '.join(ignored)}, which may tie joints"] if ignored else []
+        notes = ["left out: <tendon>, which may tie joints"] if root.all("tendon") else []
         return _Tree(mujoco, compiled, notes).automaton()
 
 

@@ -15,6 +15,7 @@ from micah_plan.recording.checks import KNOWN, NUMERIC, check_header
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
+    TIMES,
     Conventions,
     as_recorded,
     source_of,
@@ -39,7 +40,8 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
     """
     meant = conventions or Conventions()
     names, factors = named(list(columns), meant)
-    table = {name: _plain(values) for name, values in zip(names, columns.values(), strict=True)}
+    unit = TIMES[meant.time or "s"]
+    table = {name: _plain(values, unit) for name, values in zip(names, columns.values(), strict=True)}
     lengths = {name: len(values) for name, values in table.items()}
     if len(set(lengths.values())) > 1:
         shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
@@ -142,15 +144,15 @@ def entries(key: str, values: Any) -> dict[str, Any]:
     return {f"{key}.{i}": entry for i, entry in enumerate(values.T)}
 
 
-def _plain(values: Any) -> NDArray[Any] | tuple[str, ...]:
-    """Numbers as an array, everything else as texts."""
+def _plain(values: Any, unit: float) -> NDArray[Any] | tuple[str, ...]:
+    """Numbers as an array, times of day and durations in units of so many seconds, everything else as texts."""
     if isinstance(values, tuple) and all(isinstance(value, str) for value in values):
         return values
     array = np.asarray(values)
     if array.dtype.kind == "M":
-        return array.astype("datetime64[ns]").astype(np.int64) / 1e9
+        return array.astype("datetime64[ns]").astype(np.int64) / 1e9 / unit
     if array.dtype.kind == "m":
-        return array.astype("timedelta64[ns]").astype(np.int64) / 1e9
+        return array.astype("timedelta64[ns]").astype(np.int64) / 1e9 / unit
     if array.dtype.kind in "iuf":
         return array
     if array.dtype.kind == "b":

@@ -130,7 +130,7 @@ def source_of(text: str, header: Collection[str]) -> tuple[str, float]:
 
 
 def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
-    """The rows in the units, order and frame of a recording; rows without a pose are left out, and that is noted.
+    """The rows in the units, order and frame of a recording, those without a pose too.
 
     Raises:
         InputError: if a name is given to several parts.

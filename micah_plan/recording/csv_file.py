@@ -55,7 +55,10 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
     """
     with located_in(path):
         lines, meant = read_lines(path), conventions or Conventions()
-        table = motion_capture_table(lines) or _table(lines, meant)
+        exported = motion_capture_table(lines, is_upright=meant.up is not None)
+        if exported is not None:
+            meant.require_open(("columns", "rate"), "an export of Motive or Vicon names its own columns and times")
+        table = exported or _table(lines, meant)
         meant, line_numbers = meant.or_else(table.conventions), table.line_numbers
 
         def place(row: int, column: str) -> str:

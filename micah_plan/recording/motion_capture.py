@@ -50,8 +50,12 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def motion_capture_table(lines: Sequence[str]) -> Table | None:
+def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> Table | None:
     """The bodies' poses in an export of Motive or Vicon; None if it is none.
+
+    Args:
+        lines: of the file.
+        is_upright: whether it was said which axis points upwards, so that nothing is assumed of it.
 
     Raises:
         InputError: if it is one of these, and has no poses of bodies.
@@ -59,13 +63,13 @@ def motion_capture_table(lines: Sequence[str]) -> Table | None:
     begin = next((i for i, line in enumerate(lines) if line.strip()), 0)
     first = next(csv.reader([lines[begin]]), [])
     if first and first[0].strip() == _MOTIVE:
-        return _motive(lines, first)
+        return _motive(lines, first, is_upright)
     if first and first[0].strip() in _VICON and not any(cell.strip() for cell in first[1:]):
         return _vicon(lines, begin)
     return None
 
 
-def _motive(lines: Sequence[str], first: Sequence[str]) -> Table:
+def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> Table:
     said = dict(zip((cell.strip() for cell in first[::2]), (cell.strip() for cell in first[1::2]), strict=False))
     head = [next(csv.reader([line]), []) for line in lines[:_LONGEST_HEADER]]
     at = {row[1].strip(): i for i, row in enumerate(head) if len(row) > 1 and row[1].strip() in ("Type", "Name")}
@@ -87,7 +91,11 @@ def _motive(lines: Sequence[str], first: Sequence[str]) -> Table:
     if unit not in _MOTIVE_UNITS:
         raise InputError(f"unknown length unit {shown(unit)}", where="line 1", remedy="export in metres or millimetres")
     conventions = Conventions(length=_MOTIVE_UNITS[unit], up="y")
-    note = "a Motive export: y is taken to point upwards; if it does not, say which axis does (--up z)"
+    note = (
+        ""
+        if is_upright
+        else "a Motive export: y is taken to point upwards; if it does not, say which axis does (--up z)"
+    )
     return _stacked(lines, begin + 1, {"t": 1}, _complete(bodies, "rigid body"), conventions, note)
 
 

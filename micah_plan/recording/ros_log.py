@@ -84,7 +84,7 @@ def joint_columns(path: str | Path) -> dict[str, Any]:
             if logged.kind == "sensor_msgs/msg/JointState":
                 time = stamp_ns(logged.message.header, logged.time)
                 for name, position in zip(logged.message.name, logged.message.position, strict=False):
-                    joints.setdefault(logged.topic, {}).setdefault(name, []).append((time, (position,)))
+                    joints.setdefault(logged.topic, {}).setdefault(name, []).append((time, (float(position),)))
         if not joints:
             problem = f"expected joint positions (sensor_msgs/JointState), found {_listed(path)}"
             raise InputError(problem, remedy="log the joints of the robot")
@@ -136,9 +136,10 @@ class _Log:
             match = _RUN.fullmatch(logged.topic.strip("/"))
             run = f"run_{match[1]}/" if match else ""
             for name, position in zip(message.name, message.position, strict=False):
-                self.joints.setdefault((run, name), []).append((time, (position,)))
+                self.joints.setdefault((run, name), []).append((time, (float(position),)))
         elif logged.kind in _COLUMNS:
-            text = message.data if logged.kind == "std_msgs/msg/String" else repr(message.data)
+            said = {"std_msgs/msg/Float64": float, "std_msgs/msg/Int64": int}.get(logged.kind, str)(message.data)
+            text = said if isinstance(said, str) else repr(said)
             self.columns.setdefault(logged.topic.strip("/"), {})[logged.time] = text
         for child, header, p, q in _poses(logged):
             parent = header.frame_id.strip("/")
@@ -158,8 +159,12 @@ class _Log:
         Raises:
             InputError: if a topic or frame is not there, or one must be chosen.
         """
+        notes = [note for edge in self.edges.values() if (note := edge.without_lost())]
+        self.edges = {key: edge for key, edge in self.edges.items() if edge.samples}
+        if not self.edges:
+            raise InputError("no message has a pose, only zeros or no numbers", remedy="check the tracker")
         chosen = self._chosen(topics)
-        frames, notes = Frames.of(self.edges.values()), list[str]()
+        frames = Frames.of(self.edges.values())
         target = self._target(chosen, frame, notes, frames)
         tracks = {edge.child: _track(edge, target, frames, notes) for edge in chosen}
         names = list(tracks)

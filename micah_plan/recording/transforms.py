@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.errors import InputError, shown
+from micah_plan.quantities import count
 
 _SAME = 1e-6  # m and parts of a quaternion: two publishers that agree
 
@@ -30,6 +31,22 @@ class Edge:
     parent: str
     static: bool = False
     samples: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
+
+    def without_lost(self) -> str:
+        """Leave out samples that are no poses, whose numbers are missing or whose quaternion is zero; the note of it.
+
+        Where all quaternions are zero, orientations were not measured, as of a point. Nothing may be left.
+        """
+        poses = np.array([pose for _, pose in self.samples])
+        placed, turns = np.isfinite(poses[:, :3]).all(axis=1), poses[:, 3:]
+        if not np.nan_to_num(turns).any():
+            self.samples = [(stamp, (*pose[:3], *(np.nan,) * 4)) for stamp, pose in self.samples]
+            good = placed
+        else:
+            good = placed & np.isfinite(turns).all(axis=1) & turns.any(axis=1)
+        lost = len(good) - int(good.sum())
+        self.samples = [sample for sample, keep in zip(self.samples, good.tolist(), strict=True) if keep]
+        return f"{count(lost, 'pose')} of {shown(self.child)} are zeros or no numbers and left out" if lost else ""
 
     def once(self) -> tuple[Ints, Floats]:
         """(k,) stamps in order, each once, and (k, 7) poses.
@@ -52,6 +69,9 @@ class Edge:
     def at(self, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
         """(n, 3) positions and n rotations at stamps [ns], straight between samples, and (n,) where they are known."""
         own, poses = self.once()
+        if not np.isfinite(poses).all():
+            problem = f"{shown(self.topic)} gives no orientation of {shown(self.child)}, which others are placed by"
+            raise InputError(problem, remedy="choose another frame: --frame NAME")
         if self.static or len(own) == 1:
             chosen = np.repeat(poses[-1:], len(stamps), axis=0)
             return chosen[:, :3], Rotation.from_quat(chosen[:, 3:]), np.full(len(stamps), True)

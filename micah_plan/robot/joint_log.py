@@ -59,12 +59,11 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
     q = _positions("joint", columns, arm, meant)
     if q is None:
         raise InputError("no joint of the robot has a column", remedy=_named(arm, columns))
-    poses = arm.poses(q)
-    position, quaternion = poses.translation, poses.rotation.as_quat()
-    table = dict(zip((*POSITION, *QUATERNION), np.hstack([position, quaternion]).T, strict=True))
+    poses = _poses(arm, q)
+    table = dict(zip((*POSITION, *QUATERNION), poses.T, strict=True))
     targets = _positions("target", columns, arm, meant)
     if targets is not None:
-        table |= dict(zip(ACTION, (arm.poses(targets).translation - position).T, strict=True))
+        table |= dict(zip(ACTION, (_poses(arm, targets) - poses)[:, :3].T, strict=True))
     others = {name: text for name, text in meant.columns.items() if name in ("t", "run", "part")}
     sources = {source_of(text, columns)[0] for text in others.values()}
     table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
@@ -75,8 +74,18 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
     return replace(recording, conventions=meant.stated(), notes=(*notes, *recording.notes))
 
 
+def _poses(arm: Arm, q: Floats) -> Floats:
+    """(n, 7) positions and quaternions of the tool, NaN where a joint is not known, as before its first message."""
+    found = np.full((len(q), 7), np.nan)
+    known = np.isfinite(q).all(axis=1)
+    if known.any():
+        poses = arm.poses(q[known])
+        found[known] = np.hstack([poses.translation, poses.rotation.as_quat()])
+    return found
+
+
 def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> Floats | None:
-    """(n, joints) positions or targets [rad or m]; None where no joint has any.
+    """(n, joints) positions or targets [rad or m], NaN where they are not known; None where no joint has any.
 
     Raises:
         InputError: if only some have, or a column has no numbers.
@@ -92,8 +101,8 @@ def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventio
             problem = f"there is no column {shown(name)} to read as {kind} {joint}"
             raise InputError(problem, remedy=choices(name, columns))
         values = columns[name]
-        if isinstance(values, tuple) or not np.isfinite(values).all():
-            raise InputError(f"expected numbers in the column {shown(name)}", remedy="leave out the rows without")
+        if isinstance(values, tuple) or not np.isfinite(values).any():
+            raise InputError(f"expected numbers in the column {shown(name)}", remedy="name another column")
         found[joint] = factor * units[unit] * np.asarray(values, dtype=float)
     missing = [joint for joint in arm.joints if joint not in found]
     if found and missing and kind == "joint":
@@ -130,6 +139,9 @@ def _named(arm: Arm, columns: Mapping[str, Any]) -> str:
 
 def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
     """A note where joints are where they cannot be: other units, or another robot."""
+    q = q[np.isfinite(q).all(axis=1)]
+    if not len(q):
+        return ()  # that no row has a pose is said where gaps are left out
     beyond = np.maximum(q - arm.upper, arm.lower - q).max(axis=0)
     wrong = [joint for joint, by in zip(arm.joints, beyond, strict=True) if by > _BEYOND]
     if not wrong:

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from micah_plan.cli.application import app
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
-from micah_plan.recording.read import read_recording
+from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.transforms import acting, between
 from micah_plan.ros.log import Logged, MessageType, header_at, write_log
 
@@ -211,6 +211,70 @@ def test_a_chain_between_its_stamps_and_where_it_is_not_known(tmp_path: Path) ->
         )
     with pytest.raises(InputError, match=r"there is no frame 'mapp'; did you mean 'map'\?"):
         read(tmp_path, messages, topics=("door",), frame="mapp")
+
+
+def test_poses_of_a_tracker_that_sees_nothing(tmp_path: Path) -> None:
+    """Zeros and NaN while it sees nothing are left out and told; zeros throughout are orientations nobody measured."""
+
+    def of(k: int, time: int, lost: Sequence[int]) -> Logged:
+        at = pose([0.1 * k, 1, 0])
+        if k in lost:
+            at = {"position": dict.fromkeys("xyz", 0.0), "orientation": dict.fromkeys("xyzw", 0.0)}
+        if k == 9 and lost:
+            at["position"]["x"] = float("nan")
+        return Logged(
+            "/door/pose", "geometry_msgs/msg/PoseStamped", time, {"header": header_at(time, "map"), "pose": at}
+        )
+
+    commands = [vector("/door/action", time, [0.01, 0, 0]) for time in TIMES]
+    found = read(tmp_path, [*(of(k, time, (3, 4)) for k, time in enumerate(TIMES)), *commands])
+    assert_allclose(found.position[:, 0], np.delete(0.1 * np.arange(ROWS), [3, 4, 9]))
+    assert found.notes[0] == "3 poses of 'door' are zeros or no numbers and left out"
+    # What was commanded meanwhile is not lost.
+    assert_allclose(found.action[[2, 3, 6, 7], 0], [0.03, 0.01, 0.02, 0.01], atol=1e-9)
+    points = [of(k, time, ()) for k, time in enumerate(TIMES)]
+    for logged in points:
+        logged.message["pose"]["orientation"] = dict.fromkeys("xyzw", 0.0)
+    without = read(tmp_path, points)
+    assert without.quaternion is None
+    assert len(without) == ROWS
+    knob = [tf("/tf", time, transform(time, "door", "knob", [1, 0, 0])) for time in TIMES]
+    with pytest.raises(InputError, match="'/door/pose' gives no orientation of 'door', which others are placed by"):
+        read(tmp_path, [*points, *knob], topics=("knob",), frame="map")
+    for logged in points:
+        logged.message["pose"]["position"]["y"] = float("nan")
+    with pytest.raises(InputError, match="no message has a pose, only zeros or no numbers"):
+        read(tmp_path, points)
+
+
+def test_joints_of_bags_of_ros_1_are_numbers(tmp_path: Path) -> None:
+    """Their arrays are NumPy's, whose numbers say what they are."""
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds = store.types
+    with rosbag1.Writer(tmp_path / "log.bag") as writer:
+        connections: dict[str, Any] = {}
+        for k, time in enumerate(TIMES):
+            stamp = kinds["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
+            header = kinds["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="map")
+            point = kinds["geometry_msgs/msg/Point"](x=0.1 * k, y=0.0, z=0.0)
+            at, none = np.array([0.25 * k]), np.zeros(0)
+            messages = {
+                "sensor_msgs/msg/JointState": kinds["sensor_msgs/msg/JointState"](header, ["elbow"], at, none, none),
+                "geometry_msgs/msg/PointStamped": kinds["geometry_msgs/msg/PointStamped"](header=header, point=point),
+                "std_msgs/msg/Float64": kinds["std_msgs/msg/Float64"](data=0.5 * k),
+            }
+            topics = ("/joint_states", "/door", "/door/width")
+            for topic, (kind, message) in zip(topics, messages.items(), strict=True):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                writer.write(connections[topic], time, store.serialize_ros1(message, kind))
+    found = read_recording(tmp_path / "log.bag")
+    assert found.extra["joint elbow"][:3] == ("0.0", "0.25", "0.5")
+    assert found.extra["width"][:3] == ("0.0", "0.5", "1.0")
+    assert read_columns(tmp_path / "log.bag")["joint elbow"].tolist() == (0.25 * np.arange(ROWS)).tolist()
 
 
 def test_transforms_in_a_circle(tmp_path: Path) -> None:

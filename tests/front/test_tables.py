@@ -90,6 +90,9 @@ def test_times_of_day_are_seconds() -> None:
     recording = load(drawer() | {"t": stamps})
     assert isinstance(recording, Recording)
     assert_allclose(np.diff(recording.time), 0.05, atol=1e-6)
+    in_ms = load(drawer() | {"t": stamps}, time="ms")  # a time of day has no unit
+    assert isinstance(in_ms, Recording)
+    assert_allclose(in_ms.time, recording.time)
     passed = load(drawer() | {"t": stamps - stamps[0]})
     assert isinstance(passed, Recording)
     assert_allclose(passed.time, drawer()["t"], atol=1e-6)

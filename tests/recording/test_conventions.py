@@ -368,7 +368,11 @@ def test_a_motive_export(tmp_path: Path) -> None:
     assert_allclose(turned.as_rotvec(), [0, 0, 2 * np.arcsin(0.6)], atol=1e-12)
     assert "y is taken to point upwards" in read.notes[0]
     assert "1 row of 6 have no pose" in read.notes[1]
+    for given in (Conventions(rate=100.0), Conventions(columns={"t": "Frame"})):
+        with pytest.raises(InputError, match="an export of Motive or Vicon names its own columns and times; leave out"):
+            read_recording(tmp_path / "take.csv", conventions=given)
     upright = read_recording(tmp_path / "take.csv", conventions=Conventions(up="z"))
+    assert not any("point upwards" in note for note in upright.notes)  # it was said
     assert_allclose(upright.select(part="door").position[0], [0.1, 0.2, 0.3])
 
 

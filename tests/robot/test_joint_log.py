@@ -148,6 +148,19 @@ def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
         load(tmp_path / "log.mcap")
 
 
+def test_rows_in_which_a_joint_is_not_known_are_gaps(arm: Any) -> None:
+    """As before the first message of a topic that begins later."""
+    columns = {"t": 0.05 * np.arange(ROWS)} | table(arm)
+    columns["elbow"][:3] = np.nan
+    found = tool_recording(columns, arm, Conventions(**ROBOT))
+    assert len(found) == ROWS - 3
+    assert found.notes == (f"3 rows of {ROWS} have no pose and are left out, at most 3 in turn",)
+    is_the_door(found, arm)
+    columns["shoulder_pan"][3:] = np.nan
+    with pytest.raises(InputError, match="no row has a pose"):
+        tool_recording(columns, arm, Conventions(**ROBOT))
+
+
 def test_a_file_beside_the_log_names_the_robot(arm: Any, tmp_path: Path) -> None:
     csv(tmp_path / "log.csv", {"t": 0.05 * np.arange(ROWS)} | table(arm))
     (tmp_path / "arm.urdf").write_text(ARM.read_text())
