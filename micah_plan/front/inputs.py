@@ -145,8 +145,14 @@ def _of_table(table: Any, conventions: Conventions | None) -> Recording:
         for name in table:
             if name not in known:
                 raise InputError(f"a recording has no {shown(name)}", remedy=f"choose among {', '.join(sorted(known))}")
-        given = {"has_run": "run" in table, "has_part": "part" in table, **table}
-        return as_recorded(Recording(**given), conventions or Conventions())
+        if "time" not in table:
+            raise InputError("the array 'time' is missing", remedy="give time (n,) [s] beside position (n, 3) [m]")
+        try:
+            made = Recording(**{"has_run": "run" in table, "has_part": "part" in table, **table})
+        except (TypeError, ValueError) as error:  # texts, rows of different lengths
+            said = " ".join(str(error).split())
+            raise InputError(f"expected arrays of numbers ({shown(said)})", remedy="give NumPy arrays") from None
+        return as_recorded(made, conventions or Conventions())
     names = list(table) if isinstance(table, Mapping) else _names_of(table)
     return recording_of_columns({str(name): table[name] for name in names}, conventions)
 

@@ -148,7 +148,7 @@ def _plain(values: Any, unit: float) -> NDArray[Any] | tuple[str, ...]:
     """Numbers as an array, times of day and durations in units of so many seconds, everything else as texts."""
     if isinstance(values, tuple) and all(isinstance(value, str) for value in values):
         return values
-    array = np.asarray(values)
+    array = np.atleast_1d(np.asarray(values))
     if array.dtype.kind == "M":
         return array.astype("datetime64[ns]").astype(np.int64) / 1e9 / unit
     if array.dtype.kind == "m":

@@ -132,6 +132,15 @@ def test_what_is_no_table() -> None:
         learn({"x": [1, 2, 3]})
     with pytest.raises(InputError):
         learn({})
+    position = np.zeros((N, 3))
+    for given, message in (
+        ({"position": position}, "the array 'time' is missing"),
+        ({"time": ["noon"] * N, "position": position}, "expected arrays of numbers"),
+        ({"time": np.arange(N), "position": [[0.0, 0.0], [0.0]] * (N // 2)}, "expected arrays of numbers"),
+        ({"t": 3, "x": 1, "y": 1, "z": 1}, "row"),
+    ):
+        with pytest.raises(InputError, match=message):
+            learn(given)
 
 
 def test_a_recording_as_columns_and_as_a_data_frame(repository: Any, monkeypatch: pytest.MonkeyPatch) -> None:
