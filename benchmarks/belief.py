@@ -25,7 +25,7 @@ from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning import pomdp_hd, roll_outs
-from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.limits import with_input_memory
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
@@ -190,14 +190,14 @@ def main(seeds: int = 20, first: int = 0, *names: str) -> None:
     for name, problem in problems().items():
         if names and name not in names:
             continue
-        nominal, rounds, verdicts = workflow.solve(problem), [], Counter[str]()
+        nominal, rounds, verdicts = stages.solve(problem), [], Counter[str]()
         print(f"{name}: {'seed':>4} {'what acts':14} {'before':>8} {'after':>8}  reached     calibration")
         for seed in range(first, first + seeds):
             plant = Tampered(problem, seed)
             before = executed(problem, nominal, plant, range(100 * seed, 100 * seed + TRIALS))
-            found = workflow.calibrate(problem.automaton, before.recording)
+            found = stages.calibrate(problem.automaton, before.recording)
             improved = replace(problem, automaton=found.automaton)
-            plan = workflow.solve(improved)
+            plan = stages.solve(improved)
             again = range(100 * seed + 50, 100 * seed + 50 + TRIALS)
             # Without a new plan one goes on with the old one.
             planned = plan.outcome == "solved"

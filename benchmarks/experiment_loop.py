@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan import workflow
+from micah_plan.api import stages
+from micah_plan.api.inputs import joined
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.plant import Command, Measurement, Truth
-from micah_plan.front.inputs import joined
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration
 from micah_plan.task.problem import Problem
@@ -133,17 +133,17 @@ def rounds(problem: Problem, plan: object, kind: str, device: str, seed: int) ->
     """What each round said, until the answer is settled."""
     truth, make = DEVICES[device]
     plant = lambda asked: Tampered(asked, kind, make)  # noqa: E731
-    logs: list[Recording] = [workflow.execute(problem, plan, plant=plant, trials=TRIALS, seed=seed).recording]
+    logs: list[Recording] = [stages.execute(problem, plan, plant=plant, trials=TRIALS, seed=seed).recording]
     answers: list[Told] = []
     for number in range(ROUNDS):
         recording = joined(logs)
-        found = workflow.calibrate(problem.automaton, recording)
+        found = stages.calibrate(problem.automaton, recording)
         answers.append(told(found, truth))
-        designed = workflow.next_experiment(problem.automaton, recording, found)
+        designed = stages.next_experiment(problem.automaton, recording, found)
         if answers[-1].is_settled or designed is None or number == ROUNDS - 1:
             break
         asked = replace(designed.experiment, plant=problem.plant)
-        logs.append(workflow.carry_out(asked, plant=plant, seed=1000 * seed + number + 1)[0])
+        logs.append(stages.carry_out(asked, plant=plant, seed=1000 * seed + number + 1)[0])
     return answers
 
 
@@ -155,7 +155,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     asked = parser.parse_args()
     problem = load_problem(ROOT / "problems" / "drawer_open.yaml")
-    plan = workflow.solve(problem)
+    plan = stages.solve(problem)
     print("| plant | device | seed | " + " | ".join(f"round {k + 1}" for k in range(ROUNDS)) + " |")
     print("| --- " * (3 + ROUNDS) + "|")
     ended: list[list[Told]] = []

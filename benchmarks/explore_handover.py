@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from explore_plants import LATCHED, MOVING, HandlePlant, Thing, drawn
 
+from micah_plan.api.stages import calibrate, execute, predict, solve
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import model_text
 from micah_plan.documents.problem import load_problem
@@ -27,8 +28,7 @@ from micah_plan.execution.log import concatenated
 from micah_plan.execution.plant import Measurement
 from micah_plan.explore.run import explore
 from micah_plan.recording.value import Recording
-from micah_plan.task.exploration import Scene
-from micah_plan.workflow import calibrate, execute, predict, solve
+from micah_plan.task.experiment import Scene
 
 _LOW, _HIGH, _TOLERANCE = 0.2, 0.9, 0.06
 

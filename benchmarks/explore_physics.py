@@ -29,7 +29,7 @@ from micah_plan.execution.handle import HANDLE, make_handle_plant
 from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.plant import Command, Measurement
 from micah_plan.explore.run import explore
-from micah_plan.task.exploration import Scene
+from micah_plan.task.experiment import Scene
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start

@@ -18,7 +18,7 @@ from scipy.stats import norm
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.planning.limits import limits_of
-from micah_plan.scene.body import corners as body_corners
+from micah_plan.task.body import corners as body_corners
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 

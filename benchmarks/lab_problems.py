@@ -24,10 +24,10 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests" / "planning")]
 
 import test_between_knots as lab  # noqa: E402
 
-from micah_plan.automaton.thresholds import threshold_stds  # noqa: E402
+from micah_plan.api.stages import execute, solve  # noqa: E402
+from micah_plan.automaton.lifted import threshold_stds  # noqa: E402
 from micah_plan.automaton.transition_batch import TransitionBatch  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
-from micah_plan.workflow import execute, solve  # noqa: E402
 
 Floats = NDArray[np.float64]
 

@@ -26,6 +26,7 @@ sys.path.insert(0, str(ROOT / "examples"))
 from objects import DOOR_OPEN, drawer, microwave  # noqa: E402
 from saving import add_json, save_json  # noqa: E402
 
+from micah_plan.api.stages import solve  # noqa: E402
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
 from micah_plan.documents.model import load_model  # noqa: E402
 from micah_plan.execution.mujoco.parameters import PhysicalParameters  # noqa: E402
@@ -36,7 +37,6 @@ from micah_plan.task.goal import Goal  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 from micah_plan.task.settings import PlannerSettings  # noqa: E402
 from micah_plan.task.start import Start  # noqa: E402
-from micah_plan.workflow import solve  # noqa: E402
 
 TRACKER = {"position_noise": 0.003, "rotation_noise": 0.03, "position_wander": 0.001, "rotation_wander": 0.01}
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -84,7 +84,7 @@ def main() -> None:
         print(row(path.stem, calibrate(model_of(path.stem, recording), recording)), flush=True)
     for path in sorted((data / "demonstrations").glob("*.csv")):
         recording = read_recording(path)
-        if recording.has_actions and (model := workflow.learn(recording).automaton) is not None:
+        if recording.has_actions and (model := stages.learn(recording).automaton) is not None:
             print(row(path.stem, calibrate(model, recording)), flush=True)
 
 

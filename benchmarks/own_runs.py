@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.recording.read import write_recording
@@ -25,11 +25,11 @@ FOLDER = Path(__file__).resolve().parents[1] / "problems"
 def recorded(problem: Problem, file: Path | None, trials: int, seed: int) -> Recording | str:
     """Runs of the problem's plan; why there are none."""
     if file is not None and file.exists():
-        return workflow.read(file)
-    plan = workflow.solve(problem, seed=seed, advise=False)
+        return stages.read(file)
+    plan = stages.solve(problem, seed=seed, advise=False)
     if plan.outcome != "solved":
         return plan.reason
-    recording = workflow.execute(problem, plan, trials=trials, seed=seed).recording
+    recording = stages.execute(problem, plan, trials=trials, seed=seed).recording
     if file is not None:
         write_recording(recording, file)
     return recording
@@ -38,13 +38,13 @@ def recorded(problem: Problem, file: Path | None, trials: int, seed: int) -> Rec
 def answered(problem: Problem, recording: Recording) -> tuple[str, str]:
     """What `predict` and `calibrate` say."""
     try:
-        runs = workflow.predict(problem.automaton, recording)
+        runs = stages.predict(problem.automaton, recording)
     except InputError as refused:
         return f"refused: {refused.problem}", "refused"
     judged = judge(problem.automaton, recording, runs)
     told = {True: "noise", False: judged.sentence, None: "not sure"}[judged.is_noise]
     try:
-        found = workflow.calibrate(problem.automaton, recording)
+        found = stages.calibrate(problem.automaton, recording)
     except InputError as refused:
         return told, f"refused: {refused.problem}"
     names = ", ".join(one.effect.name for one in found.effects)

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from saving import add_json, save_json
 
+from micah_plan.api.stages import solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.checked_plant import make_plant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.trials import run_trials
-from micah_plan.workflow import solve
 
 ROOT = Path(__file__).resolve().parent.parent
 Floats = NDArray[np.float64]

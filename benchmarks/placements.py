@@ -26,11 +26,11 @@ from typing import Any
 
 from saving import add_json, save_json
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.documents.plan import StoredPlan, load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import PlantKind, run_trials
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import execute, solve
 
 ROOT = Path(__file__).resolve().parent.parent
 HELD = ("stapler_on_books", "foot_under_shelf", "box_under_bar", "stapler_in_shaft")

@@ -38,19 +38,19 @@ from processor_clock import time_by_processor
 from saving import add_json, save_json
 from user_code import Reader, chances_for, filtered, open_loop, share_in_goal
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import goal_probability
-from micah_plan.planning.cost import cost_of
-from micah_plan.planning.explain import explain
+from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 from micah_plan.task.settings import Method
-from micah_plan.workflow import execute, solve
 
 ROOT = Path(__file__).resolve().parent.parent
 # Added to the seed for the observed roll-outs, so that none of the plan's own are counted again.

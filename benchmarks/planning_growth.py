@@ -19,6 +19,7 @@ from pathlib import Path
 
 from processor_clock import time_by_processor
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, below, box, input_above
@@ -26,7 +27,6 @@ from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
-from micah_plan.workflow import solve
 
 OPEN, TOLERANCE = 0.5, 0.05
 STAGES = ("search", "build", "optimise", "verify")

@@ -25,7 +25,7 @@ from micah_plan.belief.filter import initial_belief
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning import pomdp_hd, replanning
-from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.limits import with_input_memory
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem

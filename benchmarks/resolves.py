@@ -24,15 +24,13 @@ from saving import add_json, save_json
 
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.cost import cost_of
-from micah_plan.planning.input_memory import with_input_memory, without_input_memory
-from micah_plan.planning.limits import limits_of
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.limits import NoWayError, limits_of, with_input_memory, without_input_memory
+from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.pomdp_hd import plan, trajectory_of, with_memory
-from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
+from micah_plan.planning.replanning import RecedingHorizon, from_new
 from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.transcription.corridor import pack
 from micah_plan.planning.transcription.guess import PhaseGuess, guess
-from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve
 from micah_plan.task.plan import Trajectory

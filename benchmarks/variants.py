@@ -26,12 +26,12 @@ from impossible import free_places, highest_share, highest_share_entering, is_ou
 from saving import add_json, save_json
 from scipy.stats import binom
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.planning.explain import explain
+from micah_plan.planning.findings import explain
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import execute, solve
 
 ROOT = Path(__file__).resolve().parent.parent
 Overrides = Mapping[str, Any]

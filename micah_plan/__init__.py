@@ -17,17 +17,17 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from micah_plan.api.functions import calibrate as calibrate
+    from micah_plan.api.functions import execute as execute
+    from micah_plan.api.functions import explore as explore
+    from micah_plan.api.functions import learn as learn
+    from micah_plan.api.functions import load as load
+    from micah_plan.api.functions import predict as predict
+    from micah_plan.api.functions import save as save
+    from micah_plan.api.functions import show as show
+    from micah_plan.api.functions import solve as solve
     from micah_plan.automaton.hybrid import HybridAutomaton as HybridAutomaton
     from micah_plan.errors import InputError as InputError
-    from micah_plan.front.functions import calibrate as calibrate
-    from micah_plan.front.functions import execute as execute
-    from micah_plan.front.functions import explore as explore
-    from micah_plan.front.functions import learn as learn
-    from micah_plan.front.functions import load as load
-    from micah_plan.front.functions import predict as predict
-    from micah_plan.front.functions import save as save
-    from micah_plan.front.functions import show as show
-    from micah_plan.front.functions import solve as solve
     from micah_plan.recording.value import Recording as Recording
 
 __version__ = "0.1.0"
@@ -37,7 +37,7 @@ _PLACES = {
     "InputError": "errors",
     "Recording": "recording.value",
     **dict.fromkeys(
-        ("calibrate", "execute", "explore", "learn", "load", "predict", "save", "show", "solve"), "front.functions"
+        ("calibrate", "execute", "explore", "learn", "load", "predict", "save", "show", "solve"), "api.functions"
     ),
 }
 __all__ = ["__version__", *sorted(_PLACES)]
@@ -72,7 +72,7 @@ class _Verb(ModuleType):
 
     @property
     def _function(self) -> Any:
-        return getattr(import_module(f"{__name__}.front.functions"), self.__name__.rpartition(".")[2])
+        return getattr(import_module(f"{__name__}.api.functions"), self.__name__.rpartition(".")[2])
 
 
 class _Package(ModuleType):

@@ -51,14 +51,14 @@ def _check_recording(file: Path) -> tuple[str, ...]:
 
 
 def _check_model(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.suspicion import suspicions
+    from micah_plan.automaton.check import suspicions
     from micah_plan.documents.model import load_model
 
     return suspicions(load_model(file))
 
 
 def _check_parts(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.suspicion import far_handles
+    from micah_plan.automaton.check import far_handles
     from micah_plan.documents.parts import load_parts
 
     return tuple(far_handles(load_parts(file)))
@@ -72,9 +72,9 @@ def _check_conventions(file: Path) -> tuple[str, ...]:
 
 
 def _check_problem(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.suspicion import suspicions as suspicions_of_model
+    from micah_plan.automaton.check import suspicions as suspicions_of_model
     from micah_plan.documents.problem import load_problem
-    from micah_plan.task.suspicion import suspicions as suspicions_of_problem
+    from micah_plan.task.problem import suspicions as suspicions_of_problem
 
     problem = load_problem(file)
     if problem.robot is not None:
@@ -91,8 +91,8 @@ def _check_problem(file: Path) -> tuple[str, ...]:
 
 
 def _check_scene(file: Path) -> tuple[str, ...]:
-    from micah_plan.documents.exploration import load_scene
-    from micah_plan.task.suspicion import suspicions_of_scene
+    from micah_plan.documents.experiment import load_scene
+    from micah_plan.task.experiment import suspicions_of_scene
 
     return suspicions_of_scene(load_scene(file))
 

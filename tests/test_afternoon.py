@@ -64,7 +64,7 @@ def data_frame(_: Path) -> Recording:
 
 def vicon_bag(folder: Path) -> Recording:
     """TransformStamped, as the bridge of Vicon logs it."""
-    log = pytest.importorskip("micah_plan.ros.log")
+    log = pytest.importorskip("micah_plan.recording.ros_mcap")
     pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
     messages = []
     for k, (place, turn) in enumerate(zip(*door()[1:], strict=True)):
@@ -81,7 +81,7 @@ def vicon_bag(folder: Path) -> Recording:
 
 def tag_seen_from_the_hand(folder: Path) -> Recording:
     """AprilTags on /tf, seen by a camera on a hand that moves."""
-    log = pytest.importorskip("micah_plan.ros.log")
+    log = pytest.importorskip("micah_plan.recording.ros_mcap")
     pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
     _, places, turns = door()
     messages = []

@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from micah_plan import cli, workflow
+from micah_plan import cli
+from micah_plan.api import stages
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.documents.model import dump_model, load_model
@@ -379,7 +380,7 @@ def stopped(monkeypatch, capsys):
         def fail(*_, **__):
             raise raised
 
-        monkeypatch.setattr(workflow, "read", fail)
+        monkeypatch.setattr(stages, "read", fail)
         monkeypatch.setattr(sys, "argv", ["micah-plan", "learn", "x.csv", "-o", os.devnull + ".yaml", "--json"])
         monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # typer puts its own there
         with pytest.raises(expected) as caught:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from micah_plan import cli, workflow
+from micah_plan import cli
+from micah_plan.api import stages
 from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, axis_std, radius_std, revolute, rigid
@@ -23,7 +24,7 @@ from micah_plan.errors import InputError
 from micah_plan.learn import learn as learning
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.view.learning_words import action_words
+from micah_plan.view.learned import action_words
 
 DEMONSTRATION = "examples/demonstrations/microwave.csv"
 STDS = (0.1, 0.1, 0.05, 0.02, 0.03)
@@ -110,7 +111,7 @@ def test_several_parts_say_it_per_edge(repository):
     (edge,) = sure_graph().edges
     other = replace(edge, child="drawer", certainty=None)
     recording = read_recording(repository / DEMONSTRATION)
-    result = workflow.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
+    result = stages.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
     found = report.learned(result, 0)
     assert found["tree_probability"] is None
     assert report.learned(replace(result, graph=replace(result.graph, probability=0.8)), 0)["tree_probability"] == 0.8

@@ -23,6 +23,7 @@ from micah_plan.automaton.hybrid import (
     Coordinate,
     Edge,
     HybridAutomaton,
+    Light,
     Link,
     Mode,
     Noise,
@@ -33,7 +34,6 @@ from micah_plan.automaton.hybrid import (
 )
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
 from micah_plan.cli.application import main
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT

@@ -3,23 +3,43 @@
 Each element is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. That refuses
 only what is certainly wrong: it compares bounding boxes (half-spaces that couple coordinates are ignored), and accepts
 deviations up to the model's own std.
+
+Whether what an automaton says can be meant: units against joints and inputs, transitions that repeat each other or
+are always taken, effects that are there twice, limits and weights beyond physical sizes.
+
+`check` refuses what cannot be used at all. Here each part by itself could be used, and only together they make no
+sense. Only what is certainly wrong is refused; `suspicions` tells what may be meant.
+
+What looks like a mistake in an automaton that can be used. Nothing is refused: each suspicion is one line.
+
+- **Jumps.** A part is where it was when a transition is taken. If the joints of its two modes place it more than
+  `LARGEST_JUMP_M` apart, one of them was probably edited. Smaller ones are common: joints are estimates.
+- **Never taken.** Of transitions that are possible at one instant the first listed is taken, so one that is listed
+  behind a more general one is not.
+- **Millimetres.** A part farther than `FARTHEST_M` from the part that it is linked to was probably given in
+  millimetres. Solids do not show it: domains of 100 m are planned in.
+- **Larger than the range.** What one step adds (noise, drift), or what is not known of a measurement or a threshold, is
+  less than all that a coordinate can be.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
 
-from micah_plan.automaton.consistency import contradictions
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import check_effect
-from micah_plan.automaton.emptiness import is_empty
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Tie
-from micah_plan.automaton.region import Interval, Region
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Part, Pin, Tie
+from micah_plan.automaton.joint import KINDS
+from micah_plan.automaton.motion_of_joints import turns_and_translations
+from micah_plan.automaton.region import HalfSpace, Interval, Region, is_empty
 from micah_plan.errors import InputError, shown
+from micah_plan.quantities import LARGEST, quantity
 
 UNITS = ("rad", "m")
 _PIN_ROOM = 1e-9
@@ -37,7 +57,7 @@ def check_automaton(automaton: HybridAutomaton) -> None:
             inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
             fixed elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
             without effect, a mode that is not connected, process noise below 0, observation noise not above 0; and what
-            contradicts itself (`consistency`).
+            contradicts itself (`contradictions`).
     """
     for _, check in checks(automaton):
         check()
@@ -285,3 +305,256 @@ def _check_region(region: Region, where: str) -> None:
     if is_empty(region):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in region.half_spaces)
         raise InputError(f"{where} must not be empty. Got {names}")
+
+
+LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
+
+
+def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
+    """The checks in their order, each with the place in the automaton that it is about; see `check.checks`."""
+    for coordinate in automaton.coordinates:
+        yield ("coordinates", coordinate.name), partial(_check_unit_of_joints, automaton, coordinate)
+    for given in automaton.inputs:
+        yield ("inputs", given.name), partial(_check_unit_of_input, automaton, given)
+    for mode in automaton.modes:
+        yield ("modes", mode.name, "invariant"), partial(_check_limits, automaton, mode.invariant, f"mode {mode.name}")
+        yield ("modes", mode.name, "inputs"), partial(_check_limits, automaton, mode.inputs, f"mode {mode.name}")
+        yield ("modes", mode.name, "step"), partial(_check_step, mode)
+    first: dict[tuple[str, str, Region], int] = {}
+    for i, edge in enumerate(automaton.edges):
+        same = first.setdefault((edge.source, edge.target, edge.guard), i)
+        yield ("edges", i, "guard"), partial(_check_limits, automaton, edge.guard, f"edge {edge.name}")
+        yield ("edges", i, "reset"), partial(_check_reset, automaton, edge)
+        yield ("edges", i), partial(_check_repeated, edge, i, same)
+        yield ("edges", i, "guard"), partial(_check_stays, automaton, edge)
+    for i, effect in enumerate(automaton.effects):
+        yield ("effects", i), partial(_check_effect_once, automaton.effects[:i], effect)
+
+
+def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) -> None:
+    """A coordinate has the unit of one of its joints; the others of a chain of modes count in their own unit."""
+    index = automaton.coordinate_names.index(coordinate.name)
+    kinds = {
+        mode.joints[k].kind: link.child
+        for mode in automaton.modes
+        for k, link in enumerate(automaton.links)
+        if link.coordinate == index and mode.joints[k].moves
+    }
+    if kinds and coordinate.unit not in {KINDS[kind].unit for kind in kinds}:
+        kind, child = next(iter(kinds.items()))
+        raise InputError(
+            f"coordinate {coordinate.name}: expected the unit {KINDS[kind].unit} of the {kind} joint of {child}, "
+            f"found {coordinate.unit}",
+            remedy=f"write {KINDS[kind].unit}, or correct the kind of the joint",
+        )
+
+
+def _check_unit_of_input(automaton: HybridAutomaton, given: Coordinate) -> None:
+    """An input that is called like a coordinate is its commanded change."""
+    unit = next((item.unit for item in automaton.coordinates if item.name == given.name), given.unit)
+    if unit != given.unit:
+        raise InputError(
+            f"input {given.name}: expected the unit {unit} of the coordinate {given.name} that it moves, found "
+            f"{given.unit}",
+            remedy=f"write {unit}, or give the input a name of its own",
+        )
+
+
+def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> None:
+    """Half-spaces that lie farther away than anything can be, or whose weights make rounding of everything else."""
+    for half_space in region.half_spaces:
+        bound = half_space.bound
+        if bound is not None and not abs(bound.value) <= LARGEST:
+            coordinate = automaton.coordinates[bound.coordinate]
+            raise InputError(
+                f"{where}: expected a limit of {coordinate.name} of at most {LARGEST:g} {coordinate.unit} in size, "
+                f"found {bound.value:g}",
+                remedy="give it in m or rad",
+            )
+        weights = (*half_space.a, *half_space.b)
+        _check_weights(weights, f"{where}: {half_space.name or 'a half-space'}")
+        away = abs(half_space.c) / max(map(abs, weights))
+        if not away <= LARGEST:
+            problem = f"{where}: {half_space.name or 'a half-space'}: expected one at most {LARGEST:g} away from 0"
+            raise InputError(f"{problem}, found {away:g}", remedy="correct its numbers")
+
+
+def _check_weights(weights: Sequence[float], where: str) -> None:
+    """Of one expression: the largest decides, as what is rounding beside it is harmless."""
+    largest = max(map(abs, weights), default=0.0)
+    if largest and not 1 / LARGEST_WEIGHT <= largest <= LARGEST_WEIGHT:
+        expected = f"expected weights of {1 / LARGEST_WEIGHT:g} to {LARGEST_WEIGHT:g} in size"
+        raise InputError(f"{where}: {expected}, found {largest:g}", remedy="correct the number before the name")
+
+
+def _check_step(mode: Mode) -> None:
+    for row in mode.input_matrix:
+        _check_weights(row, f"mode {mode.name}: step")
+
+
+def _check_reset(automaton: HybridAutomaton, edge: Edge) -> None:
+    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
+    for coordinate, *row, constant in zip(automaton.coordinates, *a.T, *b.T, c.tolist(), strict=True):
+        where = f"edge {edge.name}: reset of {coordinate.name}"
+        _check_weights(row, where)
+        if not abs(constant) <= LARGEST:
+            problem = f"{where}: expected at most {LARGEST:g} {coordinate.unit} in size, found {constant:g}"
+            raise InputError(problem, remedy="give it in m or rad")
+
+
+def _check_repeated(edge: Edge, number: int, first: int) -> None:
+    """Of two transitions with the same guard the second is never taken."""
+    if number != first:
+        raise InputError(
+            f"edge {edge.name}: it has the same modes and guard as transition {first} (counted from 0), so it is never "
+            "taken",
+            remedy="remove one of the two, or correct the guard",
+        )
+
+
+def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
+    """A transition listed earlier whose guard holds wherever that of another does: the other is never taken.
+
+    Of guards that hold at one instant changes of the mode go first, then the first listed (`transition`).
+    """
+    own = automaton.edges[number]
+    rows = own.guard.half_spaces
+    for other in automaton.edges_from(own.source):
+        if other is own:
+            return None
+        is_first = own.is_self_transition or not other.is_self_transition
+        if is_first and all(any(_implies(row, h) for row in rows) for h in other.guard.half_spaces):
+            return other
+    return None
+
+
+def _implies(one: HalfSpace, other: HalfSpace) -> bool:
+    """Whether all that is inside of a half-space is inside of another with the same weights."""
+    same = one.a == other.a and one.b == other.b
+    return same and (one.c > other.c or (one.c == other.c and (one.strict or not other.strict)))
+
+
+def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
+    """Refuse a guard that holds wherever the invariant of its own mode does: the mode would be left at once, always."""
+    mode = automaton.mode(edge.source)
+    within = mode.invariant.half_spaces + mode.inputs.half_spaces
+    if all(is_empty(Region((*within, half_space.opposite))) for half_space in edge.guard.half_spaces):
+        names = " and ".join(half_space.name or "an unnamed half-space" for half_space in edge.guard.half_spaces)
+        raise InputError(
+            f"edge {edge.name}: its guard holds everywhere in mode {mode.name}, which is never stayed in. Got {names}",
+            remedy="move the guard to where the mode ends, or widen the mode's invariant",
+        )
+
+
+def _check_effect_once(earlier: tuple[Effect, ...], effect: Effect) -> None:
+    own = (effect.name, effect.coordinate, effect.values, effect.modes)
+    if any((other.name, other.coordinate, other.values, other.modes) == own for other in earlier):
+        raise InputError(
+            f"effect {effect.name} of {effect.coordinate} is there twice, with the same values",
+            remedy="remove one of the two",
+        )
+
+
+LARGEST_JUMP_M = 0.2
+FARTHEST_M = 50.0
+_IN_METRES = "lengths are in m: are these millimetres? then divide them by 1000"
+
+
+def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
+    """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
+    jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
+    far = (*_millimetres(automaton), *far_handles(automaton.parts))
+    return (*far, *_beyond_the_range(automaton), *jumps, *never_taken(automaton))
+
+
+def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
+    """One line for each transition instead of which one that leads elsewhere is taken wherever it is possible."""
+    pairs = ((edge, preceding(automaton, i)) for i, edge in enumerate(automaton.edges))
+    return tuple(
+        f"transition {edge.name} ('{edge.guard.name}') is never taken: {first.name} ('{first.guard.name}'), listed "
+        "before it, is possible wherever it is; list the more general one last"
+        for edge, first in pairs
+        if first is not None and (first.target, first.reset) != (edge.target, edge.reset)
+    )
+
+
+def far_handles(parts: Iterable[Part]) -> Iterator[str]:
+    """Handles that lie farther from their part than a room is wide."""
+    for part in parts:
+        distance = 0.0 if part.handle is None else float(np.linalg.norm(part.handle))
+        if distance > FARTHEST_M:
+            yield f"parts.{part.name}.handle: {quantity(distance, 'm')} from the part; {_IN_METRES}"
+
+
+def _millimetres(automaton: HybridAutomaton) -> Iterator[str]:
+    for mode in automaton.modes:
+        for link, joint in zip(automaton.links, mode.joints, strict=True):
+            distance = float(np.linalg.norm(joint.position))
+            if distance > FARTHEST_M:
+                parent = "the base frame" if link.parent == "base" else f"part {link.parent}"
+                yield f"modes.{mode.name}.joints.{link.child}: {quantity(distance, 'm')} from {parent}; {_IN_METRES}"
+
+
+def _beyond_the_range(automaton: HybridAutomaton) -> Iterator[str]:
+    """What is said of one step or one measurement, and is more than the whole range of its coordinate."""
+    for i, coordinate in enumerate(automaton.coordinates):
+        ranges = automaton.ranges(i)
+        whole = ranges[-1][1] - ranges[0][0] if ranges else 0.0
+        if not 0.0 < whole < math.inf:
+            continue
+        noise = automaton.noise
+        sizes = [
+            (f"noise.process_std.{coordinate.name}", noise.process_std[i], "a step"),
+            (f"noise.observation_std.{coordinate.name}", noise.observation_std[i], "a measurement"),
+        ]
+        sizes += [
+            (f"transition {edge.name}: threshold_std", edge.threshold_std, "where it is taken")
+            for edge in automaton.edges
+            if any(half_space.a[i] for half_space in edge.guard.half_spaces)
+        ]
+        sizes += [
+            (f"modes.{', '.join(one.modes)}: drift of {coordinate.name}", abs(dict(one.parameters)["bias"]), "a step")
+            for one in automaton.effects
+            if one.name == "bias" and one.coordinate == coordinate.name and one.modes
+        ]
+        for place, size, of in sizes:
+            if size > whole:
+                yield (
+                    f"{place}: {quantity(size, coordinate.unit)} for {of}, but {coordinate.name} has a range of "
+                    f"{quantity(whole, coordinate.unit)}; check the units"
+                )
+
+
+def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
+    """Parts that a transition moves by itself, relative to the parts that they are linked to."""
+    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
+    before = _crossing(automaton, edge)
+    after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
+    for pin in target.pins:
+        after[pin.coordinate] = pin.value
+    for link, left, entered in zip(automaton.links, source.joints, target.joints, strict=True):
+        _, old = turns_and_translations(left, before[link.coordinate])
+        _, new = turns_and_translations(entered, after[link.coordinate])
+        jump = float(np.linalg.norm(new - old))
+        if jump > LARGEST_JUMP_M:
+            yield (
+                f"transition {edge.name}: part {link.child} jumps by {quantity(jump, 'm')} between the joints of "
+                "its modes; check position, axis and center of both"
+            )
+
+
+def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
+    """A state (n,) in which a transition is taken: the middle of what its guard and both modes leave."""
+    source, target = automaton.mode(edge.source), automaton.mode(edge.target)
+    state = np.zeros(automaton.n)
+    for i in range(automaton.n):
+        limits = [source.interval(i), edge.guard.interval(i)]
+        limits += [target.invariant.interval(i)] if edge.reset.is_identity else []
+        low, high = max(low for low, _ in limits), min(high for _, high in limits)
+        ends = [end for end in (low, high) if math.isfinite(end)]
+        state[i] = sum(ends) / len(ends) if ends else 0.0
+    for half_space in edge.guard.half_spaces:  # of several coordinates: the nearest place where it holds
+        a = np.array(half_space.a)
+        if np.count_nonzero(a) > 1 and not half_space.on_input:
+            state = state + a * max(0.0, half_space.c - float(a @ state)) / float(a @ a)
+    return state

@@ -1,6 +1,17 @@
 """The hybrid automaton H = (Q, X, U, Init, f, I, E, G, R, φ) of an articulated object.
 
 Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid systems".
+
+What an automaton made by hand can get wrong in sizes is said when it is made, by the names of its elements. Values can
+still disagree with each other; `check.check_automaton` says where.
+
+How precisely a configuration is measured, where that depends on the mode and on the place.
+
+A mode may sense some coordinates in its own way (a hand that touches a wall knows how far it is from it), and a sensor
+may be good near one place only: the std of a measurement then grows with the distance from a "light".
+
+Source: Platt, Tedrake, Kaelbling and Lozano-Perez, "Belief space planning assuming maximum likelihood observations",
+RSS 2010, for the light-dark domain, whose variance ½ (5 - x)² is a light at x = 5 with a growth of √½.
 """
 
 from __future__ import annotations
@@ -18,11 +29,8 @@ from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.region import Interval, Region
-from micah_plan.automaton.sensing import Light, Sensing
-from micah_plan.automaton.sizes import check_sizes
-from micah_plan.automaton.summary import summary_of
 from micah_plan.errors import InputError, shown
-from micah_plan.summaries import Summarised
+from micah_plan.quantities import Summarised, aligned, count, interval, listed, quantity
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -34,7 +42,7 @@ class Coordinate:
     Attributes:
         name: e.g. the name of the part that it moves.
         unit: ``"rad"`` or ``"m"``; ``""`` for the place of an uncertain boundary, which nothing moves
-            (`thresholds.with_boundary_states`).
+            (`lifted.with_boundary_states`).
     """
 
     name: str
@@ -94,7 +102,7 @@ class Pin:
 
     Attributes:
         follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
-            (`thresholds.with_boundary_states`). None: none.
+            (`lifted.with_boundary_states`). None: none.
     """
 
     coordinate: int
@@ -409,3 +417,158 @@ def _number(name: str, names: tuple[str, ...], what: str) -> int:
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     array.setflags(write=False)
     return array
+
+
+Sizes = tuple[int, ...]
+
+
+def check_sizes(automaton: HybridAutomaton) -> None:
+    """Refuse matrices, regions and stds whose sizes are not those of the coordinates and inputs.
+
+    Raises:
+        InputError: with the mode, edge or noise, the size it must have and for which names, and the one it has.
+    """
+    n, m = automaton.n, automaton.m
+    rows = f"one for each coordinate ({', '.join(coordinate.name for coordinate in automaton.coordinates)})"
+    columns = f"one column for each input ({', '.join(given.name for given in automaton.inputs)})"
+    for mode in automaton.modes:
+        _check_mode(automaton, mode, f"{rows}, {columns}")
+    for edge in automaton.edges:
+        _check_edge(edge, n, m, rows)
+    for name in ("process_std", "observation_std"):
+        _check_length(getattr(automaton.noise, name), n, f"noise: {name}", rows)
+    for name, region in automaton.init:
+        _check_region(region, n, m, f"init of mode {name}")
+
+
+def _check_mode(automaton: HybridAutomaton, mode: Mode, why: str) -> None:
+    n, m, where = automaton.n, automaton.m, f"mode {mode.name}"
+    if len(mode.joints) != len(automaton.links):
+        names = ", ".join(link.child for link in automaton.links) or "none"
+        raise InputError(
+            f"{where}: must have {len(automaton.links)} joints, one for each link ({names}). Got {len(mode.joints)}"
+        )
+    _check_matrix(mode.input_matrix, (n, m), f"{where}: input_matrix", why)
+    _check_region(mode.invariant, n, m, f"{where}: invariant")
+    _check_region(mode.inputs, n, m, f"{where}: inputs")
+
+
+def _check_edge(edge: Edge, n: int, m: int, rows: str) -> None:
+    where = f"edge {edge.name}"
+    _check_region(edge.guard, n, m, f"{where}: guard")
+    for name, matrix, size in (("A", edge.reset.A, (n, n)), ("B", edge.reset.B, (n, m))):
+        if matrix is not None:
+            _check_matrix(matrix, size, f"{where}: reset matrix {name}", rows)
+    if edge.reset.c is not None:
+        _check_length(edge.reset.c, n, f"{where}: reset offset c", rows)
+
+
+def _check_region(region: Region, n: int, m: int, where: str) -> None:
+    for k, half_space in enumerate(region.half_spaces):
+        if (len(half_space.a), len(half_space.b)) != (n, m):
+            named = f" '{half_space.name}'" if half_space.name else ""
+            raise InputError(
+                f"{where}, half-space {k + 1}{named}: must have {n} weights of coordinates and {m} of inputs. "
+                f"Got {len(half_space.a)} and {len(half_space.b)}"
+            )
+
+
+def _check_matrix(matrix: Sequence[Sequence[float]], size: Sizes, where: str, why: str) -> None:
+    try:
+        widths = {len(row) for row in matrix}
+    except TypeError:
+        raise InputError(f"{where}: must be rows of numbers, {why}. Got {shown(matrix)}") from None
+    if len(matrix) != size[0] or widths - {size[1]}:
+        found = f"{len(matrix)} x {' or '.join(map(str, sorted(widths))) or 0}"
+        raise InputError(f"{where}: must be {size[0]} x {size[1]}: {why}. Got {found}")
+
+
+def _check_length(values: Sequence[float], n: int, where: str, rows: str) -> None:
+    if len(values) != n:
+        raise InputError(f"{where}: must be {n} numbers, {rows}. Got {len(values)}")
+
+
+_MOST = 4
+
+
+def summary_of(automaton: HybridAutomaton) -> str:
+    """Its coordinates with their ranges, modes, changes of mode, noise and effects."""
+    changes = [edge for edge in automaton.edges if not edge.is_self_transition]
+    more = f"; and {len(changes) - _MOST} more" if len(changes) > _MOST else ""
+    return aligned(
+        "Hybrid automaton",
+        {
+            "coordinates": listed([_coordinate(automaton, i) for i in range(automaton.n)]),
+            "parts": listed([f"{link.child} on {link.parent}" for link in automaton.links]),
+            "modes": listed(automaton.mode_names),
+            "changes": "; ".join(_change(edge) for edge in changes[:_MOST]) + more,
+            "step noise": _stds(automaton, automaton.noise.process_std),
+            "measured to": _stds(automaton, automaton.noise.observation_std),
+            "effects": listed([f"{effect.name} of {effect.coordinate}" for effect in automaton.effects]),
+            "learned": "" if not automaton.learned else "from a recording",
+        },
+    )
+
+
+def _coordinate(automaton: HybridAutomaton, i: int) -> str:
+    ranges = " or ".join(interval(*ends, automaton.coordinates[i].unit, degrees=False) for ends in automaton.ranges(i))
+    return f"{automaton.coordinates[i].name} ({ranges or 'nowhere'})"
+
+
+def _change(edge: Edge) -> str:
+    names = [half_space.name for half_space in edge.guard.half_spaces if half_space.name]
+    at = f" where {' and '.join(names)}" if names else f" ({count(len(edge.guard.half_spaces), 'condition')})"
+    return f"{edge.name}{at}"
+
+
+def _stds(automaton: HybridAutomaton, stds: tuple[float, ...]) -> str:
+    units = [coordinate.unit for coordinate in automaton.coordinates]
+    return listed([quantity(std, unit, digits=2, degrees=False) for std, unit in zip(stds, units, strict=True)])
+
+
+@dataclass(frozen=True)
+class Light:
+    """A place near which sensing is best.
+
+    Attributes:
+        at: (coordinate, value) of the place [rad or m]; coordinates that are left out do not count (a line, a plane).
+        growth: (n,) std that a measurement of each coordinate gains per unit of distance from there.
+    """
+
+    at: tuple[tuple[int, float], ...]
+    growth: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """The measurement z = x + v of one mode, v normal with std_i(x)² = std_i² + (growth_i · distance)².
+
+    Attributes:
+        std: (n,) at the light, or anywhere without one; infinite: not measured [rad or m].
+        growth: (n,) per unit of distance from the light; all 0 without one.
+        at: (coordinate, value) of the light.
+    """
+
+    std: tuple[float, ...]
+    growth: tuple[float, ...]
+    at: tuple[tuple[int, float], ...] = ()
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether it is the same everywhere in the mode."""
+        return not any(self.growth)
+
+    def std_at(self, x: Floats) -> Floats:
+        """(..., n) std of a measurement at states x (..., n) [rad or m]."""
+        base = np.broadcast_to(np.array(self.std), np.shape(x))
+        if self.is_uniform:
+            return base
+        index = [i for i, _ in self.at]
+        away = np.linalg.norm(x[..., index] - np.array([value for _, value in self.at]), axis=-1)
+        return np.asarray(np.hypot(base, away[..., None] * np.array(self.growth)))
+
+    def std_over(self, mean: Floats, covariance: Floats) -> Floats:
+        """(n,) root of the mean variance of a measurement, at a place that is known by its mean and covariance."""
+        index = [i for i, _ in self.at]
+        spread = float(np.trace(np.asarray(covariance)[np.ix_(index, index)]))
+        return np.asarray(np.hypot(self.std_at(mean), np.sqrt(spread) * np.array(self.growth)))

@@ -4,7 +4,7 @@ In most steps no guard fires, and a step is one addition. Where guards fire, the
 roll-outs of a mode together. What is rare is left to the scalar `transition.Travel`, where the rules are written: many
 events in one step, and several walls met at one instant. A test compares the two.
 
-Objects differ in the places of their boundaries, which are a part of the state here as in `thresholds`, and in gains.
+Objects differ in the places of their boundaries, which are a part of the state here as in `lifted`, and in gains.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from functools import partial
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
-from micah_plan.automaton.guard_table import TOLERANCE, ModeTable, Row, Terms, mode_table
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.lifted import with_boundary_states
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
-from micah_plan.automaton.thresholds import with_boundary_states
-from micah_plan.automaton.transition import Travel
+from micah_plan.automaton.transition import TOLERANCE, ModeTable, Row, Terms, Travel, mode_table
 
 # A roll-out with more events in one step than this is left to the scalar transition, which knows when to end.
 _MOST_EVENTS = 16
@@ -99,7 +98,7 @@ class _Mode:
     def entries(self, margin: Floats, rate: Floats, horizon: Floats) -> Floats:
         """(e, k) how far along d each guard fires, within the horizon (k,); infinite if it does not.
 
-        The arithmetic of `guard_table.entry`.
+        The arithmetic of `transition.entry`.
         """
         outside = margin < -self.tolerances
         grows, falls = rate > self.tolerances, rate < -self.tolerances

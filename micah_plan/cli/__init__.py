@@ -4,6 +4,8 @@ Results go to stdout (with --json exactly one JSON object), progress and errors 
 line, before any work, and so are outputs of a wrong kind or that would overwrite an input or one another.
 """
 
+import os
+
 from micah_plan.cli.interrupted import end_interrupted
 
 __all__ = ["main"]
@@ -11,6 +13,8 @@ __all__ = ["main"]
 
 def main() -> None:
     """Entry point of `micah-plan`. Ctrl-C is answered with one line from here on, also while libraries are loaded."""
+    # Plugins of pydantic are looked for in the metadata of all installed packages, and none has a say in these files.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         from micah_plan.cli.application import main as run
     except KeyboardInterrupt:

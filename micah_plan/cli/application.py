@@ -12,13 +12,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from micah_plan import __version__
-from micah_plan.cli.checking import check, diff, doctor, fault
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
-from micah_plan.cli.demo import demo
-from micah_plan.cli.exploring import explore
-from micah_plan.cli.files import convert, new, schema
+from micah_plan.cli.files import check, convert, demo, diff, doctor, fault, new, schema
 from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE
-from micah_plan.cli.learning import learn
+from micah_plan.cli.learning import explore, learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.residuals import calibrate, predict

@@ -17,6 +17,7 @@ from micah_plan.errors import MicahError, printable
 if TYPE_CHECKING:
     from rich.table import Table
 
+
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Random seed; the same seed gives the same files.")]
 OutputPath = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]

@@ -1,18 +1,45 @@
-"""`micah-plan new`, `convert` and `schema`: template files, files in other formats, and the schemas of ours."""
+"""`micah-plan new`, `convert` and `schema`: template files, files in other formats, and the schemas of ours.
+
+`micah-plan demo`: the whole road on one object that the project ships, in a folder of its own.
+
+`micah-plan check`, `diff` and `doctor`: whether files and the installation can be used, and how models differ.
+"""
 
 from __future__ import annotations
 
 import json
+import shlex
+import subprocess
+import sys
+import time
 from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from micah_plan.cli.console import JsonFlag, print_files, print_summary, print_warnings
+from micah_plan.cli.console import (
+    BAD_INPUT,
+    NO_RESULT,
+    JsonFlag,
+    out,
+    print_files,
+    print_lines,
+    print_summary,
+    print_warnings,
+    progress_bar,
+    table,
+)
 from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
 from micah_plan.errors import InputError, shown
-from micah_plan.outputs import PLAN, Output, check_outputs
+from micah_plan.files import PLAN, Output, check_outputs
+from micah_plan.quantities import count, duration
+
+if TYPE_CHECKING:
+    from micah_plan.checking import FileCheck
+    from micah_plan.environment import Environment
 
 
 def new(
@@ -107,3 +134,186 @@ def schema(
         return
     replace_file(output, (text + "\n").encode())
     print_files((output,))
+
+
+# A sentence about each step, and its command; {out} is where the files go. The last needs MuJoCo.
+STEPS = (
+    (
+        "A recorded demonstration of a desk stapler becomes a hybrid automaton: a hinge that latches.",
+        "learn examples/demonstrations/stapler.csv --parts models/parts/stapler.yaml -o {out}/stapler.yaml"
+        " --figure {out}/segments.png --html {out}/recording.html",
+    ),
+    (
+        "POMDP-HD finds how an arm gets it onto the books: pressed shut on the table first. Only the place is given.",
+        "solve problems/stapler_on_books.yaml --model {out}/stapler.yaml -o {out}/plan.json --html {out}/plan.html"
+        " --figure {out}/plan.png",
+    ),
+    (
+        "The model itself executes the plan 3 times, with filter and feedback.",
+        "execute {out}/plan.json --plant nominal --trials 3 -o {out}/nominal.csv --html {out}/nominal.html",
+    ),
+    (
+        "Physics (MuJoCo) executes it 3 times: an arm under position control, contact, a latch, loose books.",
+        "execute {out}/plan.json --plant mujoco --trials 3 -o {out}/runs.csv --figure {out}/belief.png"
+        " --html {out}/runs.html",
+    ),
+)
+
+
+def demo(
+    folder: Annotated[Path, typer.Argument(help="New folder for the shipped files and for what is made of them.")],
+    copy_only: Annotated[
+        bool, typer.Option("--copy-only", help="Only copy the demonstrations, models and problems.")
+    ] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Learn, plan and execute a shipped demonstration in a new folder, which then has all shipped files."""
+    from micah_plan.templates.write import copy_shipped
+
+    files = copy_shipped(folder)
+    if copy_only:
+        summary = {"folder": str(folder), "files": len(files)}
+        print_summary(as_json, summary, lambda: print_lines((f"{count(len(files), 'file')} in {folder}",)))
+        return
+    (folder / "output").mkdir()
+    code = run_demo(folder, Path("output"), quiet=as_json)
+    if code:
+        raise typer.Exit(code)
+    summary = {"folder": str(folder), "output": sorted(file.name for file in (folder / "output").iterdir())}
+    print_summary(as_json, summary, lambda: None)
+
+
+def run_demo(place: Path, output: Path, *, quiet: bool = False) -> int:
+    """Run all steps in a folder that has the shipped files; each is a command that one can type oneself.
+
+    Args:
+        place: the folder.
+        output: where files go, relative to it.
+        quiet: print nothing but errors.
+
+    Returns:
+        The exit code of the step that failed, else 0.
+
+    Raises:
+        InputError: if the folder for the output is not there.
+    """
+    if not (place / output).is_dir():
+        raise InputError("the folder for the output is not there", source=place / output, remedy="make it")
+    steps = STEPS if find_spec("mujoco") is not None else STEPS[:-1]
+    begin = time.monotonic()
+    for number, (sentence, command) in enumerate(steps, start=1):
+        arguments = command.format(out=output)
+        if not quiet:
+            out.print(f"\n[{number}/{len(steps)}] {sentence}\n$ micah-plan {arguments}")
+        line = [sys.executable, "-m", "micah_plan", *shlex.split(arguments)]
+        code = subprocess.run(line, cwd=place, check=False, stdout=subprocess.DEVNULL if quiet else None).returncode  # noqa: S603
+        if code:
+            print(f"this step ended with exit code {code}", file=sys.stderr)
+            return code
+    if not quiet:
+        last = "runs.html" if steps is STEPS else "nominal.html"  # in physics, or in the model
+        pages = " and ".join(str(place / output / name) for name in ("plan.html", last))
+        print_lines((f"\nDone in {duration(time.monotonic() - begin)}. Open {pages} in a browser.",))
+        if steps is not STEPS:
+            print_lines(("With the extra 'sim' (MuJoCo) physics executes the plan, too.",))
+    return 0
+
+
+_LONGEST_LINE = 200
+
+
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Models, parts, problems, sweeps, plans and recordings.")],
+    as_json: JsonFlag = False,
+) -> None:
+    """List what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
+    from micah_plan.checking import check_file
+
+    with progress_bar(as_json) as progress:
+        found = []
+        for i, file in enumerate(files):
+            progress(f"checking {file.name}", i / len(files))
+            found.append(check_file(file))
+    print_summary(as_json, checked(found), lambda: _print_checked(found))
+    if any(item.faults for item in found):
+        raise typer.Exit(BAD_INPUT)
+
+
+def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
+    """Keys of `check`: the number of faults, and per file its kind, faults and warnings."""
+    files = [
+        {
+            "file": str(item.file),
+            "kind": item.kind,
+            "faults": [fault(error) for error in item.faults],
+            "warnings": list(item.warnings),
+        }
+        for item in found
+    ]
+    return {"faults": sum(len(item.faults) for item in found), "files": files}
+
+
+def fault(error: InputError) -> dict[str, Any]:
+    """An error in its pieces; line and column (from 1) are null where they are not known."""
+    line, column = error.position or (None, None)
+    place = {"source": error.source, "where": error.where, "line": line, "column": column}
+    return {**place, "problem": error.problem, "remedy": error.remedy, "message": str(error)}
+
+
+def _print_checked(found: Sequence[FileCheck]) -> None:
+    for item in found:
+        for fault in item.faults:
+            out.print(f"error: {fault}", style="red")
+        for warning in item.warnings:
+            out.print(f"warning: {item.file}: {warning}", style="yellow")
+        if not item.faults:
+            article = "an" if item.kind == "experiment" else "a"
+            out.print(f"{item.file}: {article} {item.kind} that can be used")
+
+
+def diff(
+    before: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    after: Annotated[Path, typer.Argument(help="Model (YAML).")],
+    as_json: JsonFlag = False,
+) -> None:
+    """List what differs between two models, such as what calibration added or what two recordings led to."""
+    from micah_plan.documents.model import load_model
+    from micah_plan.documents.model_difference import differences
+
+    found = differences(load_model(before), load_model(after))
+    lines = [_short(str(difference)) for difference in found] or ["the models are the same"]
+    print_summary(as_json, {"differences": [asdict(one) for one in found]}, lambda: print_lines(lines))
+
+
+def _short(line: str) -> str:
+    """A line as a terminal shows it; matrices are cut, --json has them whole."""
+    return line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 4]} ..."
+
+
+def doctor(as_json: JsonFlag = False) -> None:
+    """Test libraries, solvers and browser, and say what to install; exit code 1 if planning cannot work."""
+    from micah_plan.environment import examine
+
+    with progress_bar(as_json) as progress:
+        found = examine(progress)
+    libraries = [
+        {**asdict(item.library), "state": item.state, "version": item.version, "message": item.message}
+        for item in found.libraries
+    ]
+    summary = {**asdict(found), "complete": found.complete, "libraries": libraries}
+    print_summary(as_json, summary, lambda: _print_environment(found))
+    if not found.complete:
+        raise typer.Exit(NO_RESULT)
+
+
+def _print_environment(found: Environment) -> None:
+    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}")
+    shown = table("library", "version", "state", "for", "extra")
+    for item in found.libraries:
+        library = item.library
+        shown.add_row(library.name, item.version or "-", item.state, library.purpose, library.extra)
+    out.print(shown)
+    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}")
+    out.print(f"browser: {found.browser or 'none'}")
+    for line in found.advice:
+        out.print(line, style="yellow")

@@ -1,4 +1,7 @@
-"""`micah-plan learn`: from a recording to a model."""
+"""`micah-plan learn`: from a recording to a model.
+
+`micah-plan explore`: from the first touch to a model.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from micah_plan.api.formatting import SUREST
 from micah_plan.cli.console import (
     NO_RESULT,
     JsonFlag,
+    OutputPath,
     Seed,
     out,
     print_files,
@@ -21,19 +26,22 @@ from micah_plan.cli.console import (
     print_warnings,
     progress_bar,
     table,
+    title_of,
 )
 from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.front.words import SUREST
-from micah_plan.outputs import FIGURE, MODEL, PAGE, Output, check_outputs
+from micah_plan.files import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
+from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
+    from micah_plan.api.stages import Learned
     from micah_plan.automaton.certainty import ActionChannel
     from micah_plan.automaton.graph import KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
+    from micah_plan.explore.run import Exploration
     from micah_plan.learn.settings import LearnSettings
-    from micah_plan.workflow import Learned
+
 
 _COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
 _WIDE = 108  # columns, with which a row of the table fits on one line
@@ -98,15 +106,15 @@ def learn(
 
 
 def _learned_from(recording: Path, said: Said, **options: Any) -> Learned:
-    """What `workflow.learn` finds in a file, whose units must be clear."""
-    from micah_plan import workflow
+    """What `stages.learn` finds in a file, whose units must be clear."""
+    from micah_plan.api import stages
     from micah_plan.learn.settings import FEWEST_ROWS
     from micah_plan.recording.suspicion import require_conventions
 
-    measured = workflow.read(recording, minimum_rows=FEWEST_ROWS, conventions=said.conventions())
+    measured = stages.read(recording, minimum_rows=FEWEST_ROWS, conventions=said.conventions())
     with located_in(recording):
         require_conventions(measured)
-        return workflow.learn(measured, **options)
+        return stages.learn(measured, **options)
 
 
 def learned(result: Learned, seed: int) -> dict[str, Any]:
@@ -130,7 +138,7 @@ def _settings(texts: Sequence[str]) -> LearnSettings:
     Raises:
         InputError: for a name that is none, and a value that is none of it.
     """
-    from micah_plan.front.inputs import learn_settings
+    from micah_plan.api.inputs import learn_settings
     from micah_plan.learn.settings import LearnSettings
 
     changes: dict[str, Any] = {}
@@ -191,8 +199,8 @@ def _contents(
 
 
 def _list_topics(log: Path, as_json: bool) -> None:
+    from micah_plan.recording.ros_bags import is_log, topics_of
     from micah_plan.recording.ros_log import READ
-    from micah_plan.ros.bags import is_log, topics_of
 
     if not is_log(log):
         problem = "only ROS logs have topics: .mcap, .bag, .db3 and folders of rosbag2"
@@ -291,7 +299,7 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     """A table of the segments of every edge, how its actions move it, and what was written."""
-    from micah_plan.view.learning_words import action_words
+    from micah_plan.view.learned import action_words
 
     line = " " if out.width >= _WIDE else "\n"
     for edge in learned.graph.edges:
@@ -344,3 +352,68 @@ def _passed(segment: Segment) -> str:
     turned = min(abs(furthest - end) for end in ends) > 0.2 * (high - low)
     stops = [ends[0], furthest, ends[1]] if turned else ends
     return way(stops, segment.joint.unit)
+
+
+def explore(
+    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).")],
+    output: OutputPath,
+    plant: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE.py:CLASS", help="nominal or mujoco: the object that the scene names; or your machine."
+        ),
+    ] = DEFAULT_PLANT,
+    html: Annotated[Path | None, typer.Option(help="Write what was done and believed as a page.")] = None,
+    seed: Seed = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Open what a hand holds without a model of it, with little force, and write the model that was found.
+
+    With a plant of your own, give --plant FILE.py:CLASS: the class is called with the scene and has reset, apply and
+    close. Exit code 0 if the object was opened or is held, 1 if neither can be said; a model is written if it moved.
+    """
+    from micah_plan.api import stages
+    from micah_plan.cli.planning import named_plant
+    from micah_plan.documents.experiment import load_scene
+    from micah_plan.documents.model import model_text
+    from micah_plan.files import replace_files
+
+    check_outputs((scene,), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
+    asked, machine = load_scene(scene), named_plant(plant)
+    with progress_bar(as_json) as progress:
+        found = stages.explore(asked, plant=machine, seed=seed, progress=progress)
+    contents = {} if found.model is None else {output: model_text(found.model).encode()}
+    if html is not None:
+        from micah_plan.view.exploration_page import exploration_page
+
+        contents[html] = exploration_page(found, title=title_of(scene)).encode()
+    replace_files(contents)
+    summary = _explored(found) | {"model": None if found.model is None else str(output), "seed": seed}
+    print_summary(as_json, summary, lambda: _print_explored(found, tuple(contents)))
+    if found.outcome == "gave_up":
+        raise typer.Exit(NO_RESULT)
+
+
+def _explored(found: Exploration) -> dict[str, Any]:
+    """Keys of `explore`."""
+    return {
+        "outcome": found.outcome,
+        "steps": found.steps,
+        "max_force_n": found.largest_force,
+        "joints": list(found.kinds),
+        "probability": found.probability,
+        "travel_m": found.travel,
+        "seconds": found.seconds,
+        "reason": found.reason,
+        "notes": list(found.notes),
+        "tried_n": found.tried,
+        "hand_stiffness_n_per_m": 1.0 / found.hand.compliance,
+        "slowest_step_cpu_s": found.thinking,
+    }
+
+
+def _print_explored(found: Exploration, files: tuple[Path, ...]) -> None:
+    from micah_plan.api.formatting import explored_lines
+
+    out.print("\n".join(explored_lines(found)))
+    print_files(files)

@@ -12,8 +12,7 @@ import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.files import replace_files
-from micah_plan.outputs import PAGE, Output, check_outputs
+from micah_plan.files import PAGE, Output, check_outputs, replace_files
 from micah_plan.view.video import PICTURE, VIDEO, Filming
 
 View = Literal["whole", "motion", "object", "front", "side", "top"]
@@ -111,7 +110,7 @@ def _kind_of(file: Path) -> str:
 
 
 def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:
-    from micah_plan import workflow
+    from micah_plan.api import stages
 
     kind = _kind_of(file)
     if kind == "model":
@@ -124,14 +123,14 @@ def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], Non
         from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)
-        executed = None if runs is None else workflow.read(runs)
+        executed = None if runs is None else stages.read(runs)
         with nullcontext() if runs is None else located_in(runs):
             return plan_page(stored.plan, stored.problem, title=title_of(file), executed=executed)
     from micah_plan.view.recording_page import recording_page
 
-    recording = workflow.read(file)
-    if not workflow.is_long_enough(recording):  # the track alone is still worth seeing
+    recording = stages.read(file)
+    if not stages.is_long_enough(recording):  # the track alone is still worth seeing
         return recording_page(recording, None, title=title_of(file))
     with located_in(file):
-        graph = workflow.learn(recording, progress=progress).graph
+        graph = stages.learn(recording, progress=progress).graph
     return recording_page(recording, graph, title=title_of(file))

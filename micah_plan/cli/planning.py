@@ -1,18 +1,28 @@
-"""`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs."""
+"""`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs.
+
+A user's machine, named on the command line: ``FILE.py:CLASS``, or a name that an installed package registered.
+
+This is the only place that loads code which is not the package's. It is above everything that reads files, so no
+problem, sweep or plan can have code loaded.
+"""
 
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from micah_plan.api.formatting import plan_lines, runs_lines
 from micah_plan.cli.console import (
     NO_RESULT,
     Interrupted,
@@ -28,14 +38,14 @@ from micah_plan.cli.console import (
     title_of,
 )
 from micah_plan.errors import InputError, MicahError, shown
-from micah_plan.front.words import plan_lines, runs_lines
-from micah_plan.outputs import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
+from micah_plan.files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 from micah_plan.quantities import LARGEST, duration
-from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
+from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT, SENTENCES
 from micah_plan.task.settings import Method
 
 if TYPE_CHECKING:
     from micah_plan.documents.plan import StoredPlan
+    from micah_plan.execution.plant import PlantMaker
     from micah_plan.execution.trials import TrialStatistics
     from micah_plan.recording.value import Recording
     from micah_plan.task.plan import ArmTrajectory, Plan
@@ -55,7 +65,7 @@ def solve(
     as_json: JsonFlag = False,
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
-    from micah_plan import workflow
+    from micah_plan.api import stages
     from micah_plan.documents.plan import plan_text, timings_path, timings_text
     from micah_plan.files import replace_files
 
@@ -64,9 +74,9 @@ def solve(
     check_outputs((problem, model), outputs)
     overrides = {} if model is None else {"model": str(model.resolve())}
     overrides |= {} if planner is None else {"planner.method": planner}
-    asked, notes = workflow.read_problem(problem, overrides)
+    asked, notes = stages.read_problem(problem, overrides)
     with progress_bar(as_json) as progress:
-        plan = workflow.solve(asked, seed=seed, progress=progress)
+        plan = stages.solve(asked, seed=seed, progress=progress)
     print_warnings((*notes, *plan.warnings))
     contents = {output: plan_text(plan, asked).encode(), timings_path(output): timings_text(plan).encode()}
     if html is not None:
@@ -121,7 +131,7 @@ def _print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) 
     solved = plan.outcome == "solved"
     out.print(f"{plan.outcome}: {plan.reason}", style="green" if solved else "yellow")
     if not solved:
-        from micah_plan.planning.explain import explain as explanation_of
+        from micah_plan.planning.findings import explain as explanation_of
 
         print_lines(explanation_of(problem, plan).lines[1:])
     print_lines(plan_lines(plan, problem))
@@ -136,7 +146,7 @@ def explain(
 ) -> None:
     """Explain a plan: level, mode sequence, knot, constraint, amount, remedy; exit code 1 if it failed."""
     from micah_plan.documents.plan import load_plan
-    from micah_plan.planning.explain import explain as explanation_of
+    from micah_plan.planning.findings import explain as explanation_of
 
     stored = load_plan(plan)
     explanation = explanation_of(stored.problem, stored.plan)
@@ -169,8 +179,7 @@ def execute(
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
     close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.
     """
-    from micah_plan import workflow
-    from micah_plan.cli.own_plant import named_plant
+    from micah_plan.api import stages
     from micah_plan.documents.kind import kind_of
     from micah_plan.documents.plan import load_plan, require_executable
     from micah_plan.files import replace_files
@@ -189,7 +198,7 @@ def execute(
     print_warnings(stored.plan.warnings)
     begin = time.perf_counter()
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        run = partial(workflow.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
+        run = partial(stages.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
         statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
     drawn = _drawn_runs(stored, statistics, title_of(plan), figure, html)
     replace_files({output: recording_bytes(statistics.recording, output), **drawn})
@@ -208,8 +217,7 @@ def _refuse(given: Mapping[str, object], experiment: Path) -> None:
 
 def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:
     """The runs of an experiment as a recording."""
-    from micah_plan import workflow
-    from micah_plan.cli.own_plant import named_plant
+    from micah_plan.api import stages
     from micah_plan.documents.experiment import load_experiment
     from micah_plan.recording.read import write_recording
 
@@ -217,7 +225,7 @@ def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, se
     asked = asked if repetitions is None else replace(asked, repetitions=repetitions)
     begin = time.perf_counter()
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        log, failed = workflow.carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
+        log, failed = stages.carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
     write_recording(log, output)
     summary = {
         "trials": len(log.runs),
@@ -314,3 +322,69 @@ def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -
         remedy = f"{error.remedy}; {kept}" if error.remedy else kept
         return InputError(error.problem, source=error.source, where=error.where, remedy=remedy)
     return type(error)(f"{error}; {kept}") if isinstance(error, MicahError) else error
+
+
+ENTRY_POINTS = "micah_plan.plants"
+"""Group under which packages register plants: ``NAME = "module:CLASS"``."""
+
+
+def named_plant(text: str) -> str | PlantMaker:
+    """What ``--plant`` means: the name of a plant of the package, or a class or function that makes one of the problem.
+
+    Raises:
+        InputError: if there is none, or its code cannot be loaded.
+    """
+    if text in BUILT_IN:
+        return text
+    place, _, name = text.rpartition(":")
+    if place:
+        return _in_file(Path(place), name)
+    if text.endswith(".py"):
+        raise InputError(f"expected FILE.py:CLASS, found {shown(text)}", remedy="name the class after a colon")
+    registered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+    if text not in registered:
+        names = ", ".join([*BUILT_IN, *sorted(registered.keys() - BUILT_IN.keys())])
+        raise InputError(f"there is no plant {shown(text)}", remedy=f"choose among {names}, or give FILE.py:CLASS")
+    return _registered(registered[text])
+
+
+def _in_file(file: Path, name: str) -> PlantMaker:
+    from micah_plan.execution.checked_plant import fault
+
+    source = str(file)
+    if not file.is_file():
+        raise InputError("the file does not exist", source=file, remedy="give --plant as FILE.py:CLASS")
+    path = str(file.resolve())
+    spec = spec_from_file_location(f"_plant_{file.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError("expected a Python file", source=file, remedy="give --plant as FILE.py:CLASS")
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look there
+    sys.path.append(str(Path(path).parent))  # what lies beside the file can be imported, and hides nothing
+    try:
+        spec.loader.exec_module(module)
+    except MicahError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise fault(error, path, "loading it") from error
+    return _maker(getattr(module, name, None), name, source)
+
+
+def _registered(point: EntryPoint) -> PlantMaker:
+    from micah_plan.execution.checked_plant import fault
+
+    try:
+        found = point.load()
+    except (Exception, SystemExit) as error:
+        raise fault(error, None, f"loading the plant {shown(point.name)} ({point.value})") from error
+    return _maker(found, point.attr, point.value)
+
+
+def _maker(found: Any, name: str, source: str) -> PlantMaker:
+    if found is None:
+        raise InputError(f"there is no class {shown(name)}", source=source, remedy="check its name")
+    if not callable(found):
+        problem = f"{name} must be a class or function that is called with the problem. Got {type(found).__name__}"
+        raise InputError(problem, source=source)
+    made: PlantMaker = found
+    return made

@@ -23,7 +23,7 @@ from micah_plan.cli.console import (
     table,
 )
 from micah_plan.errors import located_in
-from micah_plan.outputs import MODEL, PAGE, Output, check_outputs
+from micah_plan.files import MODEL, PAGE, Output, check_outputs
 from micah_plan.quantities import common_unit, count, percent, plain, quantity
 
 if TYPE_CHECKING:
@@ -50,18 +50,18 @@ def predict(
 
     A held object has no model file of its own: give the problem or a plan instead.
     """
-    from micah_plan import workflow
+    from micah_plan.api import stages
+    from micah_plan.api.inputs import automaton_of
     from micah_plan.files import replace_file
-    from micah_plan.front.inputs import automaton_of
     from micah_plan.residual.judgement import judge
 
     check_outputs((model, recording), (Output("--html", html, PAGE),))
     automaton = automaton_of(model)
-    measured = workflow.read(recording, minimum_rows=2)
+    measured = stages.read(recording, minimum_rows=2)
     with located_in(recording):
-        automaton = workflow.for_demonstrations(automaton, measured) if as_learned else automaton
+        automaton = stages.for_demonstrations(automaton, measured) if as_learned else automaton
         with progress_bar(as_json) as progress:
-            runs = workflow.predict(automaton, measured, progress=progress)
+            runs = stages.predict(automaton, measured, progress=progress)
             progress("compare with the noise", 1.0)
             judged = judge(automaton, measured, runs)
     if html is not None:
@@ -210,24 +210,24 @@ def calibrate(
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
-    from micah_plan import workflow
+    from micah_plan.api import stages
+    from micah_plan.api.formatting import error_lines
+    from micah_plan.api.inputs import joined
     from micah_plan.documents.experiment import experiment_text
     from micah_plan.documents.model import load_model, model_text
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
-    from micah_plan.front.inputs import joined
-    from micah_plan.front.words import error_lines
 
     outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
     check_outputs((model, *recordings), outputs)
     automaton = load_model(model)
-    read = [workflow.read(recording, minimum_rows=2) for recording in recordings]
+    read = [stages.read(recording, minimum_rows=2) for recording in recordings]
     measured = read[0] if len(read) == 1 else joined(read)
     begin = time.perf_counter()
     with progress_bar(as_json) as progress, located_in(recordings[0]):
-        found = workflow.calibrate(automaton, measured, progress=progress)
+        found = stages.calibrate(automaton, measured, progress=progress)
     contents = {output: model_text(found.automaton).encode()}
-    designed = None if experiment is None else workflow.next_experiment(automaton, measured, found)
+    designed = None if experiment is None else stages.next_experiment(automaton, measured, found)
     if experiment is not None and designed is not None:
         contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     if html is not None:
@@ -333,7 +333,7 @@ def _print_calibrated(
     summary: dict[str, Any], errors: Sequence[str], changes: Sequence[Difference], files: tuple[Path, ...]
 ) -> None:
     """Verdict, effects and errors of a calibration."""
-    from micah_plan.residual.verdict import SENTENCES
+    from micah_plan.residual.trace import SENTENCES
 
     out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}")
     if summary["effects"]:

@@ -38,8 +38,17 @@ from micah_plan.documents.problem import ProblemDocument, problem_data, problem_
 from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
-from micah_plan.task.agreement import disagreement
-from micah_plan.task.plan import ArmTrajectory, Candidate, Finding, Level, Outcome, Plan, ReleasePlan, Trajectory
+from micah_plan.task.plan import (
+    ArmTrajectory,
+    Candidate,
+    Finding,
+    Level,
+    Outcome,
+    Plan,
+    ReleasePlan,
+    Trajectory,
+    disagreement,
+)
 from micah_plan.task.problem import Problem
 
 PLAN_FORMAT = "micah-plan/plan/1"

@@ -32,24 +32,23 @@ from micah_plan.documents.fields import (
     Std,
     checked_name,
 )
-from micah_plan.documents.hold import HoldDocument, ReleaseDocument
 from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located, overridden
+from micah_plan.documents.mode import ProblemNoiseDocument, noise_with
 from micah_plan.documents.model import model_text, scope_of, usable_model
-from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
-from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
+from micah_plan.documents.scene import BodyDocument, GraspDocument, HoldDocument, ReleaseDocument, RobotDocument
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
-from micah_plan.scene.body import Body
-from micah_plan.scene.surroundings import surroundings_of
+from micah_plan.task.body import Body
 from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint, check_constraint
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import LIMIT_ROOM, Start, start_mode, start_regions
+from micah_plan.task.surroundings import surroundings_of
 
 PROBLEM_FORMAT = "micah-plan/problem/1"
 _MOST_LISTED = 6

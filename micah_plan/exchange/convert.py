@@ -19,19 +19,17 @@ from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, left_out
 from micah_plan.exchange.load import load_recording
-from micah_plan.exchange.mjcf_read import load_mjcf
-from micah_plan.exchange.mjcf_write import mjcf_text
-from micah_plan.exchange.rerun_write import write_rrd
-from micah_plan.exchange.sdf_write import sdf_text
-from micah_plan.exchange.urdf_read import load_urdf
-from micah_plan.exchange.urdf_write import urdf_text
+from micah_plan.exchange.mjcf import load_mjcf, mjcf_text
+from micah_plan.exchange.rerun import write_rrd
+from micah_plan.exchange.sdf import sdf_text
+from micah_plan.exchange.urdf import load_urdf, urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import write_recording
+from micah_plan.recording.ros_bags import is_log
+from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, header_at, split_time, write_log
 from micah_plan.recording.value import Recording
-from micah_plan.ros.bags import is_log
-from micah_plan.ros.log import NANOSECONDS, Logged, header_at, split_time, write_log
 
 TOPIC = "/joint_trajectory"
 Kind = Literal["recording", "plan", "model"]

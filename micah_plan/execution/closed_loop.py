@@ -19,12 +19,12 @@ from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import explains, initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import CheckedPlant
-from micah_plan.execution.letting_go import LettingGo
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
 from micah_plan.execution.pose import command, configuration
-from micah_plan.planning.input_memory import coasted, with_input_memory
+from micah_plan.execution.release import LettingGo
+from micah_plan.planning.limits import coasted, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording

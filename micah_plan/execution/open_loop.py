@@ -13,7 +13,7 @@ from micah_plan.execution.closed_loop import true_state
 from micah_plan.execution.log import RunLog, concatenated
 from micah_plan.execution.plant import PlantError, PlantMaker
 from micah_plan.execution.pose import command, configuration
-from micah_plan.planning.input_memory import with_input_memory
+from micah_plan.planning.limits import with_input_memory
 from micah_plan.recording.value import Recording
 from micah_plan.task.experiment import Experiment
 from micah_plan.task.plants import DEFAULT_PLANT

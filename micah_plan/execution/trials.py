@@ -16,8 +16,8 @@ from micah_plan.execution.closed_loop import Episode, TrialResult, execute_abrea
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.pilot import ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
+from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
-from micah_plan.summaries import Progress
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem

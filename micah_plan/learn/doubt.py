@@ -20,8 +20,7 @@ from micah_plan.learn.paths import length_std, likeliest_path, principal_path
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses
-from micah_plan.learn.segmenting.segmentation import best_single, log_probability_at_most
-from micah_plan.learn.segmenting.segmented import Segmented
+from micah_plan.learn.segmenting.segmentation import Segmented, best_single, log_probability_at_most
 from micah_plan.learn.segments import FittedPiece, configurations, left_by
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack

@@ -2,35 +2,38 @@
 
 Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
+
+Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
+
+A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
+one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.automaton.certainty import EdgeCertainty
+from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
-from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
-from micah_plan.learn.run import LearnedRun
-from micah_plan.learn.segmenting.coarsening import LEAST_TRUST, trust_in
-from micah_plan.learn.segmenting.noise import MeasurementNoise
+from micah_plan.learn.run import LearnedRun, learn_acted_run
+from micah_plan.learn.segmenting.noise import LEAST_TRUST, MeasurementNoise, trust_in
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of, sweeps_of
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learn.short_runs import cut_into_runs, one_after_another
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
+from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
-from micah_plan.summaries import Progress
 
 
 def learn_graph(
@@ -43,7 +46,7 @@ def learn_graph(
     """Segment a recording and fit the joints of its segments.
 
     Every part is attached to the base or to another part, whichever explains the poses best (see `parts.tree`). Every
-    run is segmented on its own, but short ones together, as they show little alone (see `learn.short_runs`). The
+    run is segmented on its own, but short ones together, as they show little alone (see below). The
     first one defines the configuration coordinate, the segments of the others are counted along it and follow in
     the order of the runs. A run in which a part moves to and fro more often than is learned at once is learned as
     `OnlineLearner` would.
@@ -231,3 +234,53 @@ def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
 
 def _rows(one: FittedPiece | Segment) -> int:
     return one.end - one.start
+
+
+Sliced = tuple[FittedPiece, SegmentCertainty, int]
+
+
+def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
+    """The rows of runs as one track; a run begins as long after the one before as its rows are apart.
+
+    Where only some of the runs have actions, nothing was commanded in the others.
+    """
+    acted = any(track.action is not None for track in tracks)
+    joined: PartTrack | None = None
+    for track in tracks:
+        action = np.zeros_like(track.position) if acted and track.action is None else track.action
+        track = replace(track, action=action)
+        if joined is None:
+            joined = track
+            continue
+        apart = float(np.median(np.diff(track.time)))
+        quaternion = track.quaternion
+        if quaternion is not None and joined.quaternion is not None and quaternion[0] @ joined.quaternion[-1] < 0:
+            quaternion = -quaternion
+        time = track.time - track.time[0] + joined.time[-1] + apart
+        joined = joined.followed_by(replace(track, time=time, quaternion=quaternion))
+    if joined is None:
+        raise ValueError("one_after_another needs at least one track")
+    return joined
+
+
+def cut_into_runs(
+    pieces: Sequence[FittedPiece], certainties: Sequence[SegmentCertainty], lengths: Sequence[int]
+) -> list[Sliced]:
+    """Pieces of a track of runs, each within one run, with what is known of it and the index of its run.
+
+    Args:
+        lengths: rows of every run.
+    """
+    starts = np.concatenate([[0], np.cumsum(lengths)]).tolist()
+    found: list[Sliced] = []
+    for piece, sure in zip(pieces, certainties, strict=True):
+        rows = piece.end - piece.start + 1
+        for run, (first, after) in enumerate(pairwise(starts)):
+            start, end = max(piece.start, first), min(piece.end, after - 1)
+            if start > end:
+                continue
+            # No changepoint is where a run begins: the piece only goes on.
+            place = sure if start == piece.start else replace(sure, start=None)
+            share = piece.log_evidence * (end - start + 1) / rows
+            found.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
+    return sorted(found, key=lambda one: one[0].start)

@@ -9,27 +9,36 @@ known moves on through the whole window, the motion is slower than the window is
 
 A row is looked at in a few windows of bounded length, so time per row and memory are constant; only the committed
 segments themselves grow, until they are taken.
+
+Learning from a window of rows: the first of a stream as a whole run, later ones with the joints known so far.
+
+The latest rows of a stream, in bounded memory: neighbouring rows become one where a motion is slow.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior
+from micah_plan.arrays import Booleans, Ints
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
+from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.errors import InputError, shown
-from micah_plan.learn.acted import learn_acted_run
 from micah_plan.learn.actions.channel import with_delayed_actions
-from micah_plan.learn.onward_run import KnownJoint, LearnedWindow, OpenState, first_window, learn_onward
-from micah_plan.learn.row_window import RowWindow, WindowRows
-from micah_plan.learn.run import LearnedRun
+from micah_plan.learn.doubt import doubt_of, misfit_of
+from micah_plan.learn.joints.joint_arrays import arrays_of
+from micah_plan.learn.run import LearnedRun, fitted_pieces, learn_acted_run
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.onward import Usual
-from micah_plan.learn.segmenting.steps import sweeps_of
+from micah_plan.learn.segmenting.onward import KnownJoints, Usual, segment_onward, usual_of
+from micah_plan.learn.segmenting.posterior import kind_probabilities
+from micah_plan.learn.segmenting.segmentation import Segmented
+from micah_plan.learn.segmenting.steps import steps_of, sweeps_of
+from micah_plan.learn.segments import FittedPiece, chained, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, measured_track
 from micah_plan.recording.value import DEFAULT_PART, Recording
@@ -347,3 +356,251 @@ def _looser(first: Usual, second: Usual | None) -> Usual:
     if second is None:
         return first
     return Usual(np.maximum(first.scale, second.scale), max(first.surprise, second.surprise))
+
+
+Kinds = tuple[tuple[JointKind, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownJoint:
+    """A joint of committed segments, on the coordinate of its edge.
+
+    Attributes:
+        joint: as it was fitted when it was first committed.
+        kinds: how sure its kind was.
+    """
+
+    joint: Joint
+    kinds: Kinds
+
+
+@dataclass(frozen=True, eq=False)
+class OpenState:
+    """Where a window begins.
+
+    Attributes:
+        known: joints of committed segments, at least one.
+        before: what holds before the window's first row; None if that is no known joint.
+        first: what was found to hold from that row on, with the rows before it in view; None if that is no known joint.
+        last_moving: the latest known joint that is not rigid.
+        reached: configuration there.
+        start: posterior of the row at which a segment starts that begins where the window does.
+        usual: how well known joints explain steps.
+    """
+
+    known: tuple[KnownJoint, ...]
+    before: KnownJoint | None
+    first: KnownJoint | None
+    last_moving: KnownJoint | None
+    reached: float
+    start: RowPosterior | None
+    usual: Usual
+
+    def pieces(self) -> list[FittedPiece]:
+        """The joints before the window, for the joints of the window to be chained to."""
+        found = [one for one in (self.last_moving, self.before) if one is not None]
+        joints = [one.joint for one in dict.fromkeys(found)]
+        return [FittedPiece(-1, -1, joint, np.zeros(3), None, 0.0, settled=True) for joint in joints]
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedWindow:
+    """The segments of a window.
+
+    Attributes:
+        rows, inlier: its rows, and which are no outliers.
+        before, pieces: joints before it, and its own, on one coordinate.
+        certainties: how sure the pieces are.
+        known: the known joint of each piece, None for a new one.
+        sharing: equal for pieces that share a joint.
+        noise: of single rows.
+        usual: how well its joints explain its steps; None where nothing was searched.
+        steps: number of steps that it was segmented in.
+    """
+
+    rows: WindowRows
+    inlier: Booleans
+    before: tuple[FittedPiece, ...]
+    pieces: tuple[FittedPiece, ...]
+    certainties: tuple[SegmentCertainty, ...]
+    known: tuple[KnownJoint | None, ...]
+    sharing: tuple[int, ...]
+    noise: MeasurementNoise
+    usual: Usual | None
+    steps: int
+
+    def segments(self, run: int, end: int | None = None) -> list[Segment]:
+        """Segments of its rows, or of those before `end`."""
+        found: list[Segment] = []
+        chain = [*self.before, *self.pieces]
+        for i, (piece, sure) in enumerate(zip(self.pieces, self.certainties, strict=True)):
+            if end is not None and piece.start >= end:
+                break
+            if end is not None and piece.end >= end:
+                share = (end - piece.start) / (piece.end - piece.start + 1)
+                piece = replace(piece, end=end - 1, log_evidence=piece.log_evidence * share)
+                chain[len(self.before) + i] = piece
+            one = to_segment(piece, chain, sure, run, self.rows.track, self.inlier, self.noise)
+            found.append(replace(one, end=int(self.rows.last[piece.end])))
+        return found
+
+
+def first_window(rows: WindowRows, learned: LearnedRun) -> LearnedWindow:
+    """The first window of a stream, learned as a run of its own."""
+    return LearnedWindow(
+        rows=rows,
+        inlier=learned.inlier,
+        before=(),
+        pieces=learned.pieces,
+        certainties=learned.certainties,
+        known=(None,) * len(learned.pieces),
+        sharing=learned.hypotheses,
+        noise=learned.noise,
+        usual=usual_of(learned.segmented),
+        steps=len(learned.segmented.track),
+    )
+
+
+def learn_onward(
+    rows: WindowRows, state: OpenState, settings: LearnSettings, rng: np.random.Generator
+) -> LearnedWindow:
+    """Segment a window that goes on from earlier ones."""
+    track = rows.track
+    inlier = find_inliers(track)
+    steps = steps_of(track, inlier, settings)
+    first = -1 if state.first is None else state.known.index(state.first)
+    known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
+    found, fresh = segment_onward(steps.track, known, steps.assumed(settings), rng)
+    noise = found.noise.of_rows(steps.size)
+    settled: Sequence[KnownJoint] = state.known
+    free, misfit = -np.inf, None
+
+    def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
+        joints = [one.joint for one in settled]
+        pieces = answer.segmentation.pieces
+        return fitted_pieces(pieces, answer, steps, track, inlier, settings, rng, joints)
+
+    fitted, places = fitted_to(found)
+    if fresh is not None:
+        # A window is no place to look for a curve that is passed again.
+        doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False))
+        free = -np.inf if doubt is None else doubt.log_odds
+        if doubt is not None and doubt.single is not None:
+            found, settled = doubt.single, ()
+            fitted, places = fitted_to(found)
+            if doubt.moves_freely:
+                misfit = misfit_of(fitted, track, inlier, noise, settings, free)
+    pieces = found.segmentation.pieces
+    before = state.pieces()
+    certainties, of_piece = [], []
+    for piece, one, place in zip(pieces, fitted, [state.start, *places[1:]], strict=True):
+        same = settled[piece.hypothesis] if piece.hypothesis < len(settled) else None
+        if same is None:
+            kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free, one.screw_log_odds)
+        else:
+            kinds = same.kinds
+        certainties.append(SegmentCertainty(place, kinds, misfit))
+        of_piece.append(same)
+    return LearnedWindow(
+        rows=rows,
+        inlier=inlier,
+        before=tuple(before),
+        pieces=tuple(chained(fitted, track, inlier, noise, before, state.reached)),
+        certainties=tuple(certainties),
+        known=tuple(of_piece),
+        sharing=tuple(piece.hypothesis for piece in pieces),
+        noise=noise,
+        usual=None if fresh is None or misfit is not None else usual_of(found),
+        steps=len(steps.track),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class WindowRows:
+    """Rows of a window, each the mean of a few measured ones, of which `last` (n,) has the last ones' numbers."""
+
+    track: PartTrack
+    last: Ints
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def take(self, index: slice) -> WindowRows:
+        """Some of the rows."""
+        return WindowRows(self.track.take(index), self.last[index])
+
+    def coarsened(self, size: int) -> WindowRows:
+        """Means of `size` rows each."""
+        ends = np.minimum(np.arange(size, len(self) + size, size), len(self)) - 1
+        return WindowRows(self.track.coarsened(size), self.last[ends])
+
+    def followed_by(self, other: WindowRows) -> WindowRows:
+        """These rows and later ones."""
+        return WindowRows(self.track.followed_by(other.track), np.concatenate([self.last, other.last]))
+
+
+class RowWindow:
+    """Rows that came in and have not been dropped.
+
+    Attributes:
+        stride: measured rows that one row of the window stands for.
+    """
+
+    def __init__(self) -> None:
+        self.stride = 1
+        self._rows: WindowRows | None = None
+        self._new: list[WindowRows] = []
+
+    def add(self, track: PartTrack) -> None:
+        """Take in measured rows."""
+        self._new.append(WindowRows(track, track.rows))
+
+    def rows(self) -> WindowRows | None:
+        """What the window holds; None if nothing."""
+        new = _joined(self._new)
+        if new is None:
+            return self._rows
+        if self.stride > 1:
+            new = new.coarsened(self.stride)
+        return new if self._rows is None else self._rows.followed_by(new)
+
+    def settle(self) -> WindowRows | None:
+        """The same, and from now on measured rows begin a new row of the window."""
+        self._rows, self._new = self.rows(), []
+        return self._rows
+
+    def coarsen(self) -> None:
+        """Make one row of every two."""
+        rows = self.settle()
+        self._rows = None if rows is None else rows.coarsened(2)
+        self.stride *= 2
+
+    def drop(self, count: int) -> None:
+        """Forget the first rows."""
+        rows = self.settle()
+        if rows is not None:
+            kept = rows.take(slice(count, None))
+            # Copies, so that what was dropped is not held by a view of it.
+            self._rows = WindowRows(_copied(kept.track), kept.last.copy())
+
+
+def _joined(parts: list[WindowRows]) -> WindowRows | None:
+    """All parts at once: joining one by one would copy each row as often as there are parts."""
+    if not parts:
+        return None
+    tracks = [part.track for part in parts]
+    first = tracks[0]
+
+    def column(name: str) -> NDArray[np.float64] | None:
+        return None if getattr(first, name) is None else np.concatenate([getattr(one, name) for one in tracks])
+
+    rows = np.concatenate([one.rows for one in tracks])
+    time = np.concatenate([one.time for one in tracks])
+    position = np.concatenate([one.position for one in tracks])
+    track = PartTrack(rows, time, position, column("quaternion"), column("action"))
+    return WindowRows(track, np.concatenate([part.last for part in parts]))
+
+
+def _copied(track: PartTrack) -> PartTrack:
+    columns = {name: getattr(track, name) for name in ("rows", "time", "position", "quaternion", "action")}
+    return replace(track, **{name: value.copy() for name, value in columns.items() if value is not None})

@@ -22,11 +22,10 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.joint import IDENTITY, Joint
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.automaton.path import FEWEST_KNOTS, along_path, closest_on_path, path
-from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.joints.joint_arrays import conjugate, rotation_vector, times
 from micah_plan.learn.segmenting.free import FINEST_EXTENT, Trend, density, likeliest_scale, price, rough, trend_of
 from micah_plan.learn.segmenting.noise import NoiseModel
-from micah_plan.learn.spread import extent
-from micah_plan.learn.track import PartTrack
+from micah_plan.learn.track import PartTrack, extent
 
 _ROUNDS = 4  # of curve and configurations in turn
 _NEIGHBOURS = 3.0  # longest usual steps, or stds of noise, within which rows are neighbours

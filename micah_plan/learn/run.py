@@ -1,4 +1,11 @@
-"""Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are."""
+"""Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are.
+
+Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
+
+Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
+is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to
+when they acted.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +14,24 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from micah_plan.arrays import Booleans
-from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.doubt import doubt_of, misfit_of
 from micah_plan.learn.joints.final_fit import fit_joint
+from micah_plan.learn.joints.joint_arrays import compare_all
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.posterior import ChangepointPosterior, without_changepoints
-from micah_plan.learn.segmenting.segmentation import segment_track
-from micah_plan.learn.segmenting.segmented import Segmented
-from micah_plan.learn.segmenting.stating import kind_probabilities, posterior_of
+from micah_plan.learn.segmenting.posterior import (
+    ChangepointPosterior,
+    kind_probabilities,
+    posterior_of,
+    without_changepoints,
+)
+from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
 from micah_plan.learn.segmenting.steps import Steps, steps_of
 from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
@@ -279,3 +292,64 @@ def _numbered(kinds: Sequence[JointKind]) -> tuple[str, ...]:
         seen[kind] = seen.get(kind, 0) + 1
         names.append(kind if seen[kind] == 1 else f"{kind}_{seen[kind]}")
     return tuple(names)
+
+
+_SURE = 3.0  # stds by which a delay differs from none
+_DECISIVE = 3.0  # nats: that actions acted at another time is one more number, as likely as not
+_STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
+
+
+def learn_acted_run(
+    track: PartTrack, settings: LearnSettings, rng: np.random.Generator, inlier: NDArray[np.bool_] | None = None
+) -> tuple[LearnedRun, ActionChannel | None]:
+    """What a run tells, with its actions, and the channel that they came through.
+
+    Args:
+        track: with or without actions.
+        rng: for MLESAC.
+        inlier: (n,) rows that are no outliers; None: to be found.
+
+    Returns:
+        the run, whose track has the actions where they acted if that explains it better; None where there are no
+        actions or they say nothing.
+    """
+    learned = learn_run(track, settings, rng, inlier=inlier)
+    channel = _channel(learned, track)
+    if channel is None:
+        return learned, None
+    std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
+    step = track.duration / len(learned.segmented.track)
+    if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
+        delayed = with_delayed_actions(track, channel.delay)
+        again = segment_run(delayed, settings, learned.inlier, learned.segmented)
+        if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
+            moved = with_joints(again, settings, rng)
+            return moved, _channel(moved, track) or channel
+    return learned, channel
+
+
+def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
+    """The channel of the joint that governs the most rows."""
+    moving = [piece for piece in learned.pieces if piece.leader is not None]
+    if not moving or track.action is None or any(sure.misfit for sure in learned.certainties):
+        return None
+    longest = max(moving, key=lambda piece: piece.end - piece.start)
+    # The step into a neighbour is not the joint's alone: a stop cuts it short.
+    pieces = [
+        (piece.start + (piece.start > 0), piece.end - (piece.end < len(track) - 1))
+        for piece in moving
+        if piece.leader == longest.leader
+    ]
+    return estimate_channel(longest.joint, pieces, track, _white_std(longest, learned, track), learned.inlier)
+
+
+def _white_std(piece: FittedPiece, learned: LearnedRun, track: PartTrack) -> float:
+    """White noise of one measured configuration [rad or m]."""
+    row = slice(piece.start, piece.start + 1)
+    quaternion = None if track.quaternion is None else track.quaternion[row]
+    direction = compare_all([piece.joint], track.position[row], quaternion, 1.0).direction[0, :, 0]
+    noise = learned.noise
+    information = float(direction[-3:] @ direction[-3:]) / noise.position_white**2
+    if quaternion is not None:
+        information += float(direction[:3] @ direction[:3]) / noise.rotation_white**2
+    return float(information**-0.5)

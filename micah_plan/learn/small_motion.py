@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learn.spread import bends, extent, white_std
-from micah_plan.learn.track import PartTrack, find_inliers, part_track
+from micah_plan.learn.track import PartTrack, bends, extent, find_inliers, part_track, white_std
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 

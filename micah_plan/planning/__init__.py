@@ -3,6 +3,6 @@
 In the order in which a plan comes about: `attempt` (what every planner begins and ends with), `pomdp_hd` (the
 algorithm), `search` (the high level: mode sequences), `transcription` and `nlp` (the low level: a belief trajectory
 through each), `feedback` around it, `roll_outs` and `verification` of it, `tightening` where it fails too often,
-`findings` and `explain` where there is none, `replanning` and `receding_horizon` while it is being followed. All of
-them use `limits`, `cost`, `path_constraints` and `input_memory`; `baselines` are for comparison.
+`findings` where there is none, `replanning` while it is being followed. All of them use `limits` and
+`path_constraints`; `baselines` are for comparison.
 """

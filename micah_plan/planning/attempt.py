@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from micah_plan.planning.findings import endpoint_findings, finding_of_reason
-from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.limits import Limits, NoWayError, limits_of
 from micah_plan.planning.scene_cuts import with_scene
-from micah_plan.summaries import Progress
+from micah_plan.quantities import Progress
 from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory

@@ -23,11 +23,10 @@ import numpy as np
 from scipy.optimize import linprog
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.consistency import preceding
-from micah_plan.automaton.emptiness import is_empty
+from micah_plan.automaton.check import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
-from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.region import HalfSpace, Region, is_empty
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 

@@ -21,19 +21,17 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.chains import with_chains
-from micah_plan.planning.cost import time_cost
 from micah_plan.planning.cuts import Cut, tight_places, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
-from micah_plan.planning.input_memory import with_input_memory, without_input_memory
-from micah_plan.planning.limits import Limits, limits_of
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.limits import Limits, NoWayError, limits_of, with_input_memory, without_input_memory
+from micah_plan.planning.path_constraints import time_cost
 from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
-from micah_plan.summaries import Progress
+from micah_plan.quantities import Progress
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem

@@ -13,15 +13,20 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.input_memory import InputChannel, towards
+from micah_plan.automaton.lifted import drawn_shifts, threshold_stds
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
-from micah_plan.automaton.thresholds import drawn_shifts, threshold_stds
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.feedback import feedback_input, time_knots
-from micah_plan.planning.input_memory import steps_of_memory, with_input_memory, without_input_memory
-from micah_plan.planning.limits import limited_input, limits_of
+from micah_plan.planning.limits import (
+    limited_input,
+    limits_of,
+    steps_of_memory,
+    with_input_memory,
+    without_input_memory,
+)
 from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory

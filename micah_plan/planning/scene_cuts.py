@@ -19,7 +19,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.automaton.region import Region
 from micah_plan.planning.cuts import Cut, half_space, without
-from micah_plan.scene.body import Body, Shape, corners, transform
+from micah_plan.task.body import Body, Shape, corners, transform
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 

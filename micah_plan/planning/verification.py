@@ -21,9 +21,8 @@ from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
-from micah_plan.task.plan import Finding, Offer, Plan, Trajectory
+from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 
@@ -52,7 +51,7 @@ def verify(
         problem: what the plan is for.
         plan: as `pomdp_hd.plan` returned it; without a trajectory it is returned unchanged.
         trials: number of roll-outs; None: from the settings, but as many as can show the confidence
-            (`acceptance.least_trials`). 0 verifies nothing.
+            (`task.plan.least_trials`). 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
         sequential: end early where some roll-outs suffice (`plain_answer`, `looks_of`): for decisions during an

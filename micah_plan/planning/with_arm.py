@@ -22,7 +22,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.cuts import half_space, without
-from micah_plan.planning.letting_go import with_release
+from micah_plan.planning.release import with_release
 from micah_plan.planning.scene_cuts import slides_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory

@@ -18,8 +18,8 @@ import numpy as np
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import replace_file
 from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, MessageType, header_at, write_log
 from micah_plan.recording.value import Recording
-from micah_plan.ros.log import NANOSECONDS, Logged, MessageType, header_at, write_log
 
 _POSE: MessageType = "geometry_msgs/msg/PoseStamped"
 _VECTOR: MessageType = "geometry_msgs/msg/Vector3Stamped"

@@ -13,10 +13,10 @@ from micah_plan.recording.csv_file import csv_bytes, csv_columns, read_csv
 from micah_plan.recording.mcap_file import mcap_bytes
 from micah_plan.recording.npz_file import npz_bytes, read_npz
 from micah_plan.recording.parquet_file import parquet_columns, read_parquet
+from micah_plan.recording.ros_bags import is_log
 from micah_plan.recording.ros_log import joint_columns, read_ros_log
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
-from micah_plan.ros.bags import is_log
 
 _READERS = {".npz": read_npz, ".tum": read_tum}
 _TABLES = {".csv": read_csv, ".parquet": read_parquet}

@@ -16,8 +16,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError, MissingDependencyError
-from micah_plan.quantities import count, interval, quantity
-from micah_plan.summaries import Summarised, aligned, listed
+from micah_plan.quantities import Summarised, aligned, count, interval, listed, quantity
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform

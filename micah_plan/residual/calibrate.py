@@ -1,4 +1,11 @@
-"""Measured against predicted, what the model lacks, and the model with it: the result of a calibration as one value."""
+"""Measured against predicted, what the model lacks, and the model with it: the result of a calibration as one value.
+
+A missing mode taken into the automaton: the mode that it lies in is cut, and the search made again in the halves.
+
+The next experiment worth making: what would tell apart effects that a recording cannot.
+
+What can and cannot be concluded from a calibration, one sentence each.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +18,25 @@ from scipy.special import ndtri
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.split import with_split
+from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
-from micah_plan.quantities import interval, quantity
+from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
-from micah_plan.residual import experiments
-from micah_plan.residual.added_mode import with_missing_modes
-from micah_plan.residual.candidates import Candidate
 from micah_plan.residual.examined import Examined, examined
+from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
-from micah_plan.residual.interval import CONFIDENCE
-from micah_plan.residual.lane import MOST_ROWS, Lane
-from micah_plan.residual.notes import notes_on, told_of_beliefs, told_of_rows
+from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
+from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import predict_recording, refused, rmse, rmse_of_coordinates
-from micah_plan.residual.seen import Beyond, closed, with_shifts, without_old_ends
+from micah_plan.residual.search import Candidate, Search
+from micah_plan.residual.seen import Beyond, closed, sections, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import Finding, LaneTrace, may_remember, trace
-from micah_plan.residual.verdict import Verdict, overall
-from micah_plan.summaries import Progress
+from micah_plan.residual.trace import LEAST_EVIDENCE, Finding, LaneTrace, Verdict, may_remember, overall, trace
 
 FEWEST_ROWS = 8
 # Width of an interval in standard deviations.
@@ -303,8 +309,8 @@ def _found(lane: Lane, finding: Finding, beyond: Sequence[Beyond]) -> FoundEffec
 def _experiment(lane: Lane, finding: Finding) -> str:
     """What would tell an effect from those it may be taken for; empty if there are none."""
     if finding.tied:
-        return experiments.separating(finding.part.name, finding.tied[0])
-    return experiments.for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
+        return experiment_that_separates(finding.part.name, finding.tied[0])
+    return experiment_for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
 
 
 def _direct_effect(found: DirectFinding) -> FoundEffect:
@@ -389,12 +395,215 @@ def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) 
         for mode in one.missing_modes:
             if mode.modes:
                 continue
-            return experiments.for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
+            return experiment_for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
         if one.outcome.verdict in ("partly", "unexplained"):
             low, high = one.lane.visited
-            return experiments.for_unexplained(f"over {interval(low, high, one.lane.unit)}")
+            return experiment_for_unexplained(f"over {interval(low, high, one.lane.unit)}")
     if found:
         return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
     lane = traces[0].lane
     low, high = lane.visited
-    return experiments.for_nothing(lane.rows, high - low, lane.unit)
+    return experiment_for_nothing(lane.rows, high - low, lane.unit)
+
+
+# A piece between changepoints is a line in the command.
+_AS_FOUND = ("gain", "bias")
+
+
+def with_missing_modes(
+    automaton: HybridAutomaton, traces: tuple[LaneTrace, ...], measured: Sequence[Track]
+) -> tuple[HybridAutomaton, tuple[LaneTrace, ...]]:
+    """The automaton with the modes that traces miss, and the traces on it, if that is clear.
+
+    It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
+    the correction without a name that would stand in their place. Else both are as given.
+    """
+    split = automaton
+    for one in traces:
+        low, high = range_of(automaton, one.lane.index)
+        ends = {end for mode in one.missing_modes for end in (mode.low, mode.high)}
+        for place in sorted(end for end in ends if low < end < high):
+            split = with_split(split, one.lane.index, place)
+    if split is automaton:
+        return automaton, traces
+    again = tuple(trace(Search(lane)) for lane in lanes(split, tuple(measured)))
+    if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
+        return automaton, traces
+    return split, tuple(_told(split, old, new) for old, new in zip(traces, again, strict=True))
+
+
+def _is_clear(old: LaneTrace, new: LaneTrace) -> bool:
+    if not old.missing_modes:
+        return True
+    parts = new.chosen.parts
+    is_inside = bool(parts) and all(part.term.modes and part.name in _AS_FOUND for part in parts)
+    return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
+
+
+def _told(split: HybridAutomaton, old: LaneTrace, new: LaneTrace) -> LaneTrace:
+    modes = tuple(replace(one, modes=_inside(split, old.lane.index, one)) for one in old.missing_modes)
+    return replace(new, missing_modes=modes)
+
+
+def _inside(split: HybridAutomaton, i: int, missing: MissingMode) -> tuple[str, ...]:
+    """Names of the modes that move a coordinate within the range of a missing one."""
+
+    def holds(mode: Mode) -> bool:
+        low, high = range_of(replace(split, modes=(mode,)), i)
+        return low < high and low >= missing.low and high <= missing.high
+
+    return tuple(mode.name for mode in split.modes if mode.driven[i] and holds(mode))
+
+
+def experiment_that_separates(one: str, other: str) -> str:
+    """The experiment that tells two effects apart: one of them says it."""
+    known = dict(form(one).experiments).get(other) or dict(form(other).experiments).get(one)
+    return known or f"vary size and direction of the commands over the whole range, to tell {one} from {other}"
+
+
+def experiment_for_alike_runs(name: str) -> str:
+    """The experiment where all runs make the same motion."""
+    return f"start elsewhere, and stop on the way: if it is {name}, only the place matters and not what went before"
+
+
+def experiment_for_unexplained(where: str) -> str:
+    """The experiment for what no effect explains."""
+    return f"repeat slow and fast motions in both directions {where}, with rests in between"
+
+
+def experiment_for_missing_mode(place: float, unit: str) -> str:
+    """The experiment for a mode that the automaton lacks."""
+    return (
+        f"record slow motion through {quantity(place, unit)} in both directions and learn the model again, with that "
+        "mode: micah-plan learn RECORDING.csv -o MODEL.yaml"
+    )
+
+
+def experiment_for_nothing(rows: int, moved: float, unit: str) -> str:
+    """The experiment where nothing was found."""
+    return (
+        f"there is nothing to find in {count(rows, 'row')} over {quantity(moved, unit)}: commands that are larger, "
+        "reverse and rest at both ends would show smaller effects"
+    )
+
+
+# Gains of commands that are written in other units than m, and the coordinates that may have them.
+_UNITS = {
+    "millimetres": (1e-3, ""),
+    "centimetres": (1e-2, ""),
+    "inches": (0.0254, ""),
+    "degrees": (np.pi / 180.0, "rad"),
+}
+_SAME_UNIT = 0.1
+# Share of what is large for a parameter within which it is at a bound.
+_AT_BOUND = 1e-3
+
+
+def told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
+    """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
+    if not any(track.is_outside for track in after):
+        return []
+    notes = []
+    for i, coordinate in enumerate(corrected.coordinates):
+        ends = [
+            float(np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in own if track.believed is not None]))
+            for own in (before, after)
+        ]
+        was, now = (quantity(end, coordinate.unit, digits=2) for end in ends)
+        notes.append(
+            f"{coordinate.name}: runs ended {was} beside what the controller believed, {now} with its sensor corrected"
+        )
+    return notes
+
+
+def told_of_late(late: int) -> str:
+    """That actions are stored in later rows than those that they move."""
+    rows = count(late, "row")
+    return (
+        f"the part moves {rows} before its command: actions are stored {rows} late. They were taken {rows} earlier; "
+        "store the action of a row with the pose that it starts from"
+    )
+
+
+def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track], late: int) -> list[str]:
+    """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
+    missing = sum(len(sections(track.time)) - 1 for track in measured)
+    gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
+    unseen = sum(int((~track.is_measured).sum()) for track in measured)
+    repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
+    told = [*([told_of_late(late)] if late else []), *map(str, beyond)]
+    return [*told, *([gaps] if missing else []), *([repeated] if unseen else [])]
+
+
+def _units(one: LaneTrace) -> list[str]:
+    """Gains that are no property of an object, but of the units that commands were written in."""
+    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", one.lane.unit)}
+    notes = []
+    for finding in one.findings:
+        gain = _gain_of(finding)
+        for name, size in names.items():
+            if abs(gain / size - 1.0) < _SAME_UNIT:
+                told = f"{one.lane.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
+                notes.append(f"{told}: actions are in m; convert the columns ax, ay, az")
+    return notes
+
+
+def _gain_of(finding: Finding) -> float:
+    """The gain that an effect gives commands; 1 if it has none."""
+    names = [parameter.name for parameter in finding.part.term.form.parameters]
+    return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
+
+
+def _at_bounds(one: LaneTrace) -> list[str]:
+    """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
+    notes = []
+    for finding in one.findings:
+        parameters = finding.part.term.form.parameters
+        for k, large in zip(finding.part.free, finding.part.scale, strict=True):
+            low, high = finding.part.bounds.get(k, (-np.inf, np.inf))
+            value, own = float(finding.part.starts[0, k]), parameters[k]
+            ends = max(own.lower, low), min(own.upper, high)
+            if min(abs(value - end) for end in ends) < _AT_BOUND * large and value != own.neutral:
+                told = f"{one.lane.coordinate}: {own.name} of {finding.part.name} ended at its bound"
+                notes.append(f"{told}, so something else may be behind it")
+    return notes
+
+
+def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
+    """What was seen too little of, what was left out and why, and what remains."""
+    notes = []
+    for one in traces:
+        notes += [*_units(one), *_at_bounds(one)]
+        lane, name = one.lane, one.lane.coordinate
+        runs = len(np.unique(lane.run))
+        if runs < ENOUGH_RUNS:
+            which = "one run" if runs == 1 else f"{runs} runs"
+            notes.append(f"{name}: {which} only; stretches were held out, so what differs from run to run is unknown")
+        u = lane.u[lane.counted_starts]
+        moving = u[np.abs(u) > 0.05 * lane.command_size]
+        if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
+            notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
+        if one.outcome.verdict == "none":
+            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
+            step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
+            notes.append(
+                f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
+                "are not excluded"
+            )
+        low, high = lane.visited
+        if low > lane.upper or high < lane.lower:
+            notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
+        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in one.missing_modes]
+        left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
+        if left_out:
+            notes.append(f"{name}: {left_out} was not added: {one.outcome.sentence}")
+        if one.closest:
+            notes.append(
+                f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
+            )
+        if one.facts.is_corrected:
+            notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
+        if one.left is not None and one.left.is_more and not one.facts.smooth:
+            share = percent(one.left.share, 0)
+            notes.append(f"{name}: what remains is no noise: {share} of it follows {one.left}")
+    return tuple(notes)

@@ -11,9 +11,9 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import told_of_late
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.leftover import Circumstances, Leftover, lagged, leftover
-from micah_plan.residual.notes import told_of_late
 from micah_plan.residual.prediction import RunPrediction
 
 

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints, robust_std
-from micah_plan.learn.segmenting.changepoints import most_probable
+from micah_plan.learn.segmenting.changepoints import LengthPrior, most_probable
 from micah_plan.learn.segmenting.evidence import EvidenceColumn
-from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.quantities import percent, quantity
-from micah_plan.residual.interval import independent_share
+from micah_plan.residual.fit import independent_share
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 

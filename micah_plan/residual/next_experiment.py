@@ -20,13 +20,11 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration
-from micah_plan.residual.candidates import candidates, untried
 from micah_plan.residual.fit import Problem, process_share
-from micah_plan.residual.growth import LEAST_EVIDENCE, ranked
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.search import FOLDS, Scored, Search
+from micah_plan.residual.search import FOLDS, Scored, Search, candidates, untried
 from micah_plan.residual.simulation import generated, simulate
-from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.trace import LEAST_EVIDENCE, LaneTrace, ranked
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
 

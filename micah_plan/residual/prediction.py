@@ -19,11 +19,10 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
-from micah_plan.quantities import interval, quantity
+from micah_plan.quantities import Progress, interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.geometry import beside
 from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened, read_tracks, without_gaps
-from micah_plan.summaries import Progress
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,12 @@
-"""Models of one lane compared by what they predict of rows that they were not fitted to."""
+"""Models of one lane compared by what they predict of rows that they were not fitted to.
+
+The forms of effects as candidates on a lane, where each form says that its search begins.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Literal
 
@@ -11,10 +14,19 @@ import numpy as np
 from scipy.special import chdtrc
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.effects.registry import form
-from micah_plan.residual.candidates import NEVER_GATED, UNNAMED, Candidate, smooth
-from micah_plan.residual.fit import Fit, Problem, held_out, measurement_share, optimise, process_share
-from micah_plan.residual.interval import independent_share, intervals
+from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
+from micah_plan.automaton.effects.form import EffectForm, Start
+from micah_plan.automaton.effects.registry import form, forms
+from micah_plan.residual.fit import (
+    Fit,
+    Problem,
+    held_out,
+    independent_share,
+    intervals,
+    measurement_share,
+    optimise,
+    process_share,
+)
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import LAGS, Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
@@ -75,7 +87,7 @@ class Search:
     """Fits models to a lane, each once.
 
     Attributes:
-        nominal: the model that effects are added to: as it is, or with commands that are places (see `meaning`).
+        nominal: the model that effects are added to: as it is, or with commands that are places (see `trace`).
         given: the effects that the model has already, with their values; no part of what is scored here.
     """
 
@@ -207,7 +219,7 @@ class Search:
         return tuple(names), np.asarray(covariance / np.outer(std, std))
 
     def intervals(self, scored: Scored) -> Floats:
-        """(k, 3) interval and median of each free parameter, in the order of the parts; see `interval.intervals`."""
+        """(k, 3) interval and median of each free parameter, in the order of the parts; see `fit.intervals`."""
         correlation = self._correlations(scored)[0][0]
         return intervals(self.problem(scored.parts), scored.fit, independent_share(correlation))
 
@@ -355,3 +367,77 @@ def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[fl
     starts[: len(since_order), -GATES] = since_order
     starts[len(since_order) :, -GATES + 1] = since_time
     return replace(part, starts=starts)
+
+
+NEVER_GATED = (-np.inf,) * GATES
+# The form of a correction without a name.
+UNNAMED = "unexplained"
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A term with starts for its parameters.
+
+    Attributes:
+        starts: (M, size) parameters with gates; those that are not free differ between starts only.
+        free: columns within the term that are fitted.
+        scale: (k,) what a large value of each of those is.
+        bounds: (lower, upper) of columns that the lane bounds more than the form does: beyond them it would be another
+            effect (a spring whose rest position is far away is a bias).
+    """
+
+    term: Term
+    starts: Floats
+    free: tuple[int, ...]
+    scale: Floats
+    bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.term.form.name
+
+
+def candidates(lane: Lane) -> tuple[Candidate, ...]:
+    """All forms that the lane can show, each acting always and everywhere."""
+    found = []
+    for own in forms():
+        made = own.begun(lane) if own.is_sought and own.same_as(lane) is None else None
+        if made is not None:
+            found.append(_candidate(own, made))
+    return tuple(found)
+
+
+def untried(name: str, lane: Lane) -> Candidate:
+    """A form that was not tried since it would do the same as another (`indistinguishable`)."""
+    return _candidate(form(name), form(name).from_neutral(lane))
+
+
+def _candidate(own: EffectForm, made: Start) -> Candidate:
+    starts = np.atleast_2d(made.values)
+    full = np.hstack([starts, np.tile(NEVER_GATED, (len(starts), 1))])
+    return Candidate(Term(own), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
+
+
+def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
+    """Forms that were not tried because on this lane they would do exactly the same as another; plainest first."""
+    same = []
+    for own in sorted(forms(), key=lambda own: own.plainness):
+        other = own.same_as(lane) if own.is_sought else None
+        if other is not None and other.name == part.name and abs(part.starts[0, 0]) < other.below:
+            same.append(own.name)
+    return tuple(same)
+
+
+def smooth(lane: Lane, *, is_lean: bool = False) -> Candidate:
+    """The correction without a name: a smooth function of configuration, direction and speed of the command.
+
+    Args:
+        is_lean: fit only what depends on the command alone.
+    """
+    low, high = lane.visited
+    margin = 0.02 * (high - low) + 1e-6
+    size = lane.command_size
+    start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *NEVER_GATED]
+    free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
+    scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
+    return Candidate(Term(form(UNNAMED)), np.array([start]), free, np.array(scale[: len(free)]))

@@ -4,36 +4,60 @@ A model may add effects one by one. Each must predict held-out rows better by mo
 than chance over stretches allows, and by enough per row to matter. What a smooth correction still gains on top says how
 much is left that no effect of the library explains (Akaike's predictive argument, by cross-validation: Stone, JRSS B
 1974).
+
+Forward selection of effects: the best one, one that acts in places or since some time only, or two together.
+
+A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single stretch
+alone; if plain one-step errors get smaller too; and if the roll-out does not get worse: what helps each single step but
+adds up to a larger error hides that something else is missing as well.
+
+What a command means: a displacement from wherever the part is, or a place that the part goes after.
+
+A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
+the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
+held-out rows, each from all measurements before. What was meant is also more regular by itself, the sequence of
+displacements or that of places, since what blurs a measurement is in the other one: that decides where both predict the
+same (a part that does as it is told, seen without noise), and speaks against places that hardly predict better, as
+measured poses do where the noise of a tracker wanders. Roll-outs cannot decide,
+since places contain the measured poses that they are relative to; but where commands were relative to what a controller
+believed, and something else measured the part, they can, and do.
+
+The response to a place is one family (`follow`): a share of the way per row, and an offset; with delay, momentum
+(second order), gain and a dead zone, alone or together, where that predicts held-out rows clearly better.
+
+Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures, their selection on held-out data).
+
+What a calibration concludes of a coordinate: ordered outcomes, of which the first that the facts allow is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
-from micah_plan.residual.candidates import UNNAMED, Candidate, candidates, indistinguishable, smooth
-from micah_plan.residual.growth import (
-    LEAST_EVIDENCE,
-    TIE,
-    Growth,
-    grow,
-    is_worth,
-    ranked,
-    scored_all,
-    shortens,
-)
+from micah_plan.quantities import Progress
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.leftover import Leftover
-from micah_plan.residual.meaning import CONTAINED, FOLLOW, followed, means_places
+from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
-from micah_plan.residual.search import Scored, Search
-from micah_plan.residual.simulation import GATES
-from micah_plan.residual.verdict import Facts, Outcome, outcome_of
-from micah_plan.summaries import Progress
+from micah_plan.residual.search import (
+    UNNAMED,
+    Candidate,
+    Errors,
+    Scored,
+    Search,
+    candidates,
+    gated,
+    indistinguishable,
+    smooth,
+)
+from micah_plan.residual.simulation import GATES, Term
 
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
@@ -48,7 +72,7 @@ class Finding:
 
     Attributes:
         part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
-        interval: (size, 2) at `interval.CONFIDENCE`; low = high for those that were not fitted.
+        interval: (size, 2) at `fit.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place.
         is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse, nor if it
@@ -75,7 +99,7 @@ class LaneTrace:
         whiteness: largest autocorrelation of the innovations that remain, and how probable it were if they were white.
         left: what the innovations that remain follow; None where rows are too few.
         floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
-        missing_modes: that the automaton lacks; a correction without a name is in their place (or see `added_mode`).
+        missing_modes: that the automaton lacks; a correction without a name is in their place (or see `calibrate`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
         alternatives: the models of one effect that were considered.
     """
@@ -274,3 +298,355 @@ def _is_tied(best: Scored, other: Scored) -> bool:
     gap, error = best.over(other)
     fits = other.fit.loss[0] <= best.fit.loss[0] and len(other.parts[-1].free) <= len(best.parts[-1].free)
     return gap < max(TIE, min(_ERRORS * error, _SLACK * other.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)
+
+
+# Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
+LEAST_EVIDENCE = 8.0
+# ... of which so much outside of the stretch that gains most, by so many times what other stretches lose (as a root of
+# squares), and so much per row (1 % of the innovations' std).
+_ELSEWHERE = 4.0
+
+_PER_ROW = 0.01
+# A more complicated variant (only in a mode, only since a time) must gain this much over the plain one [nats].
+_VARIANT_EVIDENCE = 8.0
+# Candidates within this of the best are as good as it [nats].
+TIE = 3.0
+# What one-step and roll-out errors may be of those before.
+_SHORTER = 0.999
+_NOT_LONGER = 1.02
+_WIDE = 3
+_TRIED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """What was chosen.
+
+    Attributes:
+        chosen: the best model that effects can make; the nominal one if none is worth it.
+        alternatives: the models of one effect that it competed with.
+        blocked: the best model that predicts single steps better but makes the roll-out longer, if nothing else did
+            better; it was not chosen.
+    """
+
+    chosen: Scored
+    alternatives: tuple[Scored, ...]
+    blocked: Scored | None = None
+
+
+def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], told: Progress) -> Growth:
+    """Choose among models of one and two effects, and variants of the best."""
+    nominal = search.nominal
+    plain = _plainest(singles, nominal)
+    if plain is not None and improves(search, plain, nominal) and search.leaves_nothing(plain):
+        # Then neither a second effect nor one that acts only in places or since some time can gain anything.
+        return Growth(plain, tuple(singles))
+    promising = [one for one in ranked(singles)[:_WIDE] if one.over(nominal)[0] > LEAST_EVIDENCE]
+    options = [*singles, *(variant for one in promising for variant in _variants(search, one, nominal))]
+    first, blocked = _first(search, options)
+    if first is not None and search.leaves_nothing(first):
+        return Growth(first, tuple(options))
+    if first is None and blocked is None:
+        return Growth(nominal, tuple(options))
+    heads = [*promising, *(one for one in (first, blocked) if one is not None)]
+    base = first or nominal
+    for pair in _pairs(search, library, heads, base, told):
+        if is_worth(pair, base, search.lane) and improves(search, pair, nominal):
+            return Growth(_without_idle(search, pair, base), tuple(options), blocked)
+    return Growth(base, tuple(options), blocked)
+
+
+def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
+    """The plainest of the best single effects that may be taken in, and the best that only helps single steps."""
+    blocked, left = None, list(options)
+    while (first := _plainest(left, search.nominal)) is not None and is_worth(first, search.nominal, search.lane):
+        if improves(search, first, search.nominal):
+            return first, blocked
+        steps, before = (search.squares(one, "one_step") for one in (first, search.nominal))
+        if blocked is None and steps < _SHORTER * before:
+            blocked = first
+        left = [one for one in left if one is not first]
+    return None, blocked
+
+
+def _pairs(
+    search: Search, library: Sequence[Candidate], heads: Sequence[Scored], base: Scored, told: Progress
+) -> list[Scored]:
+    """Models of two effects, best first."""
+    grown: list[Scored] = []
+    kept = list({one.names[-1]: one for one in heads}.values())
+    for number, head in enumerate(kept):
+        rest = [c for c in library if c.name not in head.names]
+        share = 0.5 + 0.4 * number / len(kept)
+        grown += scored_all(search, head, rest, told, share, share + 0.4 / len(kept))
+    grown = [one for one in grown if not one.is_idle]
+    grown += [variant for one in ranked(grown)[:2] for variant in _variants(search, one, base)]
+    return _plainest_first(grown)[:_TRIED]
+
+
+def _plainest_first(options: Sequence[Scored]) -> list[Scored]:
+    """Best first, but of those that are as good as the best the plainest effects first."""
+    order = ranked(options)
+    close = [one for one in order if order[0].over(one)[0] <= TIE]
+    plainest = sorted(close, key=lambda one: sum(part.term.form.plainness for part in one.parts))
+    return [*plainest, *order[len(close) :]]
+
+
+def scored_all(
+    search: Search,
+    base: Scored,
+    library: Sequence[Candidate],
+    told: Progress,
+    begin: float,
+    end: float,
+) -> list[Scored]:
+    """Each of the library on top of a model."""
+    scored = []
+    for number, candidate in enumerate(library):
+        told(f"{search.lane.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
+        scored.append(search.score((*base.parts, candidate), base))
+    return scored
+
+
+def _without_idle(search: Search, pair: Scored, base: Scored) -> Scored:
+    """A model of two effects, or of one of them fitted again if the other does not pay."""
+    alone = [search.score((*pair.parts[:-2], one)) for one in pair.parts[-2:]]
+    best = ranked([*alone, *((base,) if base.names else ())])[0]
+    return pair if is_worth(pair, best, search.lane) else best
+
+
+def _variants(search: Search, one: Scored, base: Scored) -> list[Scored]:
+    """The last effect of a model only in one mode, or only since some time, where that predicts clearly better."""
+    if one.over(base)[0] < LEAST_EVIDENCE:
+        return []
+    lane, last, before = search.lane, one.parts[-1], one.parts[:-1]
+    found = []
+    rows = lane.mode[lane.counted]
+    present = [k for k in range(len(lane.modes)) if np.mean(rows == k) > 0.05]
+    if len(present) > 1:
+        for k in present:
+            term = Term(last.term.form, (lane.modes[k],))
+            found.append(search.score((*before, replace(last, term=term))))
+    if last.term.form.layer != "guard":
+        duration = float(lane.time[lane.counted].max())
+        places = [float(q) for q in np.linspace(0.1, 0.9, 9)]
+        times = [share * duration for share in (0.2, 0.35, 0.5, 0.65, 0.8)]
+        found.append(search.score((*before, gated(last, places, times))))
+    return [variant for variant in found if variant.over(one)[0] > _VARIANT_EVIDENCE]
+
+
+def ranked(scored: Sequence[Scored]) -> list[Scored]:
+    """Best first."""
+    return sorted(scored, key=lambda one: -float(one.density.sum()))
+
+
+def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
+    """The best; of those that are as good, the one with the plainest last effect."""
+    # Likelihood alone could be bought by calling a few rows noise.
+    options = [one for one in options if one.squared < base.squared]
+    if not options:
+        return None
+    return _plainest_first(options)[0]
+
+
+def is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
+    """Whether held-out rows are predicted so much better that it is no chance, and not in a single stretch alone."""
+    gains = better.density - base.density
+    gain = float(gains.sum())
+    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(lane.counted.sum())):
+        return False
+    losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
+    return gain > _ERRORS * losses and gain - float(gains.max()) > _ELSEWHERE
+
+
+def improves(search: Search, better: Scored, base: Scored) -> bool:
+    """Whether a model is worth it and one-step errors get smaller too, without making the roll-out longer."""
+    if better is base or not is_worth(better, base, search.lane):
+        return False
+    return shortens(search, better, base)
+
+
+def shortens(search: Search, better: Scored, base: Scored) -> bool:
+    """Whether held-out one-step errors get smaller and roll-out errors, of stretches and of whole runs, no larger."""
+    kinds: tuple[Errors, ...] = ("one_step", "rollout", "whole")
+    steps, *rolls = ([search.squares(one, kind) for one in (better, base)] for kind in kinds)
+    return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
+
+
+FOLLOW = "follow"
+# Columns of `follow`: those that are always fitted, and starts of the others, which are at rest otherwise.
+_SHARE, _OFFSET, _GAIN, _DELAY, _MOMENTUM, _WIDTH = range(6)
+_AT_REST = (0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
+_SHARES = (0.03, 0.15, 0.5, 0.9)
+_STARTS = {_GAIN: (0.9, 1.1), _DELAY: (0.5, 1.5, 3.0, 6.0), _MOMENTUM: (0.3, 0.7), _WIDTH: (0.02, 0.1)}
+
+# Names of the effects that this family has in itself.
+CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
+# Commands before one that its regularity is judged by.
+_MEMORY = 2
+# Degrees of freedom of what is not foretold (a few jumps decide nothing), and the least of it, as a share of all.
+_FREEDOM, _FINEST = 2.0, 1e-3
+
+# Share of what a sequence of commands says by being irregular that counts: its rows are no independent witnesses.
+_HEARD = 0.25
+
+
+def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
+    """Whether commands that are places predict better than the best model of displacements."""
+    if search.lane.is_outside:
+        rolled, other = (search.squares(one, "whole") for one in (place, displaced))
+        return rolled < other
+    if not is_worth(place, search.nominal, search.lane):
+        return False
+    gain, regular = place.over(displaced)[0], _regularity(search.lane)
+    if gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE:
+        return True
+    return gain > -LEAST_EVIDENCE and regular > LEAST_EVIDENCE
+
+
+def _regularity(lane: Lane) -> float:
+    """By how much places are more predictable from those before than displacements from those before [nats].
+
+    What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
+    """
+    whole = lane.whole or lane
+    starts = whole.counted_starts
+    starts[:, :_MEMORY] = False
+    found = []
+    for series in (whole.u, whole.place):
+        before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
+        now = series[starts]
+        design = np.stack([np.ones(len(now)), *before], axis=1)
+        found.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + SMALLEST_SCALE))
+    return found[1] - found[0]
+
+
+def followed(search: Search) -> Scored:
+    """The best response to commands that are places: of all forms of the family, each with all its parameters free.
+
+    One parameter at a time would miss those that pay together only, such as a gain and a dead zone.
+    """
+    lane, term = search.lane, Term(form(FOLLOW))
+    starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
+    plain = (_SHARE, _OFFSET)
+    forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(lane, plain)),))}
+    best = forms[frozenset()]
+    for size in range(1, len(_STARTS) + 1):
+        for columns in map(frozenset, combinations(_STARTS, size)):
+            column = max(columns, key=lambda one: float(forms[columns - {one}].density.sum()))
+            forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, lane),))
+        found = ranked([one for columns, one in forms.items() if len(columns) == size])[0]
+        if is_worth(found, best, lane):
+            best = found
+    return best
+
+
+def _freed(part: Candidate, column: int, lane: Lane) -> Candidate:
+    """The candidate with one more parameter to fit, from where it was fitted."""
+    tried = _STARTS[column]
+    starts = np.repeat(part.starts[:1], len(tried), axis=0)
+    low, high = lane.visited
+    starts[:, column] = np.array(tried) * (high - low if column == _WIDTH else 1.0)
+    free = tuple(sorted((*part.free, column)))
+    return replace(part, starts=starts, free=free, scale=_scale(lane, free))
+
+
+def _scale(lane: Lane, free: tuple[int, ...]) -> Floats:
+    low, high = lane.visited
+    large = 0.1 * (high - low) + 1e-9
+    return np.array([{_OFFSET: large, _WIDTH: large, _DELAY: 1.0}.get(column, 0.3) for column in free])
+
+
+Verdict = Literal["none", "explained", "partly", "unexplained"]
+SENTENCES: dict[Verdict, str] = {
+    "none": "The model lacks nothing that this recording can show.",
+    "explained": "The effects below explain what the model lacked.",
+    "partly": "The effects below explain a part of what the model lacks.",
+    "unexplained": "The model lacks something that no effect of the library explains.",
+}
+
+# Shares of the explainable residual that effects leave to a correction without a name: up to here it is explained, from
+# there on it is not.
+_EXPLAINED = 0.03
+_UNEXPLAINED = 0.5
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of a coordinate once effects were looked for.
+
+    Attributes:
+        effects: how many have a name; modes: how many the automaton lacks.
+        is_open: whether an effect may come from this command or from earlier ones.
+        is_blocked: whether the effects help single steps and make whole roll-outs longer.
+        smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
+        is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
+        is_corrected: whether the model came with a correction without a name.
+    """
+
+    effects: int
+    modes: int
+    is_open: bool
+    is_blocked: bool
+    smooth: float
+    is_left: bool
+    is_corrected: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A conclusion.
+
+    Attributes:
+        sentence: of a coordinate, in plain words.
+        holds: whether the facts allow it.
+    """
+
+    name: str
+    verdict: Verdict
+    sentence: str
+    holds: Callable[[Facts], bool]
+
+
+OUTCOMES: tuple[Outcome, ...] = (
+    Outcome("mode", "partly", "a mode of its own is missing", lambda f: f.modes > 0),
+    Outcome(
+        "unnamed",
+        "unexplained",
+        "what is left follows something that no effect names",
+        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_left or f.is_corrected)),
+    ),
+    Outcome(
+        "remembered",
+        "partly",
+        "with runs like these the effect may as well come from earlier commands",
+        lambda f: f.is_open,
+    ),
+    Outcome(
+        "steps_only",
+        "partly",
+        "single steps get better but the roll-out worse, so something else is missing as well",
+        lambda f: f.is_blocked,
+    ),
+    Outcome(
+        "more",
+        "partly",
+        "the effects leave something that is no noise",
+        lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
+    ),
+    Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
+    Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),
+)
+
+
+def outcome_of(facts: Facts) -> Outcome:
+    """The first outcome that the facts allow."""
+    return next(outcome for outcome in OUTCOMES if outcome.holds(facts))
+
+
+def overall(verdicts: list[Verdict]) -> Verdict:
+    """One answer for several coordinates: `none` says nothing, and differing answers make `partly`."""
+    said = {one for one in verdicts if one != "none"}
+    if not said:
+        return "none"
+    return said.pop() if len(said) == 1 else "partly"

@@ -13,13 +13,13 @@ from micah_plan.robot.along_plan import problem_clearance, tool_path
 from micah_plan.robot.clearance import clearance_model
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure, ToolPath, follow
-from micah_plan.scene.body import Body, Shape, vector3
-from micah_plan.scene.robot_description import RobotDescription
+from micah_plan.task.body import Body, Shape, vector3
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import ArmTrajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import Rest
+from micah_plan.task.robot_description import RobotDescription
 
 
 def lowered(

@@ -25,7 +25,7 @@ from micah_plan.errors import InputError
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.load_arm import link_name
 from micah_plan.robot.solids import solid
-from micah_plan.scene.body import Body, Shape
+from micah_plan.task.body import Body, Shape
 
 Pair = tuple[str, str]
 PartPoses = Mapping[str, RigidTransform]

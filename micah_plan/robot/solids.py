@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.joint import Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.robot.arm import Arm
-from micah_plan.scene.body import Hull, Shape, vector3
+from micah_plan.task.body import Hull, Shape, vector3
 
 _DEFAULT_COLOR = "#c9d1d9"
 _DIRECTIONS = 12

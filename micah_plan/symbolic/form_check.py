@@ -10,7 +10,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value, Values
 from micah_plan.errors import InputError
-from micah_plan.symbolic.effects import CasadiOperations
+from micah_plan.symbolic.compiled import CasadiOperations
 
 # What a form is tried at: commands, and places of the coordinate.
 _COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])

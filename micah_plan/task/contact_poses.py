@@ -16,9 +16,9 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton, Tie
 from micah_plan.automaton.kinematics import part_poses
-from micah_plan.scene.body import corners
-from micah_plan.scene.surroundings import faces_of
+from micah_plan.task.body import corners
 from micah_plan.task.problem import Problem
+from micah_plan.task.surroundings import faces_of
 
 Pair = tuple[str, str]
 

@@ -1,7 +1,7 @@
 """The plants that come with the package: the one list of their names, which files, commands and functions follow.
 
 A file may name a plant of this list and nothing else. Other code is loaded only where the command line names it
-(`micah_plan.cli.own_plant`), or passed in Python.
+(`micah_plan.cli.planning`), or passed in Python.
 """
 
 from __future__ import annotations

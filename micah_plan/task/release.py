@@ -24,8 +24,8 @@ from micah_plan.automaton.joint import Vector3
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
-from micah_plan.scene.body import corners as body_corners
-from micah_plan.scene.body import vector3
+from micah_plan.task.body import corners as body_corners
+from micah_plan.task.body import vector3
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 

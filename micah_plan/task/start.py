@@ -8,8 +8,8 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.automaton.region import Region
-from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
 from micah_plan.errors import InputError
 
 # A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.

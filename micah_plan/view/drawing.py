@@ -13,7 +13,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Primitive
 from micah_plan.automaton.joint import Joint, Quaternion
 from micah_plan.automaton.kinematics import origin
-from micah_plan.scene.body import corners, vector3
+from micah_plan.task.body import corners, vector3
 from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug

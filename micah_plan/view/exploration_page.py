@@ -1,6 +1,11 @@
-"""The page of an exploration: where the hand went, how hypotheses thinned out, what force it took, how sure it was."""
+"""The page of an exploration: where the hand went, how hypotheses thinned out, what force it took, how sure it was.
+
+The figure of an exploration: what force it took, and how sure it became, step by step.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +15,9 @@ from micah_plan.quantities import count, percent, quantity
 from micah_plan.view.page import Chart, Status, Table, render
 from micah_plan.view.palette import BLUE, GREEN, MUTED, ORANGE, PINK, VERMILLION
 from micah_plan.view.svg import Panel, Svg, drawing, element, text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _BADGES: dict[str, tuple[str, Status]] = {
     "opened": ("opened", "good"),
@@ -146,3 +154,22 @@ def _kinds(found: Exploration) -> Chart:
     parts += [*names, panel.y_axis("probability"), panel.x_axis("step")]
     told = f"What is believed to hold the handle, over {count(found.steps, 'step')}; of several joints, of the last."
     return Chart("What it is", (told,), drawing(_WIDTH, [panel], parts, "probabilities of kinds over steps"))
+
+
+def exploration_figure(found: Exploration) -> Figure:
+    """Measured forces against their limit, and the probabilities of what holds the handle."""
+    from micah_plan.view.figures import empty_figure  # pages need no Matplotlib
+
+    figure = empty_figure((7.0, 4.6), layout="constrained")
+    force, kinds = figure.subplots(2, 1, sharex=True)
+    steps = np.arange(1, found.steps + 1)
+    force.fill_between(steps, [np.linalg.norm(moment.force) for moment in found.moments], color=PINK, alpha=0.5)
+    force.axhline(found.scene.largest_force, color=MUTED, ls="--", lw=1, label="limit")
+    force.set_ylabel("force [N]")
+    shares = [[moment.kinds.get(name, 0.0) for moment in found.moments] for name in KINDS]
+    kinds.stackplot(steps, shares, colors=list(KINDS.values()), labels=[WORDS[name] for name in KINDS])
+    kinds.set(ylabel="probability", xlabel="step", ylim=(0.0, 1.0))
+    for axes in (force, kinds):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=5, frameon=False, fontsize=9)
+    return figure

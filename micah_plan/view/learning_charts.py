@@ -12,8 +12,23 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
-from micah_plan.view import learning_words as words
-from micah_plan.view.learned import LearnedRun, is_misfit
+from micah_plan.view.learned import (
+    LEVELS,
+    LearnedRun,
+    block_notes,
+    block_title,
+    block_words,
+    capital,
+    has_misfit,
+    headline,
+    interval_labels,
+    is_misfit,
+    kind_probabilities,
+    kind_words,
+    line_labels,
+    segment_labels,
+    shown_counts,
+)
 from micah_plan.view.page import Bar, Bars, Chart
 from micah_plan.view.palette import MISFIT
 from micah_plan.view.svg import Panel, Svg, evenly, played, rectangle, text
@@ -22,7 +37,7 @@ MOST_BLOCKS = 40
 
 _WIDTH, _LEFT, _RIGHT = 420.0, 62.0, 8.0
 _NAMES = 106.0
-_TOP, _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 18.0 + 15.0 * (words.LEVELS - 1), 150.0, 104.0, 56.0
+_TOP, _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 18.0 + 15.0 * (LEVELS - 1), 150.0, 104.0, 56.0
 _GAP = 14.0
 _LETTER, _LINE = 7.2, 13.5
 _MOST_KEYFRAMES = 120
@@ -48,12 +63,12 @@ def learning_chart(recording: Recording, learned: LearnedRun, shown: Floats, *, 
     parts = [_shades(panel, learned) for panel in panels] + [part(panel, learned) for part, panel in drawn]
     rows = learned.rows[evenly(len(learned.rows), _MOST_KEYFRAMES)]
     return Chart(
-        words.block_title(learned, several_runs=several_runs),
-        tuple(map(words.capital, words.block_words(learned))),
-        played(_WIDTH, panels, parts, "row of the recording", f"{words.headline(learned)} over rows"),
+        block_title(learned, several_runs=several_runs),
+        tuple(map(capital, block_words(learned))),
+        played(_WIDTH, panels, parts, "row of the recording", f"{headline(learned)} over rows"),
         tuple(bars for bars in (_counts(learned), _kinds(learned)) if bars.rows),
-        tuple(words.block_notes(learned, recorded=recording.has_actions)),
-        words.has_misfit(learned),
+        tuple(block_notes(learned, recorded=recording.has_actions)),
+        has_misfit(learned),
         tuple((float(shown[row]), panels[0].x(float(row))) for row in rows),
     )
 
@@ -91,7 +106,7 @@ def _configuration(panel: Panel, learned: LearnedRun) -> Svg:
         if is_misfit(stretch.segment):
             parts.append(panel.curve(stretch.rows, stretch.measured, "dots rim", dots=True))
         parts.append(panel.curve(stretch.rows, stretch.measured, "dots", stretch.colored.color, dots=True))
-    for label in words.segment_labels(learned, _LETTER * (panel.x1 - panel.x0) / panel.width):
+    for label in segment_labels(learned, _LETTER * (panel.x1 - panel.x0) / panel.width):
         x, y = panel.x(label.row), panel.top - 6 - 15 * label.level
         if label.misfit:
             half = _LETTER * len(label.text) / 2
@@ -106,7 +121,7 @@ def _evidence(panel: Panel, learned: LearnedRun) -> Svg:
         kind = "line" if line.color else "line other"
         parts.append(panel.curve(learned.evidence_rows, line.values, kind, line.color or ""))
     step = _LINE * (panel.y1 - panel.y0) / panel.height
-    for place, name, used in words.line_labels(learned.evidence, step):
+    for place, name, used in line_labels(learned.evidence, step):
         parts.append(text(panel.right + 5, panel.y(place) + 4, name, "name" if used else "number"))
     return Svg("".join(parts))
 
@@ -118,14 +133,14 @@ def _changepoint(panel: Panel, learned: LearnedRun) -> Svg:
             top = panel.y(bar.probability)
             width = max(bar.width * panel.width / (panel.x1 - panel.x0), 1.0)
             parts.append(rectangle(panel.x(bar.row) - width / 2, top, width, panel.bottom - top, "bar"))
-    for first, name in words.interval_labels(learned):
+    for first, name in interval_labels(learned):
         parts.append(text(panel.x(first - 0.5) - 5, panel.top + 12, name, "number end"))
     return Svg("".join(parts))
 
 
 def _counts(learned: LearnedRun) -> Bars:
     chosen = len(learned.stretches) - 1
-    probabilities = words.shown_counts(learned) if learned.counts else ()
+    probabilities = shown_counts(learned) if learned.counts else ()
     rows = [Bar(str(k), percent(p, 0), p, faint=k != chosen) for k, p in enumerate(probabilities)]
     return Bars("Number of changepoints", tuple(rows))
 
@@ -136,7 +151,7 @@ def _kinds(learned: LearnedRun) -> Bars:
     for stretch in learned.stretches:
         if stretch.segment.certainty is None:
             continue
-        named = ", then ".join(filter(None, words.kind_words(stretch.segment)))
+        named = ", then ".join(filter(None, kind_words(stretch.segment)))
         label = f"rows {stretch.segment.start} to {stretch.segment.end}"
-        rows.append(Bar(label, named, words.kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
+        rows.append(Bar(label, named, kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
     return Bars("Kind of joint", tuple(rows))

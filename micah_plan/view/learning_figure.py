@@ -2,6 +2,8 @@
 configuration, the evidence for each model and the posterior of the changepoints.
 
 Sizes are in inches: panels have fixed places, so that every block looks the same whatever it shows.
+
+The panels of the learning figure: the track in 3-D, and what was learned over the rows, with its probabilities.
 """
 
 from __future__ import annotations
@@ -9,17 +11,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
-from micah_plan.quantities import count
+from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
-from micah_plan.view import learning_panels as panels
-from micah_plan.view import learning_words as words
+from micah_plan.view.camera import viewing_direction
 from micah_plan.view.figures import empty_figure
-from micah_plan.view.learned import LearnedRun, learned_runs
-from micah_plan.view.palette import INK, MISFIT, MUTED
+from micah_plan.view.learned import (
+    FLOOR,
+    NO_BREAK,
+    LearnedRun,
+    Stretch,
+    block_notes,
+    block_title,
+    block_words,
+    has_misfit,
+    interval_labels,
+    is_misfit,
+    kind_probabilities,
+    kind_words,
+    learned_runs,
+    line_labels,
+    segment_labels,
+    shown_counts,
+    wrapped,
+)
+from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
+from micah_plan.view.placement import joint_axis, joint_curve
 
 WIDTH = 11.0
 MOST_BLOCKS = 12
@@ -73,9 +96,9 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
 
 
 def _block(learned: LearnedRun, recording: Recording) -> _Block:
-    notes = words.block_notes(learned, recorded=recording.has_actions)
-    glued = [note.replace(" ± ", f"{words.NO_BREAK}±{words.NO_BREAK}") for note in notes]
-    lines = tuple(line for note in glued for line in words.wrapped(note, _CHARACTERS))
+    notes = block_notes(learned, recorded=recording.has_actions)
+    glued = [note.replace(" ± ", f"{NO_BREAK}±{NO_BREAK}") for note in notes]
+    lines = tuple(line for note in glued for line in wrapped(note, _CHARACTERS))
     traced = (_EVIDENCE, _CHANGEPOINT) if learned.evidence else ()
     bars = bool(learned.counts) or any(s.segment.certainty is not None for s in learned.stretches)
     needed = _LEAST_SPACE + (_BARS + 0.5 if bars else 0.0) - sum(traced) - _GAP * len(traced)
@@ -85,7 +108,7 @@ def _block(learned: LearnedRun, recording: Recording) -> _Block:
 def _plain(recording: Recording) -> Figure:
     height = 4.6
     figure = empty_figure((WIDTH, height))
-    panels.plot_plain_track(_space(figure, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
+    plot_plain_track(_space(figure, 0.1, 0.2, _SPLIT - 0.9, height - 0.5), recording)
     axes = _panel(figure, _SPLIT, 0.6, WIDTH - _SPLIT - 0.5, height - 1.1)
     for name, values, style in zip("xyz", recording.position.T, ("-", "--", ":"), strict=True):
         axes.plot(values, style, color=INK, lw=1.4)
@@ -97,34 +120,34 @@ def _plain(recording: Recording) -> Figure:
 def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool) -> None:
     """The finding in large letters, on yellow if no joint fits; changepoints and parameters; panels; sentences."""
     learned = block.learned
-    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if words.has_misfit(learned) else None
-    title = words.block_title(learned, several_runs=several_runs)
+    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
+    title = block_title(learned, several_runs=several_runs)
     _write(figure, top - 0.38, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box)
-    found = "   ·   ".join(words.block_words(learned))
-    _write(figure, top - 0.7, found, fontsize=10, color=panels.PANEL_INK, va="center")
+    found = "   ·   ".join(block_words(learned))
+    _write(figure, top - 0.7, found, fontsize=10, color=PANEL_INK, va="center")
     width = WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
     bottom = top - _HEADER + _GAP
     axes: list[Axes] = []
     for height in block.panels:
         bottom -= _GAP + height
         axes.append(_panel(figure, _SPLIT, bottom, width, height, sharex=axes[0] if axes else None))
-    panels.plot_configuration(axes[0], learned, width)
+    plot_configuration(axes[0], learned, width)
     if len(axes) > 1:
-        panels.plot_evidence(axes[1], learned, block.panels[1])
-        panels.plot_changepoint(axes[2], learned)
+        plot_evidence(axes[1], learned, block.panels[1])
+        plot_changepoint(axes[2], learned)
     for panel in axes:
-        panels.shade_segments(panel, learned)
+        shade_segments(panel, learned)
         panel.tick_params(labelbottom=panel is axes[-1])
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
-    axes[-1].set_xlabel("row of the recording", color=panels.PANEL_INK)
+    axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
-    panels.plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
+    plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
     if learned.counts:
-        panels.plot_counts(_panel(figure, 0.45, bottom - 0.05, 1.15, _BARS - 0.1), learned)
+        plot_counts(_panel(figure, 0.45, bottom - 0.05, 1.15, _BARS - 0.1), learned)
     if block.bars:
-        panels.plot_kinds(_panel(figure, 2.3 if learned.counts else 0.95, bottom - 0.05, 1.25, _BARS - 0.1), learned)
+        plot_kinds(_panel(figure, 2.3 if learned.counts else 0.95, bottom - 0.05, 1.25, _BARS - 0.1), learned)
     for number, line in enumerate(block.words):
-        _write(figure, bottom - _AXIS - _LINE * (number + 0.5), line, fontsize=9, color=panels.PANEL_INK, va="center")
+        _write(figure, bottom - _AXIS - _LINE * (number + 0.5), line, fontsize=9, color=PANEL_INK, va="center")
 
 
 def _write(figure: Figure, height: float, text: str, **look: Any) -> None:
@@ -140,7 +163,7 @@ def _panel(figure: Figure, left: float, bottom: float, width: float, height: flo
     axes: Axes = _axes(figure, left, bottom, width, height, **options)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
-    axes.tick_params(labelsize=9, color=MUTED, labelcolor=panels.PANEL_INK)
+    axes.tick_params(labelsize=9, color=MUTED, labelcolor=PANEL_INK)
     return axes
 
 
@@ -148,3 +171,218 @@ def _space(figure: Figure, left: float, bottom: float, width: float, height: flo
     axes = _axes(figure, left, bottom, width, height, projection="3d")
     axes.patch.set_alpha(0.0)
     return axes
+
+
+PANEL_INK = "#3E4C59"
+
+_LETTER = 0.078
+"""Width of a letter at the size of a segment's label [in]."""
+_LINE_HEIGHT = 0.17
+_MOST_KINDS = 5
+_FEW_ROWS = 300
+_ZOOM, _ZOOM_ON_FLAT = 0.86, 0.76
+_FAR = 2.5
+"""A centre farther away than this many track sizes is not drawn: it would shrink the track to a dot."""
+
+
+def plot_track(space: Any, learned: LearnedRun) -> None:
+    """The part's positions in the frame of its parent, and the joints of its segments, one of a kind and colour."""
+    size = max(float(np.linalg.norm(np.ptp(learned.position, axis=0))), 1e-3)
+    segmented = np.zeros(len(learned.rows), dtype=bool)
+    for stretch in learned.stretches:
+        own = np.isin(learned.rows, stretch.rows)
+        segmented |= own
+        edge = INK if is_misfit(stretch.segment) else "none"
+        space.scatter(
+            *learned.position[own].T, s=17, color=stretch.colored.color, edgecolors=edge, linewidths=0.5,
+            depthshade=False,
+        )  # fmt: skip
+    if not segmented.all():
+        space.scatter(*learned.position[~segmented].T, s=9, color=MUTED, depthshade=False)
+    seen = [learned.position]
+    for stretch in {s.colored.color: s for s in reversed(learned.stretches)}.values():
+        if not is_misfit(stretch.segment):
+            seen += _plot_joint(space, stretch, size)
+    _finish(space, np.concatenate(seen), learned.position, "" if learned.in_base else f" in {learned.edge.parent}")
+
+
+def plot_plain_track(space: Any, recording: Recording) -> None:
+    """The measured positions of a recording of which nothing was learned."""
+    space.scatter(*recording.position.T, s=9, color=MUTED, depthshade=False)
+    _finish(space, recording.position, recording.position, "")
+
+
+def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
+    """Draw a joint in ink; returns the points (k, 3) that must be in sight."""
+    joint = stretch.segment.joint
+    curve = joint_curve(joint, *stretch.segment.configuration_range)
+    if not joint.moves:
+        space.plot(*curve[:1].T, "o", ms=15, mfc="none", mec=INK, mew=1.4)
+        return [curve]
+    space.plot(*curve.T, color=INK, lw=1.6)
+    if joint.kind == "prismatic":
+        # The arrow's head: the direction in which the configuration grows.
+        space.quiver(*curve[0], *(1.12 * (curve[1] - curve[0])), color=INK, lw=1.6, arrow_length_ratio=0.08)
+        return [curve]
+    center = np.array(joint.center)
+    if joint.kind == "path" or float(np.linalg.norm(center - curve.mean(axis=0))) > _FAR * size:
+        return [curve]
+    axis = joint_axis(joint, 0.55 * size)
+    if axis is None:
+        return [curve]
+    space.plot(*axis.T, color=INK, lw=1.3, ls=(0, (5, 2, 1, 2)))
+    space.text(*axis[int(axis[:, 2].argmax())], " axis", color=INK, fontsize=9, va="bottom")
+    space.plot(*center[:, None], "o", ms=4.5, color=INK)
+    space.text(*center, "centre  ", color=INK, fontsize=9, va="top", ha="right")
+    for end in (curve[0], curve[-1]):
+        space.plot(*np.stack([center, end]).T, color=MUTED, lw=0.8)
+    return [curve, axis, center[None]]
+
+
+def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
+    """Equal scales on all axes, few ticks, no boxes, and a view that sees the motion spread out."""
+    toward = viewing_direction(motion, motion.mean(axis=0), 1.0)
+    azimuth = np.degrees(np.arctan2(toward[1], toward[0]))
+    space.view_init(elev=float(np.degrees(np.arcsin(toward[2]))), azim=float(azimuth))
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    half = 1.06 * (high - low) / 2
+    half = np.maximum(half, max(0.3 * float(half.max()), 1e-3))  # a flat motion still gets a box with a height
+    middle = (low + high) / 2
+    low, high = middle - half, middle + half
+    space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    # A long or flat box reaches further to the sides than a cube of the same volume.
+    space.set_box_aspect(half, zoom=_ZOOM if float(half.min()) > 0.5 * float(half.max()) else _ZOOM_ON_FLAT)
+    for axis, name, length in zip((space.xaxis, space.yaxis, space.zaxis), "xyz", half, strict=True):
+        axis.set_label_text(f"{name}{frame} [m]", fontsize=9, color=INK)
+        axis.labelpad = 3.0 if name == "z" else 3.0 + 6.0 * float(length / half.max())
+        axis.pane.set_facecolor("white")
+        axis.pane.set_edgecolor(GRID)
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.5)
+        # As many ticks as a side of this length has room for.
+        most = max(2, round(4.4 * float(length / half.max())))
+        axis.set_major_locator(MaxNLocator(nbins=most, steps=[1, 2, 5, 10], min_n_ticks=1))
+        axis.line.set_color(MUTED)
+    space.tick_params(labelsize=8, pad=1, colors=INK)
+
+
+def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
+    """The measured configuration of every row in its segment's colour, and above it the segments' names.
+
+    Args:
+        width: of the panel [in].
+    """
+    size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
+    for stretch in learned.stretches:
+        color = stretch.colored.color
+        edge = INK if is_misfit(stretch.segment) else color
+        axes.plot(stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
+        if not stretch.segment.joint.moves and learned.quantity == "configuration" and len(stretch.rows):
+            resting = stretch.segment.configuration_start
+            axes.plot(stretch.rows[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
+    axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)
+    axes.margins(y=0.1)
+    first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)
+    axes.set_xlim(first, last)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=9, integer=True, steps=[1, 2, 5, 10]))
+    for label in segment_labels(learned, _LETTER * max(last - first, 1.0) / width):
+        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
+        axes.annotate(
+            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
+        )  # fmt: skip
+
+
+def shade_segments(axes: Axes, learned: LearnedRun) -> None:
+    """The segments' colours behind a panel; a line at every changepoint, in the band of its 95 % interval."""
+    for number, stretch in enumerate(learned.stretches):
+        left, right = stretch.segment.start - 0.5, stretch.segment.end + 0.5
+        if is_misfit(stretch.segment):
+            axes.axvspan(left, right, facecolor=MISFIT, alpha=0.28, lw=0, zorder=0)
+            axes.axvspan(left, right, facecolor="none", edgecolor=MISFIT, hatch="///", alpha=0.5, lw=0, zorder=0)
+        else:
+            axes.axvspan(left, right, color=stretch.colored.color, alpha=0.15, lw=0, zorder=0)
+        if number and stretch.interval is not None:
+            low, high = stretch.interval
+            axes.axvspan(low - 0.5, high + 0.5, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
+        if number:
+            axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
+
+
+def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
+    """Cumulated evidence of each model against the best single one: a model takes over where its line rises.
+
+    Args:
+        height: of the panel [in].
+    """
+    rows = learned.evidence_rows
+    for line in sorted(learned.evidence, key=lambda line: line.color is not None):
+        color, lw = (MUTED, 1.0) if line.color is None else (line.color, 2.2)
+        if color == MISFIT:
+            axes.plot(rows, line.values, color=INK, lw=3.2, zorder=3)
+        axes.plot(rows, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
+    low, high = learned.evidence_range
+    axes.set_ylim(low, high)
+    axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
+    axes.axhline(FLOOR, color=MUTED, lw=0.7, ls=":", zorder=1)
+    for place, name, used in line_labels(learned.evidence, _LINE_HEIGHT / height * (high - low)):
+        look: dict[str, Any] = {"weight": "bold", "color": INK} if used else {"weight": "normal", "color": PANEL_INK}
+        axes.annotate(
+            name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
+            va="center", fontsize=8.5, **look,
+        )  # fmt: skip
+
+
+def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
+    """The posterior probability of every row to be the first of a segment."""
+    bars = learned.changepoints
+    rows, heights, widths = ([getattr(bar, name) for bar in bars] for name in ("row", "probability", "width"))
+    axes.bar(rows, heights, width=widths, color=INK, lw=0, zorder=3)
+    axes.set_ylim(learned.changepoint_range)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
+    axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
+    for first, name in interval_labels(learned):
+        axes.annotate(
+            name, (first - 0.5, 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
+        )  # fmt: skip
+
+
+def plot_counts(axes: Axes, learned: LearnedRun) -> None:
+    """The posterior over the number of changepoints; the number that the segments have is dark."""
+    counts = shown_counts(learned)
+    chosen = len(learned.stretches) - 1
+    colors = [INK if number == chosen else GRID for number in range(len(counts))]
+    axes.bar(range(len(counts)), counts, width=0.78, color=colors)
+    for number, probability in enumerate(counts):
+        axes.text(number, probability + 0.03, percent(probability, 0), ha="center", va="bottom", fontsize=8, color=INK)
+    axes.set(ylim=(0.0, 1.15), yticks=[], xticks=range(len(counts)))
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(length=0, labelsize=8.5)
+    axes.set_xlabel("number of changepoints", fontsize=8.5, color=PANEL_INK, labelpad=2)
+
+
+def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
+    """The probability of each kind of joint, one bar per segment; the largest is named in it, the next beside it."""
+    assessed = [stretch for stretch in learned.stretches if stretch.segment.certainty is not None][:_MOST_KINDS]
+    for number, stretch in enumerate(assessed):
+        _plot_kind(axes, -number, stretch)
+    axes.set(xlim=(0.0, 1.0), ylim=(-max(len(assessed), 2) + 0.5, 0.5), xticks=[])
+    axes.set_yticks(
+        [-number for number in range(len(assessed))],
+        [f"{s.segment.start}–{s.segment.end}" for s in assessed], fontsize=8.5,
+    )  # fmt: skip
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.set_xlabel("kind of joint, by rows", fontsize=8.5, color=PANEL_INK, labelpad=2)
+
+
+def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
+    ranked = [probability for _, probability in kind_probabilities(stretch.segment)]
+    left = np.cumsum([0.0, *ranked[:-1]])
+    colors = [stretch.colored.color] + [GRID] * (len(ranked) - 1)
+    axes.barh([place] * len(ranked), ranked, left=left, height=0.66, color=colors, edgecolor="white", lw=0.8)
+    box = {"facecolor": "white", "alpha": 0.82, "edgecolor": "none", "pad": 1.2}
+    first, following = kind_words(stretch.segment)
+    axes.text(0.03, place, first, va="center", fontsize=8, weight="bold", color=INK, bbox=box)
+    axes.text(1.04, place, following, va="center", fontsize=8.5, color=PANEL_INK)

@@ -10,11 +10,11 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
-from micah_plan.scene.robot_description import RobotDescription
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.plan import ArmTrajectory, Plan, ReleasePlan
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import Rest, rest_of
+from micah_plan.task.robot_description import RobotDescription
 from micah_plan.view.motion import Keyframes, Moved
 from micah_plan.view.page import Band
 from micah_plan.view.palette import GOAL, INK, MUTED

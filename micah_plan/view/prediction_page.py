@@ -1,8 +1,12 @@
-"""The page of a prediction: the object as it was measured beside where the model has it, run by run."""
+"""The page of a prediction: the object as it was measured beside where the model has it, run by run.
+
+The figure of measured and predicted motion: one axes per coordinate and run, over the time of the run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,7 +20,7 @@ from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse,
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
 from micah_plan.view.executed import poses_of_run
-from micah_plan.view.learning_words import capital
+from micah_plan.view.learned import capital
 from micah_plan.view.model_page import draw_ground_and_frame, ground_legend
 from micah_plan.view.motion import Keyframes, poses_over_time
 from micah_plan.view.page import Chart, LegendEntry, RunEntry, ScenePage, Status, Timeline, render_scene
@@ -24,6 +28,10 @@ from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.svg import Panel, Svg, evenly, played
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _MOST_RUNS, _MOST_KEYFRAMES, _MOST_COORDINATES = 20, 200, 12
 _SHORTEST_S, _LONGEST_S, _REST_S = 4.0, 15.0, 0.8
@@ -195,3 +203,49 @@ def _ends(values: Sequence[Floats]) -> tuple[float, float]:
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     room = 0.08 * (high - low) or 1e-3
     return low - room, high + room
+
+
+_MOST_RUNS_DRAWN = 6
+
+
+def prediction_figure(
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], corrected: Sequence[RunPrediction] = ()
+) -> Figure:
+    """Measured configurations, one-step predictions and roll-outs of the first runs.
+
+    Args:
+        automaton: of the predictions.
+        runs: at least one.
+        corrected: the same runs as another model predicts them; then roll-outs alone are drawn, of both.
+    """
+    from micah_plan.view.figures import empty_figure  # pages need no Matplotlib
+
+    shown = list(runs)[:_MOST_RUNS_DRAWN]
+    size = (3.4 * max(len(shown), 2), 0.8 + 2.4 * automaton.n)
+    figure = empty_figure(size, layout="constrained")
+    grid = figure.subplots(automaton.n, len(shown), sharex="col", sharey="row", squeeze=False)
+    for column, run in enumerate(shown):
+        others = (run,) if not corrected else (run, corrected[column])
+        for i in range(automaton.n):
+            _draw(grid[i, column], i, others)
+        grid[0, column].set_title(f"run {run.run}", fontsize=10)
+        grid[-1, column].set_xlabel("time in the run [s]")
+    for i, coordinate in enumerate(automaton.coordinates):
+        grid[i, 0].set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def _draw(axes: Axes, i: int, runs: Sequence[RunPrediction]) -> None:
+    """Measured, and what one model predicts in both ways, or two models in one."""
+    first = runs[0]
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.plot(first.time, first.x[:, i], ".", ms=3.5, color=INK, label="measured")
+    if len(runs) == 1:
+        predicted = first.x[1:, i] + first.one_step.configuration[:, i]
+        axes.plot(first.time[1:], predicted, color=BLUE, lw=1.0, alpha=0.8, label="one step ahead")
+    names = ("roll-out",) if len(runs) == 1 else ("roll-out before", "roll-out calibrated")
+    for run, name, color in zip(runs, names, (ORANGE, BLUE), strict=False):
+        rolled = np.concatenate([run.x[:1, i], run.x[1:, i] + run.rollout.configuration[:, i]])
+        axes.plot(run.time, rolled, color=color, lw=1.6, label=name)

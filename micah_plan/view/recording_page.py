@@ -12,15 +12,16 @@ from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import (
+    NO_FIT,
     ColoredSegment,
     colored_segments,
     is_misfit,
     learned_runs,
+    misfit_words,
     parent_poses,
     rows_of_run,
 )
 from micah_plan.view.learning_charts import learning_charts
-from micah_plan.view.learning_words import NO_FIT, misfit_words
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug

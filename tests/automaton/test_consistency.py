@@ -7,12 +7,11 @@ from dataclasses import replace
 import pytest
 from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 
-from micah_plan.automaton.consistency import contradictions
+from micah_plan.automaton.check import contradictions, suspicions
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
 from micah_plan.automaton.region import Region
-from micah_plan.automaton.suspicion import suspicions
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 

@@ -11,7 +11,7 @@ from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
 from micah_plan.automaton.contacts.touch import collision_regions, corners, moved, touch_pieces
 from micah_plan.automaton.contacts.values import Face
 from micah_plan.automaton.hybrid import Part, Primitive
-from micah_plan.automaton.thresholds import threshold_stds
+from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.automaton.transition_batch import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update

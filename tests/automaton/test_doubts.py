@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.automaton.certainty import EdgeCertainty, LearnedEdge, LearnedSegment, SegmentCertainty, doubts
 from micah_plan.documents.problem import load_problem
 
@@ -45,8 +45,8 @@ def test_a_plan_on_a_doubtful_model_warns(repository) -> None:
         replace(one, certainty=SegmentCertainty(None, ((one.kind, 0.5), ("screw", 0.45)))) for one in own.segments
     )
     doubtful = replace(problem, automaton=replace(problem.automaton, learned=(replace(own, segments=unsure),)))
-    assert workflow.solve(problem).warnings == ()
-    plan = workflow.solve(doubtful)
+    assert stages.solve(problem).warnings == ()
+    plan = stages.solve(doubtful)
     assert plan.outcome == "solved"
     assert len(plan.warnings) == len(unsure)
     assert "only 50 % sure" in plan.warnings[0]

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from automaton_examples import cabinet, detent, door, two_rails
 
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Light, Mode, Reset
 from micah_plan.automaton.lifted import lifted, mapped, restricted
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.build import build_automaton, rounded
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.rounding import rounded
 from micah_plan.documents.model import load_model
 
 
@@ -25,10 +24,10 @@ def test_rounding_twice_changes_nothing_and_keeps_boundaries_in_order(repository
 
 
 def test_nothing_moves_by_more_than_its_last_digit(repository) -> None:
-    from micah_plan import workflow
+    from micah_plan.api import stages
 
-    recording = workflow.read(repository / "examples" / "demonstrations" / "microwave.csv")
-    learned = workflow.learn(recording)
+    recording = stages.read(repository / "examples" / "demonstrations" / "microwave.csv")
+    learned = stages.learn(recording)
     exact = learned.graph.edges[0].segments[0].joint
     ours = build_automaton(learned.graph).modes[0].joints[0]
     assert ours.position == pytest.approx(exact.position, rel=1e-5)

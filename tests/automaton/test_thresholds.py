@@ -9,7 +9,7 @@ import pytest
 from automaton_examples import SHUT, SPLIT, cabinet, detent, door, guard, plain, two_rails
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.thresholds import drawn_shifts, with_boundaries
+from micah_plan.automaton.lifted import drawn_shifts, with_boundaries
 from micah_plan.automaton.transition import step
 
 STD = 0.02

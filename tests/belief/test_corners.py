@@ -7,8 +7,7 @@ import pytest
 from scalar_belief import scalar_truncation as scalar
 from scipy.stats import multivariate_normal, norm
 
-from micah_plan.belief.truncation import Margins, split
-from micah_plan.belief.wedges import MASS, XX, XY, YY, X, Y, half_planes, wedges
+from micah_plan.belief.truncation import MASS, XX, XY, YY, Margins, X, Y, half_planes, split, wedges
 
 COUNT = 300
 

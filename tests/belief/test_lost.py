@@ -9,10 +9,9 @@ import pytest
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin, Tie
-from micah_plan.belief.filter import initial_belief, predict, repeated, update
+from micah_plan.belief.filter import found_again, initial_belief, most_evidence, predict, repeated, update
 from micah_plan.belief.hybrid_belief import batch_of
 from micah_plan.belief.layout import layout_of
-from micah_plan.belief.lost import found_again, most_evidence
 from micah_plan.belief.truncation import NEGLIGIBLE
 
 STD = 0.01

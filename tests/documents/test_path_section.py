@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from attempts import told
 
+from micah_plan.api.stages import solve
 from micah_plan.documents.plan import load_plan, plan_text, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.task.path import PathConstraint, Require, path_function, unregister
-from micah_plan.workflow import solve
 
 ROOT = Path(__file__).resolve().parents[2]
 ABOVE = PathConstraint("stay_above", (("coordinate", "door"), ("value", 0.2)), ("revolute",))

@@ -15,10 +15,10 @@ from micah_plan.documents.model import dump_model
 from micah_plan.documents.plan import load_plan, plan_text, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.scene.body import Body, Hull
-from micah_plan.scene.robot_description import Grasp, RobotDescription
+from micah_plan.task.body import Body, Hull
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.robot_description import Grasp, RobotDescription
 
 TEXT = """\
 format: micah-plan/problem/1

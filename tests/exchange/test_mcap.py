@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.recording import ros_mcap as log
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording, write_recording
+from micah_plan.recording.ros_mcap import MESSAGE_TYPES, Logged, definition, header_at, log_topics, read_log, write_log
 from micah_plan.recording.value import Recording
-from micah_plan.ros import log
-from micah_plan.ros.log import MESSAGE_TYPES, Logged, definition, header_at, log_topics, read_log, write_log
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="MCAP files need the extra 'ros'")
 from mcap_ros2.decoder import DecoderFactory  # noqa: E402
@@ -277,7 +277,7 @@ def _refused_or_read(content: bytes) -> None:
 
 
 def test_a_plan_becomes_a_trajectory_that_another_reader_reads(tmp_path: Path) -> None:
-    from micah_plan import workflow
+    from micah_plan.api import stages
     from micah_plan.documents.plan import write_plan
     from micah_plan.documents.problem import load_problem
     from micah_plan.exchange.convert import convert
@@ -286,7 +286,7 @@ def test_a_plan_becomes_a_trajectory_that_another_reader_reads(tmp_path: Path) -
     for kind in ("problem", "robot"):
         write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
         problem = load_problem(tmp_path / kind / "problem.yaml")
-        plan = workflow.solve(problem)
+        plan = stages.solve(problem)
         write_plan(plan, problem, tmp_path / "plan.json")
         assert convert(tmp_path / "plan.json", tmp_path / "t.mcap") == ("plan", ())
         convert(tmp_path / "plan.json", tmp_path / "t.json")

@@ -16,7 +16,7 @@ from micah_plan.automaton.kinematics import part_poses
 from micah_plan.documents.model import load_model
 from micah_plan.exchange.bodies import inertia_of
 from micah_plan.exchange.convert import convert
-from micah_plan.exchange.mjcf_write import mjcf_text
+from micah_plan.exchange.mjcf import mjcf_text
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'sim'")
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,7 +16,7 @@ from micah_plan.automaton.kinematics import part_poses
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert, write_model
-from micah_plan.exchange.mjcf_read import load_mjcf
+from micah_plan.exchange.mjcf import load_mjcf
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'sim'")
 ROOT = Path(__file__).resolve().parents[2]

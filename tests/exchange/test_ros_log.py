@@ -17,8 +17,8 @@ from micah_plan.cli.application import app
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_columns, read_recording
-from micah_plan.recording.transforms import acting, between
-from micah_plan.ros.log import Logged, MessageType, header_at, write_log
+from micah_plan.recording.ros_log import acting, between
+from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
 pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
 
@@ -407,7 +407,7 @@ def test_the_topics_of_a_database(tmp_path: Path) -> None:
     rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="bags need the extra 'ros'")
     from rosbags.typesys import Stores, get_typestore
 
-    from micah_plan.ros.bags import topics_of
+    from micah_plan.recording.ros_bags import topics_of
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     with rosbag2.Writer(tmp_path / "bag", version=9) as writer:

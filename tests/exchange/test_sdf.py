@@ -14,7 +14,7 @@ from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.exchange.bodies import inertia_of
 from micah_plan.exchange.convert import convert
-from micah_plan.exchange.sdf_write import sdf_text
+from micah_plan.exchange.sdf import sdf_text
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = ["microwave", "drawer", "cabinet", "slot"]

@@ -21,8 +21,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
-from micah_plan.exchange.urdf_read import load_urdf
-from micah_plan.exchange.urdf_write import urdf_text
+from micah_plan.exchange.urdf import load_urdf, urdf_text
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = ["microwave", "drawer", "cabinet", "slot", "light_dark"]

@@ -11,11 +11,11 @@ from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Primitive
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid
 from micah_plan.automaton.region import HalfSpace, Region, above, box, input_box
-from micah_plan.scene.body import Body
-from micah_plan.scene.surroundings import surroundings_of
+from micah_plan.task.body import Body
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.start import Start
+from micah_plan.task.surroundings import surroundings_of
 
 TRAVEL = 0.03
 CASE = Part("case", (Primitive("box", (0.04, 0.04, 0.08), (0.0, 0.0, 0.06)),))

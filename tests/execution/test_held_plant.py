@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import replan
-from micah_plan.workflow import execute, solve
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
-from micah_plan.workflow import execute, solve
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 

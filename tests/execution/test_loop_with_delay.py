@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
@@ -47,13 +47,13 @@ def executed(problem, plan, seeds):
 @pytest.mark.slow
 def test_a_delay_is_found_and_planned_with(repository) -> None:
     problem = load_problem(repository / "problems" / "drawer_open.yaml")
-    logs, before = executed(problem, workflow.solve(problem), range(4))
-    found = workflow.calibrate(problem.automaton, logs)
+    logs, before = executed(problem, stages.solve(problem), range(4))
+    found = stages.calibrate(problem.automaton, logs)
     (effect,) = found.automaton.effects
     assert effect.name == "delay"
     assert effect.values[0] == pytest.approx(LATE, abs=0.2)
     improved = replace(problem, automaton=found.automaton)
-    _, after = executed(improved, workflow.solve(improved), range(10, 14))
+    _, after = executed(improved, stages.solve(improved), range(10, 14))
     assert before.min() > 0.02
     assert after.max() < 0.01
     assert after.mean() < 0.2 * before.mean()

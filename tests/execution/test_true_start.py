@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.cli.planning import starting_at
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.task.start import sample_start
-from micah_plan.workflow import execute, solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 LIGHT = PROBLEMS / "light_dark.yaml"

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.documents.exploration import load_scene
+from micah_plan.documents.experiment import load_scene
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.execution.handle import HandlePlant, usable
 from micah_plan.execution.plant import Command, Measurement, PlantError
 from micah_plan.explore.hand import Hand
+from micah_plan.explore.record import Slips
 from micah_plan.explore.run import Exploration, explore
-from micah_plan.explore.slips import Slips
-from micah_plan.task.exploration import Scene
+from micah_plan.task.experiment import Scene
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from micah_plan.checking import check_file
 from micah_plan.errors import InputError
-from micah_plan.exchange.urdf_read import load_urdf
+from micah_plan.exchange.urdf import load_urdf
 from micah_plan.robot.load_arm import describe_robot, load_arm
 
 MOST_SECONDS, MOST_MEMORY = 20, 3 * 1024**3

@@ -12,18 +12,15 @@ from hypothesis import strategies as st
 from planted import JOINTS, moving_then_held, recorded
 
 from micah_plan.errors import InputError
-from micah_plan.learn.segmenting.changepoints import most_probable
+from micah_plan.learn.segmenting.changepoints import LengthPrior, best_segmentation, most_probable, resample
 from micah_plan.learn.segmenting.evidence import (
     EvidenceColumn,
     EvidenceTable,
     segment_sums,
     tabulated,
 )
-from micah_plan.learn.segmenting.exact import best_segmentation
-from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses
-from micah_plan.learn.segmenting.resampling import resample
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 

@@ -10,10 +10,16 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
-from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
+from micah_plan.learn.actions.channel import (
+    command_of,
+    estimate_channel,
+    fit_noise,
+    noise_of,
+    steps_of,
+    with_delayed_actions,
+)
 from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate
-from micah_plan.learn.actions.channel_steps import command_of, fit_noise, noise_of, steps_of
-from micah_plan.learn.joints.quaternions import rotation_matrix, rotation_quaternion, times
+from micah_plan.learn.joints.joint_arrays import rotation_matrix, rotation_quaternion, times
 from micah_plan.learn.track import PartTrack
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

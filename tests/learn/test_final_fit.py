@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, shifted
 from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
-from micah_plan.learn.joints.helix import NUMBERS, chart_slopes, helix_of
+from micah_plan.learn.joints.helix_fit import NUMBERS, chart_slopes, helix_of
 from micah_plan.learn.joints.likelihood import fit_likelihood, seen_with
 from micah_plan.learn.joints.parametrization import chart_of, stepped
 from micah_plan.learn.joints.tracker_noise import white_noise

@@ -10,8 +10,7 @@ from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.joint import Joint, radius, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
-from micah_plan.learn.joints.comparison import compare_arrays
-from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of
+from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of, compare_arrays
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood, parameter_design

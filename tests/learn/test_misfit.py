@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint, radius, radius_std
 from micah_plan.automaton.kinematics import forward, shifted
-from micah_plan.learn.joints.covering import covering
 from micah_plan.learn.joints.final_fit import fit_joint
-from micah_plan.learn.joints.misfit import misfit_modes, misfits_tried, without_misfit
+from micah_plan.learn.joints.tracker_noise import covering, misfit_modes, misfits_tried, without_misfit
 from micah_plan.learn.settings import LearnSettings
 
 ARC = 1.2  # rad

@@ -17,14 +17,11 @@ from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import learn_graph
-from micah_plan.learn.online import OnlineLearner
-from micah_plan.learn.row_window import RowWindow
-from micah_plan.learn.segmenting.changepoints import most_probable
+from micah_plan.learn.online import OnlineLearner, RowWindow
+from micah_plan.learn.segmenting.changepoints import LengthPrior, RunningEvidence, most_probable
 from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.length_prior import LengthPrior
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses
-from micah_plan.learn.segmenting.running_evidence import RunningEvidence
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 from micah_plan.recording.read import read_recording

@@ -21,15 +21,18 @@ from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph
+from micah_plan.learn.segmenting.changepoints import LengthPrior, length_priors
 from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.length_prior import LengthPrior, length_priors
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
-from micah_plan.learn.segmenting.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learn.segmenting.segmentation import segment_track
-from micah_plan.learn.segmenting.segmented import Alternative, Segmented
-from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, shared
-from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED, kind_probabilities, posterior_of
+from micah_plan.learn.segmenting.posterior import (
+    LOG_ODDS_OVERSTATED,
+    ChangepointPosterior,
+    changepoint_posterior,
+    kind_probabilities,
+    posterior_of,
+)
+from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, segment_track, shared
 from micah_plan.learn.segmenting.steps import steps_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track

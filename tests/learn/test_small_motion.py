@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from planted import JOINTS, Noise, recorded
 
+from micah_plan.api.stages import learn
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.small_motion import small_motions
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
-from micah_plan.workflow import learn
 
 FINE = LearnSettings(position_wander=0.0005, rotation_wander=0.005)
 

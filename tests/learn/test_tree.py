@@ -29,11 +29,9 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import learn_graph
-from micah_plan.learn.parts.branch_poses import branch_poses
-from micah_plan.learn.parts.comotion import carriers, moves_far
-from micah_plan.learn.parts.relative import relative_rows
-from micah_plan.learn.parts.tree import _share, learn_tree
-from micah_plan.learn.segmenting.stating import LOG_ODDS_OVERSTATED
+from micah_plan.learn.parts.relative import branch_poses, relative_rows
+from micah_plan.learn.parts.tree import _share, carriers, learn_tree, moves_far
+from micah_plan.learn.segmenting.posterior import LOG_ODDS_OVERSTATED
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from micah_plan.learn.joints.mixture import Sort, fit_mixtures
-from micah_plan.learn.joints.wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learn.joints.final_fit import Sort, fit_mixtures
+from micah_plan.learn.joints.tracker_noise import OrnsteinUhlenbeck, finer, memories, noise_posterior
 from micah_plan.learn.segmenting.noise_fit import correlated
 
 NONE = np.zeros((1000, 0))  # modes of a joint that has no misfit

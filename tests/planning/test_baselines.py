@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.cli import main
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.baselines.direct import mixture_step
-from micah_plan.planning.baselines.open_loop import nominal_trajectory
-from micah_plan.planning.cost import cost_of
+from micah_plan.planning.baselines.direct import mixture_step, nominal_trajectory
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

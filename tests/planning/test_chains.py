@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from planning_examples import door_problem, planar_problem
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.plan import plan_text
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.chains import ChainEdge, front_of, stds_of, with_chains
-from micah_plan.planning.receding_horizon import RecedingHorizon
-from micah_plan.planning.replanning import rest_of
+from micah_plan.planning.replanning import RecedingHorizon, rest_of
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

@@ -10,14 +10,14 @@ from time import sleep
 import pytest
 from planning_examples import planar_problem, with_settings
 
-from micah_plan import workflow
+from micah_plan.api import stages
+from micah_plan.api.stages import solve
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Method
-from micah_plan.workflow import solve
 
 
 def solved_within(ticks: int) -> tuple[Plan, int]:
@@ -59,7 +59,7 @@ def test_loading_libraries_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> No
         sleep(0.3)
         return planner
 
-    monkeypatch.setattr(workflow, "_planner", load)
+    monkeypatch.setattr(stages, "_planner", load)
     solve(with_settings(planar_problem(), solve_time_limit_s=1.0))
     assert left[0] > 0.8
 

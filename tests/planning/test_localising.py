@@ -12,6 +12,7 @@ from scalar_belief import one_at_a_time
 from scalar_belief import scalar_gaussian as gaussian
 from scipy.sparse import csr_array
 
+from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
@@ -22,7 +23,6 @@ from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import execute, solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 TRUE_START = np.array([35.0, 20.0])

@@ -11,22 +11,22 @@ import pytest
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 from scipy.stats import norm
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.form import Operations
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.belief.filter import initial_belief
 from micah_plan.errors import InputError
-from micah_plan.planning.cost import cost_of
-from micah_plan.planning.explain import explain
 from micah_plan.planning.feedback import time_knots
+from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
+from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.receding_horizon import RecedingHorizon
+from micah_plan.planning.replanning import RecedingHorizon
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.planning.search.mode_search import search_modes
-from micah_plan.planning.transcription.corridor import path_rows, path_terms_of
+from micah_plan.planning.transcription.corridor import pack, path_rows, path_terms_of
 from micah_plan.planning.transcription.guess import guess
-from micah_plan.planning.transcription.layout import pack
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import quantity
 from micah_plan.task.path import (
@@ -41,7 +41,6 @@ from micah_plan.task.path import (
     unregister,
 )
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import solve
 
 ROOM = norm.ppf(0.95)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
+from micah_plan.api.stages import solve
 from micah_plan.belief.filter import initial_belief
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import replan
@@ -17,7 +18,6 @@ from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
-from micah_plan.workflow import solve
 
 
 @pytest.mark.parametrize(

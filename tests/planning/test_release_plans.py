@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from micah_plan.api.stages import solve
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.planning.letting_go import with_release
+from micah_plan.planning.release import with_release
 from micah_plan.planning.verification import verify
 from micah_plan.task.deadline import NEVER
 from micah_plan.task.release import carrying, rest_of
-from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 STAPLER, BOX = PROBLEMS / "stapler_on_books.yaml", PROBLEMS / "box_under_bar.yaml"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from planning_examples import door_problem, drawer_problem, planar_problem, with_settings
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import box
 from micah_plan.documents.problem import load_problem
@@ -16,13 +17,11 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.remedies import changed
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
-from micah_plan.task.acceptance import least_trials
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.goal import Goal
-from micah_plan.task.plan import Finding, Offer, Plan
+from micah_plan.task.plan import Finding, Offer, Plan, least_trials
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
-from micah_plan.workflow import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 NUMBER = r"(\d[\d.e-]*)"

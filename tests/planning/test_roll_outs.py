@@ -17,9 +17,8 @@ from planning_examples import (
 )
 from scalar_belief import scalar_filter as scalar
 
-from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
-from micah_plan.automaton.sensing import Light
-from micah_plan.automaton.thresholds import threshold_stds, with_boundaries
+from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
+from micah_plan.automaton.lifted import threshold_stds, with_boundaries
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots

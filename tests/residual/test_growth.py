@@ -11,7 +11,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.growth import is_worth
+from micah_plan.residual.trace import is_worth
 
 
 class _Scored:

@@ -11,9 +11,9 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.candidates import candidates, indistinguishable
 from micah_plan.residual.examined import examined
 from micah_plan.residual.lane import lanes
+from micah_plan.residual.search import candidates, indistinguishable
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 TURN = np.array([[np.cos(0.6), np.sin(0.6), 0.0], [-np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])

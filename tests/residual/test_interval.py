@@ -7,10 +7,9 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.tracks import tracks
-from micah_plan.residual.candidates import candidates
-from micah_plan.residual.interval import independent_share
+from micah_plan.residual.fit import independent_share
 from micah_plan.residual.lane import lanes
-from micah_plan.residual.search import Search, steady_variance
+from micah_plan.residual.search import Search, candidates, steady_variance
 
 
 def interval_of(door, plant, name, seed, goals=None):

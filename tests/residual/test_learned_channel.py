@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan import workflow
+from micah_plan.api import stages
 from micah_plan.automaton.effects.add import with_learned_channel
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
@@ -33,12 +33,12 @@ def demonstration(seed, reach):
 
 
 def test_another_recording_of_the_same_hand_is_predicted_as_learned() -> None:
-    model = workflow.learn(demonstration(0, 1.2)).automaton
+    model = stages.learn(demonstration(0, 1.2)).automaton
     other = demonstration(1, 0.9)
-    plain = rmse([run.rollout.configuration for run in workflow.predict(model, other)])
-    as_learned = workflow.for_demonstrations(model, other)
+    plain = rmse([run.rollout.configuration for run in stages.predict(model, other)])
+    as_learned = stages.for_demonstrations(model, other)
     assert [effect.name for effect in as_learned.effects] == ["frame_rotation", "gain", "delay"]
-    channel = rmse([run.rollout.configuration for run in workflow.predict(as_learned, other)])
+    channel = rmse([run.rollout.configuration for run in stages.predict(as_learned, other)])
     assert plain > 0.1
     assert channel < 0.3 * plain
 

@@ -11,9 +11,9 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
+from micah_plan.api.inputs import joined
 from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.model import dump_model
-from micah_plan.front.inputs import joined
 from micah_plan.recording.read import write_recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.next_experiment import next_experiment

@@ -15,10 +15,10 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.growth import LEAST_EVIDENCE
+from micah_plan.residual.examined import _density, reading_findings
 from micah_plan.residual.likelihood import student_t_log_density
 from micah_plan.residual.prediction import estimate_errors, predict_recording
-from micah_plan.residual.reading import _density, reading_findings
+from micah_plan.residual.trace import LEAST_EVIDENCE
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from micah_plan.cli.residuals import _predicted
 from micah_plan.documents.model import load_model
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.candidates import candidates
 from micah_plan.residual.examined import examined
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.search import candidates
 from micah_plan.residual.trace import _is_tied
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.load_arm import describe_robot, load_arm
-from micah_plan.scene.robot_description import RobotDescription
+from micah_plan.task.robot_description import RobotDescription
 
 ARM7 = Path(__file__).resolve().parents[2] / "models" / "robots" / "arm7.urdf"
 

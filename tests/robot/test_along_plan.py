@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from robot_examples import ARM7
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.kinematics import forward
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning import pomdp_hd
-from micah_plan.planning.explain import explain
+from micah_plan.planning.findings import explain
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.workflow import solve
 
 PROBLEM = ARM7.parents[2] / "problems" / "microwave_close_by_arm.yaml"
 
@@ -93,7 +93,7 @@ def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypa
     hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
     unchecked = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
     monkeypatch.setattr("micah_plan.planning.tightening.verified_plan", unchecked)
-    monkeypatch.setattr("micah_plan.workflow._planner", lambda _method: whatever_time)
+    monkeypatch.setattr("micah_plan.api.stages._planner", lambda _method: whatever_time)
     found = solve(hasty)
     assert found.outcome == "not_verified"
     assert found.arm is None

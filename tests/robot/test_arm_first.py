@@ -9,11 +9,11 @@ import pytest
 from robot_examples import arm7
 from scipy.spatial.transform import RigidTransform
 
+from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.documents.problem import load_problem
 from micah_plan.robot.clearance import clearance_model
-from micah_plan.scene.body import Body
-from micah_plan.workflow import solve
+from micah_plan.task.body import Body
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 STAPLER, BOX = PROBLEMS / "stapler_on_books.yaml", PROBLEMS / "box_under_bar.yaml"

@@ -12,7 +12,7 @@ from micah_plan.errors import InputError
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.load_arm import describe_robot, load_arm
 from micah_plan.robot.sweep import MotionBound, sweep
-from micah_plan.scene.body import Body, Hull
+from micah_plan.task.body import Body, Hull
 
 TABLE = Body("table", (Primitive("box", (1.2, 1.2, 0.02), (0.5, 0.0, -0.011)),))
 BOX = tuple((x, y, z) for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, 0.05))

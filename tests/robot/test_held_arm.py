@@ -12,7 +12,7 @@ import pytest
 from micah_plan.documents.problem import load_problem
 from micah_plan.robot.along_plan import arm_along, problem_clearance, tool_path
 from micah_plan.robot.tool_path import ArmFailure, follow
-from micah_plan.scene.body import corners
+from micah_plan.task.body import corners
 from micah_plan.task.contact_poses import settled_poses, touching_pairs
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem

@@ -126,7 +126,7 @@ def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
 
 def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
     pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
-    from micah_plan.ros.log import Logged, header_at, write_log
+    from micah_plan.recording.ros_mcap import Logged, header_at, write_log
 
     q, _ = opened()
     messages = []

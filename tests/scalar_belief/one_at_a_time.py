@@ -8,7 +8,8 @@ import numpy as np
 from scalar_belief.scalar_truncation import Part
 
 from micah_plan.automaton.hybrid import Pin
-from micah_plan.belief import gaussian, matching, truncation
+from micah_plan.belief import gaussian, truncation
+from micah_plan.belief.filter import mixed as mixed_moments
 from micah_plan.belief.gaussian import lower_factors
 
 
@@ -70,5 +71,5 @@ def mixed(weights: Sequence[float], means: np.ndarray, factors: Sequence[np.ndar
     widest = max(factor.shape[1] for factor in factors)
     padded = [np.pad(factor, ((0, 0), (0, widest - factor.shape[1])))[..., None] for factor in factors]
     share = np.array(weights, dtype=float)[:, None] / np.sum(weights)
-    center, factor = matching.mixed(share, [mean[:, None] for mean in means], padded)
+    center, factor = mixed_moments(share, [mean[:, None] for mean in means], padded)
     return center[:, 0], factor[..., 0]

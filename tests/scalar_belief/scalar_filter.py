@@ -19,7 +19,7 @@ from scalar_belief.scalar_truncation import mixed, truncate
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import passed_arrays
-from micah_plan.automaton.thresholds import threshold_stds, with_boundary_states
+from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 

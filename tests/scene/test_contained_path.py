@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError
 from micah_plan.files import contained
-from micah_plan.scene.body import Body, Hull, corners
-from micah_plan.scene.mesh_file import convex_corners, load_hull
+from micah_plan.task.body import Body, Hull, corners
+from micah_plan.task.mesh_file import convex_corners, load_hull
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 2)], dtype=float)
 

@@ -16,7 +16,8 @@ from learned_objects import assessed_door
 from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
-from micah_plan import execute, solve, workflow
+from micah_plan import execute, solve
+from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.task.plan import Plan
 from micah_plan.view.calibration_page import calibration_page
@@ -253,12 +254,12 @@ def test_the_other_pages_draw_without_errors(kind: str, show: Any) -> None:
 @pytest.mark.slow
 def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, repository: Path) -> None:
     by_arm = load_problem(repository / "problems" / "microwave_close_by_arm.yaml")
-    page = plan_page(workflow.solve(by_arm), by_arm)
+    page = plan_page(stages.solve(by_arm), by_arm)
     assert len(page.encode()) < 2_000_000
     assert 0.01 < share_of_object(show(page, "#t=0.5").pixels()) < 0.6
     drawer = load_problem(repository / "problems" / "drawer_open.yaml")
-    runs = workflow.execute(drawer, workflow.solve(drawer), trials=4).recording
-    shown = show(calibration_page(workflow.calibrate(drawer.automaton, runs), "drawer"), "")
+    runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
+    shown = show(calibration_page(stages.calibrate(drawer.automaton, runs), "drawer"), "")
     assert shown.page.inner_text("h1") == "drawer"
     assert shown.page.locator("svg").count() > 0
 

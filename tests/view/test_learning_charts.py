@@ -17,9 +17,8 @@ from view_objects import measured, words_of
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
-from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs
+from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs, line_labels, segment_labels
 from micah_plan.view.learning_charts import learning_chart
-from micah_plan.view.learning_words import line_labels, segment_labels
 from micah_plan.view.palette import MISFIT, category
 from micah_plan.view.recording_page import recording_page
 from micah_plan.view.svg import Panel, ticks

@@ -13,12 +13,11 @@ import pytest
 from view_objects import problem, solved
 
 from micah_plan import execute, predict, solve
+from micah_plan.api.results import PlanningResult, RunsResult
 from micah_plan.errors import InputError
-from micah_plan.front.results import PlanningResult, RunsResult
 from micah_plan.task.plan import Plan
-from micah_plan.view.executed import ExecutedRun, executed_runs
+from micah_plan.view.executed import ExecutedRun, executed_runs, first_runs, runs_badge
 from micah_plan.view.plan_page import plan_page
-from micah_plan.view.run_layers import first_runs, runs_badge
 
 
 @pytest.fixture(scope="module")

@@ -83,9 +83,11 @@ def corners(shapes: tuple[Primitive, ...]) -> Floats:
 
 def moved(points: Floats, displacement: float, turns: bool) -> Floats:
     """(k, 3) points of the moving part in the hinge frame when the joint is `displacement` beyond the datum."""
-    if turns:
-        return np.asarray(Rotation.from_rotvec([0.0, -displacement, 0.0]).apply(points))
-    return np.asarray(points + np.array([0.0, 0.0, displacement]))
+    if not turns:
+        return np.asarray(points + np.array([0.0, 0.0, displacement]))
+    # About -y, written out: a range of contacts asks for thousands of turns, each too small for SciPy's transforms.
+    c, s = np.cos(displacement), np.sin(displacement)
+    return np.asarray(points @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]))
 
 
 def touch_pieces(grip: Grip, face: Face, datum: float, low: float, high: float, turns: bool) -> tuple[TouchPiece, ...]:
@@ -156,9 +158,8 @@ class _Geometry:
 
     def flat_height(self, flat: float, c: float) -> float:
         """Hand's height with the part flat as it was at `flat`, the held part turned in the hand by c - flat."""
-        turn = Rotation.from_rotvec([0.0, -(flat - self.datum), 0.0])
-        hand = turn.apply(Rotation.from_rotvec([0.0, c - self.datum, 0.0]).apply(self.point))
-        return float(hand @ self.normal + np.max(-turn.apply(self.corners) @ self.normal))
+        hand = moved(self.point, flat - c, turns=True)
+        return float(hand @ self.normal + np.max(-moved(self.corners, flat - self.datum, turns=True) @ self.normal))
 
 
 def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiece]:

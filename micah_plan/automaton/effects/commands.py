@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from typing import final
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.shown import Shown, Start, command_sizes
+from micah_plan.automaton.effects.form import (
+    EffectForm,
+    Operations,
+    Parameter,
+    Shown,
+    Start,
+    Value,
+    Values,
+    command_sizes,
+)
 
 # Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
 _TO_REST, _FEW = 0.05, 0.05

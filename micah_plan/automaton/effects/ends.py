@@ -9,9 +9,17 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.form import (
+    EffectForm,
+    Operations,
+    Parameter,
+    Shown,
+    Start,
+    Value,
+    Values,
+    command_sizes,
+)
 from micah_plan.automaton.effects.geometry import rigid_at
-from micah_plan.automaton.effects.shown import Shown, Start, command_sizes
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.lifted import mapped
 from micah_plan.automaton.region import HalfSpace, Region, above, below

@@ -6,8 +6,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.shown import Same, Shown, Start
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
 
 SMOOTH_BUMPS = 12
 """Bumps over the range of an unexplained correction."""

@@ -8,8 +8,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.shown import Same, Shown, Start
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.lifted import mapped

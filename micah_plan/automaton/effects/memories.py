@@ -7,8 +7,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.shown import Shown, Start
+from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Shown, Start, Value, Values
 
 LONGEST_DELAY = 12
 """The longest delay [steps]."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.shown import Same, Shown, Start
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
 
 
 @final

@@ -21,8 +21,8 @@ from micah_plan.robot.load_arm import check_robot, load_arm
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import mesh_hulls
 from micah_plan.robot.xml_text import Element, parse_xml, write_xml
-from micah_plan.scene.robot_description import Grasp, RobotDescription
 from micah_plan.task.problem import Problem
+from micah_plan.task.robot_description import Grasp, RobotDescription
 
 # Prefix of all names of the robot in the world.
 _ROBOT = "robot/"

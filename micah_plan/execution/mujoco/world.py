@@ -21,7 +21,7 @@ from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.mujoco_library import import_mujoco
-from micah_plan.scene.body import Body
+from micah_plan.task.body import Body
 
 Flags = NDArray[np.bool_]
 Attributes = dict[str, Any]

@@ -3,6 +3,14 @@
 MLESAC finds the rows to believe (random minimal sets, the closed form and the guess compete under a mixture with
 outliers); generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge
 advances as it turns is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
+
+Joints through the fewest rows that fix one, many at once: the random starts of a robust fit (MLESAC).
+
+Two poses fix any of the motions, for their relative displacement is one screw (Chasles); three positions fix a circle.
+
+The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform outliers.
+
+Sources: Torr and Zisserman, "MLESAC", CVIU 2000; MICAH, the mixture (1 - γ) N + γ U with p(γ) ∝ exp(-w γ).
 """
 
 from __future__ import annotations
@@ -13,13 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.joint import KINDS, Joint, JointKind, twisting
+from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
 from micah_plan.automaton.kinematics import reversed_direction, shifted
-from micah_plan.learn.joints.comparison import compare_arrays
 from micah_plan.learn.joints.helix_fit import fit_helix
-from micah_plan.learn.joints.joint_arrays import arrays_of, concatenated
+from micah_plan.learn.joints.joint_arrays import (
+    JointArrays,
+    arrays_of,
+    compare_arrays,
+    concatenated,
+    conjugate,
+    rotation_vector,
+    times,
+)
 from micah_plan.learn.joints.joint_frame import seen_by
 from micah_plan.learn.joints.likelihood import (
+    UNKNOWN,
     Fit,
     fit_likelihood,
     normal_equations,
@@ -27,9 +43,6 @@ from micah_plan.learn.joints.likelihood import (
     seen_with,
 )
 from micah_plan.learn.joints.linear_fits import linear_fits
-from micah_plan.learn.joints.minimal_sets import joints_through, minimal_rows
-from micah_plan.learn.joints.mixture import Mixtures, Sort, fit_mixtures
-from micah_plan.learn.joints.newton import UNKNOWN
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, Scales, TrackerNoise, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 
@@ -309,3 +322,158 @@ def _units(quaternion: Floats | None) -> Floats | None:
     if quaternion is None:
         return None
     return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
+
+
+_SHORTEST = 1e-9  # m
+_LEAST_TURN = 1e-6  # rad
+_FLATTEST = 1e-12  # relative area of a triangle
+
+
+def joints_through(
+    kind: JointKind, position: Floats, quaternion: Floats | None, rng: np.random.Generator, draws: int
+) -> JointArrays:
+    """Joints through `draws` random minimal sets of rows (n, 3), (n, 4); fewer where sets fix none."""
+    need = minimal_rows(kind, quaternion is not None)
+    if draws <= 0 or len(position) < need:
+        return arrays_of([])
+    chosen = np.sort(np.argsort(rng.random((draws, len(position))), axis=1)[:, :need], axis=1)
+    p = position[chosen]
+    first = np.broadcast_to(np.array(IDENTITY), (draws, 4)) if quaternion is None else quaternion[chosen[:, 0]]
+    axis, center, pitch = np.zeros((draws, 3)), np.zeros((draws, 3)), np.zeros(draws)
+    fixed = np.ones(draws, dtype=bool)
+    if KINDS[kind].moves and not KINDS[kind].turns:
+        axis, fixed = _lines(p)
+    elif KINDS[kind].turns and quaternion is None:
+        axis, center, fixed = _circles(p)
+    elif KINDS[kind].turns and quaternion is not None:
+        axis, point, climbed, fixed = _screws(p, quaternion[chosen])
+        center = point + np.sum((p[:, 0] - point) * axis, axis=1, keepdims=True) * axis
+        pitch = climbed if KINDS[kind].climbs else pitch
+    found = JointArrays((kind,) * draws, axis, center, p[:, 0], first, pitch)
+    return found.take(np.flatnonzero(fixed & np.isfinite(center).all(axis=1)))
+
+
+def minimal_rows(kind: JointKind, has_orientation: bool) -> int:
+    """How many rows fix a joint: 1 pose for rigid, 2 poses else; 3 positions for a circle."""
+    freedom = KINDS[kind]
+    return 3 if freedom.turns and not has_orientation else 2 if freedom.moves else 1
+
+
+def _lines(p: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Directions from one position to another (m, 2, 3)."""
+    step = p[:, 1] - p[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    fixed = length > _SHORTEST
+    return step / np.where(fixed, length, 1.0)[:, None], fixed
+
+
+def _screws(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    """Axes, points on them and pitches of the displacements between two poses (m, 2, 3), (m, 2, 4)."""
+    turn = rotation_vector(times(q[:, 1], conjugate(q[:, 0])))
+    angle = np.linalg.norm(turn, axis=1)
+    fixed = angle > _LEAST_TURN
+    angle = np.where(fixed, angle, 1.0)
+    axis = turn / angle[:, None]
+    step = p[:, 1] - p[:, 0]
+    slide = np.sum(step * axis, axis=1)
+    across = step - slide[:, None] * axis
+    point = p[:, 0] + 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2)[:, None])
+    return axis, point, slide / angle, fixed
+
+
+def _circles(p: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Normals and centres of the circles through three positions (m, 3, 3)."""
+    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    normal = np.cross(u, v)
+    uu, vv, area = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(normal * normal, axis=1)
+    fixed = area > _FLATTEST * np.maximum(uu * vv, 1e-300)
+    area = np.where(fixed, area, 1.0)
+    to_center = np.cross(uu[:, None] * v - vv[:, None] * u, normal) / (2 * area)[:, None]
+    return normal / np.sqrt(area)[:, None], p[:, 0] + to_center, fixed
+
+
+_STEPS = 6  # of expectation maximisation
+_LARGE = 600.0  # nats
+_MOST_OUTLIERS = 0.45  # share of rows
+_LEAST_OUTLIERS = 1e-4  # share of rows
+
+
+@dataclass(frozen=True, eq=False)
+class Sort:
+    """One sort of errors, of positions or of rotations.
+
+    Attributes:
+        squares: (h, n) squared errors of n rows under h hypotheses.
+        degrees: of freedom per row that its configuration leaves.
+        span: width per axis of the uniform density of outliers.
+        least: smallest std to believe in.
+    """
+
+    squares: Floats
+    degrees: float
+    span: float
+    least: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mixtures:
+    """The mixture fitted to each of h hypotheses.
+
+    Attributes:
+        inlier: (h, n) probability that a row is no outlier.
+        ratio: (h,) γ.
+        stds: per sort (h,).
+        log_likelihood: (h,) at these values, with the prior of γ.
+    """
+
+    inlier: Floats
+    ratio: Floats
+    stds: tuple[Floats, ...]
+    log_likelihood: Floats
+
+
+def fit_mixtures(sorts: list[Sort], weight: Floats, outlier_weight: float) -> Mixtures:
+    """Expectation maximization from the medians of the errors.
+
+    Args:
+        weight: (n,) probability, before anything is seen, that a row can be an inlier at all.
+        outlier_weight: w of p(γ) ∝ exp(-w γ).
+    """
+    h = len(sorts[0].squares)
+    used = weight > 0.5
+    variances = []
+    for sort in sorts:
+        # Wilson and Hilferty's median of a chi-squared variable.
+        middle = sort.degrees * (1 - 2 / (9 * sort.degrees)) ** 3
+        variances.append(np.maximum(np.median(sort.squares[:, used], axis=1) / middle, sort.least**2))
+    ratio, good = np.full(h, 0.1), weight
+    inlier = advantage = np.zeros((h, len(weight)))
+    outside = -float(sum(sort.degrees * np.log(sort.span) for sort in sorts))
+    counted = weight * used
+    for step in range(_STEPS):
+        # How much likelier a row is as an inlier [nats].
+        level = -outside - sum(0.5 * s.degrees * np.log(2 * np.pi * v) for s, v in zip(sorts, variances, strict=True))
+        advantage = np.asarray(level)[:, None]
+        for sort, variance in zip(sorts, variances, strict=True):
+            advantage = advantage - sort.squares * (0.5 / variance)[:, None]
+        good = weight * (1 - ratio[:, None])
+        inlier = good / (good + (1 - good) * np.exp(np.minimum(-advantage, _LARGE)))
+        if step == _STEPS - 1:
+            break
+        count = inlier @ counted
+        ratio = _likely_ratio(counted.sum() - count, float(counted.sum()), outlier_weight)
+        for i, sort in enumerate(sorts):
+            spread = (inlier * sort.squares) @ counted / np.maximum(count * sort.degrees, 1e-9)
+            variances[i] = np.maximum(spread, sort.least**2)
+    rows = np.logaddexp(np.log(np.maximum(good, 1e-300)) + advantage, np.log1p(-good))
+    total = rows @ used + outside * used.sum() - outlier_weight * ratio
+    return Mixtures(inlier, ratio, tuple(np.sqrt(v) for v in variances), total)
+
+
+def _likely_ratio(outliers: Floats, n: float, weight: float) -> Floats:
+    """The γ (h,) that maximizes outliers ln γ + (n - outliers) ln(1 - γ) - weight γ."""
+    if weight <= 0:
+        return np.clip(outliers / n, _LEAST_OUTLIERS, _MOST_OUTLIERS)
+    total = n + weight
+    ratio = (total - np.sqrt(total**2 - 4 * weight * outliers)) / (2 * weight)
+    return np.clip(ratio, _LEAST_OUTLIERS, _MOST_OUTLIERS)

@@ -12,7 +12,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, axis_basis
-from micah_plan.learn.joints.comparison import compare_all
+from micah_plan.learn.joints.joint_arrays import compare_all
 
 _ON_THE_AXIS = 1e-9  # m
 

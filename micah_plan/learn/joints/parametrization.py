@@ -15,8 +15,8 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import KINDS, Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.learn.joints.joint_arrays import times
 from micah_plan.learn.joints.joint_frame import cross, frame_of
-from micah_plan.learn.joints.quaternions import times
 
 # Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
 FRAME_NUMBERS = 11

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.learn.segmenting.log_add import log_add
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
-from micah_plan.learn.segmenting.noise import NoiseModel, log_peak, stacked
+from micah_plan.learn.segmenting.noise import NoiseModel, log_add, log_peak, stacked
 from micah_plan.learn.segmenting.occam import held_costs, parameter_costs, parameter_counts
 from micah_plan.learn.segmenting.pool import Hypotheses, Pool, all_of, pool_of
 from micah_plan.learn.track import PartTrack

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.learn.joints.quaternions import conjugate, rotation_vector, times
+from micah_plan.learn.joints.joint_arrays import conjugate, rotation_vector, times
 from micah_plan.learn.segmenting.noise import NoiseModel, log_peak
-from micah_plan.learn.spread import extent
-from micah_plan.learn.track import PartTrack
+from micah_plan.learn.track import PartTrack, extent
 
 _WHITE = np.array([0.3, 0.6, 1.0, 1.5])  # stds of white noise that are tried, in the roughness of the rows
 _ACCELERATION = np.geomspace(0.003, 10.0, 12)  # stds of a change of velocity from row to row, in the same unit

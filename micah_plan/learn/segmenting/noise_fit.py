@@ -13,8 +13,7 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.spread import bends, white_std
-from micah_plan.learn.track import PartTrack
+from micah_plan.learn.track import PartTrack, bends, white_std
 
 _FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
 _FINEST_ROTATION = 1e-3  # rad

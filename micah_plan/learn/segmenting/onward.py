@@ -18,20 +18,21 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import JointArrays
-from micah_plan.learn.segmenting.changepoints import Segmentation, most_probable
-from micah_plan.learn.segmenting.coarsening import trust_in
+from micah_plan.learn.segmenting.changepoints import (
+    LengthPrior,
+    RunningEvidence,
+    Segmentation,
+    length_priors,
+    most_probable,
+)
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.held import along_joint, places_held
-from micah_plan.learn.segmenting.length_prior import LengthPrior, length_priors
 from micah_plan.learn.segmenting.motion import FEWEST_ACTED
-from micah_plan.learn.segmenting.noise import NoiseModel
+from micah_plan.learn.segmenting.noise import NoiseModel, trust_in
 from micah_plan.learn.segmenting.noise_fit import first_noise, misses, noises_left
 from micah_plan.learn.segmenting.occam import parameter_count
 from micah_plan.learn.segmenting.pool import Hypotheses, pool_of, refitted, window_hypotheses, windows
-from micah_plan.learn.segmenting.running_evidence import RunningEvidence
-from micah_plan.learn.segmenting.segmentation import segment_track
-from micah_plan.learn.segmenting.segmented import Segmented
-from micah_plan.learn.segmenting.selection import ANOTHER_JOINT, merged
+from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Segmented, merged, segment_track
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 

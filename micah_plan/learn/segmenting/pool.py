@@ -13,8 +13,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.comparison import Compared, compare_arrays, levers
-from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
+from micah_plan.learn.joints.joint_arrays import Compared, JointArrays, compare_arrays, concatenated, levers
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise import NoiseModel, NoiseScales
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood

@@ -1,4 +1,7 @@
-"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations."""
+"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations.
+
+Small symmetric systems, many at once, without the overhead of the general pseudo-inverse.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.learn.joints.comparison import Compared, compare_arrays
-from micah_plan.learn.joints.joint_arrays import JointArrays, concatenated
-from micah_plan.learn.joints.quaternions import cross_matrix, cross_of_units
+from micah_plan.learn.joints.joint_arrays import (
+    Compared,
+    JointArrays,
+    compare_arrays,
+    concatenated,
+    cross_matrix,
+    cross_of_units,
+)
 from micah_plan.learn.segmenting.noise import NoiseModel
 from micah_plan.learn.track import PartTrack
 
@@ -227,3 +235,15 @@ def _innovations(
     heavy = dof + error.shape[1]
     cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)
     return innovation, cost
+
+
+def least_norm(normal: Floats, pull: Floats, least: float) -> Floats:
+    """(..., k) x of least norm with normal x = pull, for symmetric positive normal (..., k, k) and pull (..., k).
+
+    Args:
+        least: information, relative to that of the best known direction, below which x is 0.
+    """
+    values, vectors = np.linalg.eigh(normal)
+    known = values > least * values[..., -1:]
+    along = (vectors.swapaxes(-1, -2) @ pull[..., None])[..., 0] * known / np.where(known, values, 1.0)
+    return np.asarray((vectors @ along[..., None])[..., 0])

@@ -2,16 +2,25 @@
 
 Source: Fearnhead and Liu, JRSS B 2007; the sums run over all segmentations where the MAP recursion takes the best one.
 Two neighbouring segments never have the same joint: that is one segment.
+
+What is said of an answer: how many changepoints it has, which kind of joint each segment has, how sure that is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import expit
 
 from micah_plan.arrays import Floats
-from micah_plan.learn.segmenting.length_prior import LengthPrior
+from micah_plan.automaton.joint import JointKind
+from micah_plan.learn.joints.final_fit import RARE_SCREW, SCREW_CHOSEN
+from micah_plan.learn.segmenting.changepoints import LengthPrior, reached
+from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, rests_in_the_end
+from micah_plan.learn.settings import LearnSettings
 
 _MOST_SEGMENTS = 8  # that are summed over
 _MORE_SEGMENTS = 3  # than there are in the most probable segmentation
@@ -80,15 +89,6 @@ def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, chan
     return ChangepointPosterior(counts, starts, np.minimum(changepoint, 1.0), log_evidence)
 
 
-def reached(worth: Floats) -> Floats:
-    """(n + 1,) ln probability of the rows before each under their best segments (n, n), whatever follows what."""
-    columns = np.ascontiguousarray(worth.T)
-    best = np.zeros(len(columns) + 1)
-    for row, column in enumerate(columns):
-        best[row + 1] = (best[: row + 1] + column[: row + 1]).max()
-    return best
-
-
 def _forward(chances: Floats, follows: Floats, most: int) -> list[Floats]:
     """(h, n) each: probability of the rows before s in j segments and that one of hypothesis h may begin at s."""
     h, n, _ = chances.shape
@@ -117,3 +117,123 @@ def _backward(chances: Floats, last: Floats, follows: Floats, most: int) -> list
 def _normalised(weights: Floats) -> Floats:
     total = weights.sum()
     return np.asarray(weights / total) if total > 0 else np.zeros(len(weights))
+
+
+_SAME_ROWS = 0.6  # of the rows of either
+# By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
+# be followed by any kind, and by a pause. And how many times too large the evidence is for kinds, and for rests: joints
+# and noise are fitted to the rows that they are judged by. Both from simulations of short and noisy motions
+# (reliability.py).
+_ENDS_AT_REST = 2.7  # nats
+LOG_ODDS_OVERSTATED = 6.0
+
+
+def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
+    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
+
+    Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
+    """
+    table, pieces = found.table, found.segmentation.pieces
+    used = sorted({piece.hypothesis for piece in pieces})
+    moving = table.pool.moving
+    moves = [i for i in used if moving[i]]
+    index = np.arange(len(moving))
+    of_kind = float(np.log(len(settings.kinds)))  # paid once, too, as in the answer
+    cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves) + of_kind
+    # As in the answer: for the rows that they explain, however few they were fitted to.
+    explained = np.array([sum(p.end - p.start + 1.0 for p in pieces if p.hypothesis == one) for one in used])
+    paid = float(table.cost(np.array(used), explained, bool(moves)).sum()) + of_kind * len(used)
+    paid += ANOTHER_JOINT * max(len(moves) - 1, 0)
+    cost[used] = 0.0
+    worth = table.sums - cost[:, None, None]
+    spare = ~moving
+    spare[used] = False
+    rests = worth[spare]
+    if "rigid" in settings.kinds:
+        ends = rests_in_the_end(table, moves, found.track, found.noise, settings.rest) - of_kind
+        rests = np.concatenate([rests, ends])
+    # Rests fitted to much the same rows are one rest, told by the best of them.
+    worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
+    rigid = np.append(~moving[~spare], True) if len(rests) else ~moving
+    if not table.motion.gain[moves].any():
+        worth[rigid, 1:, -1] += _ENDS_AT_REST
+    # A part does not get from one rest to another without a motion.
+    apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
+    result = changepoint_posterior(worth, apart, found.prior, len(pieces) - 1)
+    return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
+
+
+def _beside(stated: ChangepointPosterior, found: Segmented) -> ChangepointPosterior:
+    """The posterior, where answers of other numbers of segments may have joints fitted to other rows."""
+    counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
+    own = len(found.segmentation.pieces)
+    for pieces in {len(one.kinds) for one in found.others} - {own}:
+        if pieces > len(counts):
+            continue
+        best = max((one for one in found.others if len(one.kinds) == pieces), key=lambda one: one.log_probability)
+        # What the sums over this answer's joints know of it already is not told twice.
+        more = max(_odds(best, found) * stated.counts[own - 1] - stated.counts[pieces - 1], 0.0)
+        counts[pieces - 1] += more
+        changepoint[1:] += more * np.diff(best.of_row)
+    total = counts.sum()
+    return replace(stated, counts=counts / total, changepoint=changepoint / total)
+
+
+def _odds(other: Alternative, found: Segmented) -> float:
+    """How probable another answer is, over the one that was found."""
+    return float(np.exp(min(other.log_probability - found.log_probability, 0.0) / LOG_ODDS_OVERSTATED))
+
+
+def kind_probabilities(
+    found: Segmented,
+    hypothesis: int,
+    kinds: Sequence[JointKind],
+    free: float,
+    screw: float | None = None,
+) -> tuple[tuple[JointKind, float], ...]:
+    """Probability of every kind of joint for all rows of one joint.
+
+    Args:
+        free: log odds of free motion against all segments together [nats].
+        screw: of a screw against a hinge, as likely before, as the joint's last fit has them; None: as the steps do.
+    """
+    table, pieces = found.table, found.segmentation.pieces
+    names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
+    governed = np.zeros(len(found.track), dtype=bool)
+    sums = np.zeros(len(names))
+    for piece in pieces:
+        if piece.hypothesis == hypothesis:
+            known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
+            sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
+            governed[piece.start : piece.end + 1] = True
+    elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
+    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
+    held = bool(moving[elsewhere].any())
+    sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
+    twisting = table.pool.hypotheses.joints.twisting
+    # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
+    beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
+    another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
+    another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
+    evidence = sums + SCREW_CHOSEN * twisting - ANOTHER_JOINT * another
+    worth = evidence / LOG_ODDS_OVERSTATED - RARE_SCREW * twisting
+    # Rivals are those fitted to much the same rows: others were paid for by other rows.
+    used = table.pool.hypotheses.used
+    shared_rows = (used & governed).sum(axis=1) / np.maximum((used | governed).sum(axis=1), 1)
+    rival = shared_rows >= _SAME_ROWS
+    rival[hypothesis] = True
+    of_kind = [rival & (np.array(names) == kind) for kind in kinds]
+    best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
+    share = np.exp(best - best.max())
+    own = list(kinds).index(names[hypothesis])
+    # Other answers have noise of their own; under the noise of the one that was found they fare worse.
+    for one in found.others:
+        there = list(kinds).index(one.kinds[int(np.argmax(np.bincount(one.of_row[governed])))])
+        if there != own:
+            share[there] = max(share[there], _odds(one, found) * share[own])
+    if screw is not None:
+        hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
+        advancing = float(expit(screw - RARE_SCREW))
+        share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
+    share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
+    return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))

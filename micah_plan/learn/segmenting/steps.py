@@ -14,8 +14,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.spread import bends, extent, white_std
-from micah_plan.learn.track import PartTrack
+from micah_plan.learn.track import PartTrack, bends, extent, white_std
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
 MOST_SWEEPS = 16.0  # what moves to and fro more often is learned online

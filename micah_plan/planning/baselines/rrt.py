@@ -17,13 +17,12 @@ from ompl import util as ou
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.baselines.open_loop import plan_along
-from micah_plan.planning.limits import Limits, limited_input
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.baselines.direct import plan_along
+from micah_plan.planning.limits import Limits, NoWayError, limited_input
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import box
 from micah_plan.planning.search.samples import goal_states
-from micah_plan.summaries import Progress
+from micah_plan.quantities import Progress
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

@@ -17,8 +17,8 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.chains import stds_of
-from micah_plan.planning.cost import in_steps, variance_cost
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.path_constraints import in_steps, variance_cost
 from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.task.problem import Problem
 

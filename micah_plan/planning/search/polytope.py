@@ -15,8 +15,7 @@ from scipy.sparse import eye_array, kron
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
-from micah_plan.planning.limits import Limits
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.limits import Limits, NoWayError
 from micah_plan.task.problem import Problem
 
 # Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.

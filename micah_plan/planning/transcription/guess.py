@@ -14,9 +14,15 @@ from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.turning import matrix_after
 from micah_plan.planning.chains import stds_of
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.input_memory import linear_step, steps_of_memory
-from micah_plan.planning.limits import Limits, holding_inputs, input_length, motion_per_input
-from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.limits import (
+    Limits,
+    NoWayError,
+    holding_inputs,
+    input_length,
+    linear_step,
+    motion_per_input,
+    steps_of_memory,
+)
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start

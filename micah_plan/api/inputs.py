@@ -1,0 +1,301 @@
+"""What the functions that users import take: paths, values, or results that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+
+from micah_plan.api.results import CalibrationResult, ExplorationResult, LearningResult, PlanningResult, RunsResult
+from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.errors import InputError, choices, located_in, shown
+from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.recording.checks import checked
+from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Experiment
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import PlannerSettings
+from micah_plan.task.sweep import Sweep
+
+
+class DataFrame(Protocol):
+    """A table of pandas, polars or the like."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of its columns."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """A column."""
+
+
+Source = str | Path
+Measured = Source | Recording | RunsResult | LearningResult | DataFrame | Mapping[str, Any] | Sequence["Measured"]
+"""A recording, or what has one: a path, a value, a table with the columns of a recording CSV, arrays by the names of a
+recording's attributes, executed runs, what was learned; or several, whose runs are joined."""
+Learnt = LearningResult | ExplorationResult | CalibrationResult
+Modelled = Source | Mapping[str, Any] | HybridAutomaton | Learnt | PlanningResult | Problem
+"""A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
+
+
+Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experiment | tuple[Part, ...]
+"""What files hold."""
+
+
+def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> Loaded:
+    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
+
+    Args:
+        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
+            how a model is made by hand, with names.
+        **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
+            length="mm", up="y"``.
+
+    Raises:
+        InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
+    """
+    if isinstance(source, Mapping) and not is_table(source) and "columns" not in conventions:
+        return automaton_of(source)
+    if not isinstance(source, Source):
+        return recording_of(source, conventions=conventions_of(conventions))
+    from micah_plan.documents.kind import kind_of
+
+    kind = kind_of(source)
+    if kind == "recording":
+        return recording_of(source, conventions=conventions_of(conventions))
+    if conventions:
+        raise InputError(f"a {kind} has no conventions", source=source, remedy="leave them out")
+    if kind == "problem":
+        return problem_of(source)
+    if kind == "plan":
+        return plan_of(source)
+    if kind == "parts":
+        return parts_of(source)
+    if kind == "sweep":
+        from micah_plan.documents.sweep import load_sweep
+
+        return load_sweep(source)
+    if kind == "experiment":
+        from micah_plan.documents.experiment import load_experiment
+
+        return load_experiment(source)
+    return automaton_of(source)
+
+
+def conventions_of(given: Mapping[str, Any]) -> Conventions | None:
+    """How a recording is meant; None where nothing is said.
+
+    Raises:
+        InputError: for a name that conventions do not have.
+    """
+    known = [one.name for one in fields(Conventions)]
+    for name in given:
+        if name not in known:
+            raise InputError(f"conventions have no {shown(name)}", remedy=f"choose among {', '.join(known)}")
+    return Conventions(**given) if given else None
+
+
+def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """A recording, whose rows are what a recording promises; the conventions are those of a path.
+
+    Raises:
+        InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
+    """
+    from micah_plan.exchange.load import load_recording
+
+    if isinstance(given, Source):
+        return load_recording(given, minimum_rows=minimum_rows, conventions=conventions)
+    if isinstance(given, RunsResult | LearningResult):
+        return given.recording
+    if is_table(given) or isinstance(given, Mapping):
+        return checked(_of_table(given, conventions), minimum_rows=minimum_rows)
+    if isinstance(given, list | tuple) and given:
+        return joined([recording_of(one, minimum_rows=minimum_rows) for one in given])
+    if not isinstance(given, Recording):
+        raise _other("a recording", given, "give the path of one, or a micah_plan.Recording")
+    return checked(given, minimum_rows=minimum_rows)
+
+
+def is_table(given: Any) -> bool:
+    """Whether something has the columns of a recording: a data frame, a table of Arrow, a mapping of such names."""
+    if isinstance(given, Mapping):
+        return not {"t", "x", "time", "position"}.isdisjoint(given)
+    return not isinstance(given, Recording | ModuleType) and hasattr(given, "__getitem__") and bool(_names_of(given))
+
+
+def _names_of(table: Any) -> list[Any]:
+    """Names of the columns of a data frame or table of Arrow."""
+    names = getattr(table, "column_names", None) or getattr(table, "columns", None)
+    return list(names) if names is not None and not callable(names) else []
+
+
+def _of_table(table: Any, conventions: Conventions | None) -> Recording:
+    from micah_plan.recording.columns import recording_of_columns
+    from micah_plan.recording.conventions import as_recorded
+
+    if isinstance(table, Mapping) and "position" in table:
+        known = {one.name for one in fields(Recording)} - {"conventions", "notes", "has_run", "has_part"}
+        for name in table:
+            if name not in known:
+                raise InputError(f"a recording has no {shown(name)}", remedy=f"choose among {', '.join(sorted(known))}")
+        if "time" not in table:
+            raise InputError("the array 'time' is missing", remedy="give time (n,) [s] beside position (n, 3) [m]")
+        try:
+            made = Recording(**{"has_run": "run" in table, "has_part": "part" in table, **table})
+        except (TypeError, ValueError) as error:  # texts, rows of different lengths
+            said = " ".join(str(error).split())
+            raise InputError(f"expected arrays of numbers ({shown(said)})", remedy="give NumPy arrays") from None
+        return as_recorded(made, conventions or Conventions())
+    names = list(table) if isinstance(table, Mapping) else _names_of(table)
+    return recording_of_columns({str(name): table[name] for name in names}, conventions)
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """One recording of all runs, numbered anew, with the further columns that all have."""
+    from micah_plan.execution.log import concatenated
+
+    common, numbered, number = set.intersection(*(set(each.extra) for each in recordings)), list[Recording](), 0
+    for each in recordings:
+        runs, run = np.unique(each.run, return_inverse=True)
+        extra = {name: column for name, column in each.extra.items() if name in common}
+        numbered.append(replace(each, run=run + number, extra=extra))
+        number += len(runs)
+    return checked(concatenated(numbered))
+
+
+def demonstration_of(given: Measured) -> Recording:
+    """A recording of as many rows as learning needs; a file whose units look wrong must say what they are.
+
+    Raises:
+        InputError: also where a file looks misread (`recording.suspicion`).
+    """
+    from micah_plan.recording.suspicion import require_conventions
+
+    recording = recording_of(given, minimum_rows=FEWEST_ROWS)
+    if isinstance(given, Source):
+        with located_in(given):
+            require_conventions(recording)
+    return recording
+
+
+def automaton_of(given: Modelled) -> HybridAutomaton:
+    """A model that the algorithms can use, with that of a problem or plan counted as one.
+
+    Raises:
+        InputError: if there is none in it, or it is none that can be used.
+    """
+    if isinstance(given, Source):
+        return _read_automaton(given)
+    if isinstance(given, Mapping):
+        from micah_plan.documents.model import model_of
+
+        return model_of(given)
+    if isinstance(given, PlanningResult):
+        return given.problem.automaton
+    if isinstance(given, Problem | Learnt):
+        if given.automaton is None:
+            raise InputError(f"nothing was learned: {getattr(given, 'reason', '')}")
+        return given.automaton
+    if not isinstance(given, HybridAutomaton):
+        raise _other("a model", given, "give the path of one, what learn returns, or data with a model file's keys")
+    check_automaton(given)
+    return given
+
+
+def _read_automaton(path: Source) -> HybridAutomaton:
+    from micah_plan.documents.kind import kind_of
+    from micah_plan.documents.model import load_model
+    from micah_plan.documents.plan import load_plan
+    from micah_plan.documents.problem import load_problem
+
+    kind = kind_of(path)
+    if kind == "problem":
+        return load_problem(path).automaton
+    return load_plan(path).automaton if kind == "plan" else load_model(path)
+
+
+def problem_of(given: Source | Problem | Learnt | PlanningResult, model: Modelled | None = None) -> Problem:
+    """A problem, with another model if one is given; of a model alone, or what learned one, that of moving it most of
+    its way.
+
+    Raises:
+        InputError: if it cannot be used, or the model has other coordinates.
+    """
+    from micah_plan.api import stages
+    from micah_plan.documents.problem import load_problem
+    from micah_plan.templates.first_problem import problem_for
+
+    automaton = None if model is None else automaton_of(model)
+    if isinstance(given, Learnt | HybridAutomaton) and automaton is None:
+        return problem_for(automaton_of(given))
+    if isinstance(given, Source):
+        return stages.read_problem(given)[0] if automaton is None else load_problem(given, model=automaton)
+    problem = given.problem if isinstance(given, PlanningResult) else given
+    if not isinstance(problem, Problem):
+        raise _other("a problem", given, "give the path of one, or what load returns for it")
+    if automaton is None:
+        return problem
+    own = problem.automaton
+    if problem.hold is not None or (own.coordinates, own.inputs) != (automaton.coordinates, automaton.inputs):
+        raise InputError(
+            f"the problem is about {', '.join(own.coordinate_names)}, the model has "
+            f"{', '.join(automaton.coordinate_names)}",
+            remedy="give the problem's file together with the model",
+        )
+    return replace(problem, automaton=automaton)
+
+
+def plan_of(given: Source | PlanningResult) -> PlanningResult:
+    """A plan with its problem."""
+    if isinstance(given, Source):
+        from micah_plan.documents.plan import load_plan
+
+        stored = load_plan(given)
+        return PlanningResult(stored.plan, stored.problem)
+    if not isinstance(given, PlanningResult):
+        raise _other("a plan", given, "give the path of one, or what solve returns")
+    return given
+
+
+def parts_of(given: Source | Sequence[Part]) -> tuple[Part, ...]:
+    """Shapes and handles of parts."""
+    if isinstance(given, Source):
+        from micah_plan.documents.parts import load_parts
+
+        return load_parts(given)
+    return tuple(given)
+
+
+def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -> LearnSettings:
+    """Settings of learning with some of them changed, by name.
+
+    Raises:
+        InputError: for a name that is none, and a value that is none of it.
+    """
+
+    names = [item.name for item in fields(LearnSettings)]
+    for name in changes:
+        if name not in names:
+            raise InputError(f"learn: unknown setting {shown(name)}", remedy=choices(name, names))
+    return replace(settings or LearnSettings(), **changes)
+
+
+def planner_settings(problem: Problem, changes: Mapping[str, Any]) -> PlannerSettings:
+    """The problem's settings with some of them changed, by the names that a problem file gives them.
+
+    Raises:
+        InputError: for a name that is none, and a value that a problem file could not have.
+    """
+    from micah_plan.documents.planner import settings_with
+
+    return settings_with(problem.settings, changes, problem.automaton.input_names)
+
+
+def _other(expected: str, found: object, remedy: str) -> InputError:
+    return InputError(f"expected {expected}, found {shown(type(found).__name__)}", remedy=remedy)

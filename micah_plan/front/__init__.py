@@ -1,1 +1,0 @@
-"""The front door: `from micah_plan import learn, explore, solve, execute, predict, calibrate, load, save, show`."""

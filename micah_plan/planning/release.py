@@ -1,0 +1,156 @@
+"""Letting go, planned: from the last knot of a plan down to the contact, and away with the gripper open.
+
+The height of the support is known up to a spread, so the hand goes down in small steps to the lowest place where
+contact may be felt. It withdraws along the first of some directions in which the way is free: back along its fingers,
+up, and in between.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtr
+
+from micah_plan.arrays import Floats
+from micah_plan.quantities import percent, quantity
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, ReleasePlan, least_share
+from micah_plan.task.problem import Problem, Release
+from micah_plan.task.release import Rest, rest_of
+
+if TYPE_CHECKING:
+    from micah_plan.robot.tool_path import ArmFailure
+
+# An arm yields before it pushes, and more so a grip in which the object may turn: the hand may go so much deeper until
+# the contact is felt [m].
+_YIELDS, _TURNING = 0.003, 0.012
+# Longest step of a hand that withdraws [m].
+_LONGEST = 0.03
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """Where an arm cannot lower what it holds.
+
+    Attributes:
+        arm: what it fails at.
+        contact: (n,) state in which the object would touch its support.
+        lowest: height of the hand to which the way has to be free [m].
+    """
+
+    arm: ArmFailure
+    contact: Floats
+    lowest: float
+
+
+def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan, Blocked | None]:
+    """The plan with how the hand lets go, where the problem asks for it; one that cannot is none to execute.
+
+    Returns:
+        the plan, and what is in the way of lowering the object, if it is that.
+    """
+    if problem.release is None or plan.trajectory is None:
+        return plan, None
+    rest, release, last = rest_of(problem), problem.release, plan.trajectory.means[-1][: problem.automaton.n]
+    contact = np.array(last)
+    contact[2] = rest.top + rest.touching
+    yields = _TURNING if problem.hold is not None and problem.hold.grip.pivots else _YIELDS
+    lowest = contact[2] - problem.settings.sigmas * release.support_std - yields
+    height = float(last[2] + problem.settings.sigmas * np.linalg.norm(plan.trajectory.factors[-1][2]))
+    found = ReleasePlan(
+        math.ceil((height - lowest) / release.step), contact, rest.state(contact), _withdrawal(_UP, release)
+    )
+    if problem.robot is not None and plan.arm is not None:
+        begin = perf_counter()
+        try:
+            answer = _with_arm(problem, plan, (found, rest, lowest), deadline)
+        except TimeLimitError as over:
+            sentence, _, remedy = over.reason.rpartition("; ")
+            return _refused(plan, Finding("arm", sentence, remedy, plan.mode_sequence)), None
+        spent = perf_counter() - begin
+        plan = replace(plan, timings={key: s + spent * (key in ("arm", "total")) for key, s in plan.timings.items()})
+        if isinstance(answer, Blocked):
+            return _refused(plan, _finding(plan, "lower the object to let it go", answer.arm)), answer
+        if isinstance(answer, Finding):
+            return _refused(plan, answer), None
+        found = answer
+    return _judged(problem, replace(plan, release=found)), None
+
+
+def _withdrawal(direction: Floats, release: Release) -> Floats:
+    """(W, 3) displacements of the hand along a direction (3,) of length 1 [m]."""
+    count = math.ceil(release.withdraw / _LONGEST)
+    return np.tile(direction * release.withdraw / count, (count, 1))
+
+
+def _with_arm(
+    problem: Problem, plan: Plan, asked: tuple[ReleasePlan, Rest, float], deadline: Deadline
+) -> ReleasePlan | Blocked | Finding:
+    """The release with the arm's way down and away, or what stands in the way."""
+    from micah_plan.robot.along_release import lowered, withdrawn
+
+    (found, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
+    if problem.release is None or trajectory is None or arm is None:  # `with_release` has looked
+        raise RuntimeError("nothing to let go")
+    last = trajectory.means[-1][: problem.automaton.n]
+    count = max(1, math.ceil((float(last[2]) - lowest) / problem.release.step))
+    states = np.tile(last, (count + 1, 1))
+    states[:, 2] = np.linspace(last[2], lowest, count + 1)
+    down = lowered(problem, rest.mode, states, arm.positions[-1], deadline)
+    if not isinstance(down, ArmTrajectory):
+        return Blocked(down, found.contact, lowest)
+    near = down.positions[int(np.argmin(np.abs(states[:, 2] - found.contact[2])))]
+    failures = []
+    for direction in _directions(problem):
+        displacements = _withdrawal(direction, problem.release)
+        away = withdrawn(problem, rest, found.contact, displacements, near, deadline)
+        if isinstance(away, ArmTrajectory):
+            return replace(found, withdrawal=displacements, lowering=down, withdrawing=away)
+        failures.append(away)
+    return _finding(plan, "withdraw", max(failures, key=lambda failure: failure.knot))
+
+
+def _directions(problem: Problem) -> Iterator[Floats]:
+    """Directions (3,) of length 1 in which the hand may withdraw, the most natural ones first."""
+    back = _UP if problem.grasp is None else -problem.grasp.pose.rotation.apply(_UP)
+    for share in (0.0, 0.5, 1.0):
+        way = (1.0 - share) * back + share * _UP
+        if (length := float(np.linalg.norm(way))) > 1e-6:
+            yield way / length
+
+
+def _finding(plan: Plan, task: str, failure: ArmFailure) -> Finding:
+    sentence = f"the arm cannot {task}: {failure.sentence} of it"
+    return Finding("arm", sentence, failure.remedy, plan.mode_sequence, constraint=failure.kind)
+
+
+def _refused(plan: Plan, finding: Finding) -> Plan:
+    reason = f"{finding.sentence}; {finding.remedy}"
+    return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+
+
+def _judged(problem: Problem, plan: Plan) -> Plan:
+    """The plan with the probability that the support is as high as the goal asks for in its success."""
+    release, found, share = problem.release, plan.release, plan.success_probability
+    heights = [(value, tol) for index, value, tol in problem.goal.target if index == 2]
+    if release is None or found is None or share is None or not heights:
+        return plan
+    (value, tolerance), std = heights[0], max(release.support_std, 1e-9)
+    away = float(found.rest[2]) - value
+    holds = float(ndtr((tolerance - away) / std) - ndtr((-tolerance - away) / std))
+    low, high = plan.success_interval or (share, share)
+    plan = replace(plan, success_probability=share * holds, success_interval=(low * holds, high * holds))
+    if plan.outcome != "solved" or share * holds >= least_share(problem.settings.confidence, plan.verification_trials):
+        return plan
+    sentence = (
+        f"let go, the object rests within {quantity(tolerance, 'm')} of its height with {percent(holds)} probability: "
+        f"the support's height is known to {quantity(std, 'm')} (1 σ)"
+    )
+    remedy = "widen the tolerance of 'z', or measure the support"
+    return _refused(plan, Finding("goal", sentence, remedy, plan.mode_sequence))

@@ -1,1 +1,0 @@
-"""ROS 2 messages in MCAP files, without a ROS installation (extra `ros`)."""

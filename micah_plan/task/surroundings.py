@@ -1,0 +1,72 @@
+"""A scene as a held object meets it: boxes to keep clear of, and faces to touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.contacts.values import Face, Solid, Surroundings
+from micah_plan.automaton.joint import Vector3
+from micah_plan.task.body import Body, Shape, corners, vector3
+
+# Faces this close are one [m].
+_SAME = 1e-9
+
+
+def surroundings_of(
+    scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]], lower: Vector3, upper: Vector3
+) -> Surroundings:
+    """Every shape of a body as the box around it along the base axes; a stack that fills one box is one.
+
+    Args:
+        scene: the bodies.
+        contacts: (body, axis, sign) of the faces that may be touched. Such a body is no obstacle: what else touches it
+            rests on it.
+        lower, upper: corners of where the hand may go [m].
+    """
+    touched = {body for body, _, _ in contacts}
+    solids = []
+    for body in scene:
+        for number, shape in enumerate(body.shapes, start=1):
+            if body.name not in touched:
+                low, high = _box(body, (shape,))
+                name = body.name if len(body.shapes) == 1 else f"{body.name} {number}"
+                solids.append(Solid(name, vector3(low), vector3(high)))
+    return Surroundings(_joined(solids), faces_of(scene, contacts), lower, upper)
+
+
+def faces_of(scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]]) -> tuple[Face, ...]:
+    """The faces (body, axis, sign) of a scene that may be touched."""
+    boxes = {body.name: _box(body, body.shapes) for body in scene if body.name in {name for name, _, _ in contacts}}
+    return tuple(Face(body, axis, sign, float(boxes[body][sign > 0][axis])) for body, axis, sign in contacts)
+
+
+def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
+    """The solids, those that together fill one box joined: every one more costs the planner."""
+    found: list[Solid] = []
+    for solid in solids:
+        whole = solid
+        while other := next((other for other in found if _is_box(whole, other)), None):
+            found.remove(other)
+            low, high = np.minimum(whole.lower, other.lower), np.maximum(whole.upper, other.upper)
+            whole = Solid(f"{other.name}, {whole.name}", vector3(low), vector3(high))
+        found.append(whole)
+    return tuple(found)
+
+
+def _is_box(one: Solid, other: Solid) -> bool:
+    """Whether two boxes fill one: alike along two axes, and without a gap along the third."""
+    ends = np.array([[one.lower, one.upper], [other.lower, other.upper]])
+    differs = ~np.isclose(ends[0], ends[1], rtol=0.0, atol=_SAME).all(axis=0)
+    if differs.sum() != 1:
+        return bool(differs.sum() == 0)
+    (first_low, first_high), (second_low, second_high) = ends[:, :, differs.argmax()]
+    return bool(max(first_low, second_low) <= min(first_high, second_high) + _SAME)
+
+
+def _box(body: Body, shapes: Sequence[Shape]) -> tuple[Floats, Floats]:
+    """Lower and upper corner of shapes in the base frame [m]."""
+    points = body.pose.apply(np.concatenate([corners(shape) for shape in shapes]))
+    return points.min(axis=0), points.max(axis=0)
