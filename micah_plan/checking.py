@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from micah_plan.documents.kind import FileKind, kind_of
 from micah_plan.errors import InputError
+
+if TYPE_CHECKING:
+    from micah_plan.task.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +55,17 @@ def _check_recording(file: Path) -> tuple[str, ...]:
 
 
 def _check_model(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.check import suspicions
+    from micah_plan.automaton.plausible import suspicions
     from micah_plan.documents.model import load_model
 
     return suspicions(load_model(file))
 
 
 def _check_parts(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.check import far_handles
+    from micah_plan.automaton.plausible import implausible, part_amounts
     from micah_plan.documents.parts import load_parts
 
-    return tuple(far_handles(load_parts(file)))
+    return tuple(implausible(part_amounts(load_parts(file))))
 
 
 def _check_conventions(file: Path) -> tuple[str, ...]:
@@ -71,10 +75,21 @@ def _check_conventions(file: Path) -> tuple[str, ...]:
     return ()
 
 
+def suspicions_of(problem: Problem) -> tuple[str, ...]:
+    """What looks like a mistake in a problem, its model and its plant, one line each."""
+    from micah_plan.automaton.plausible import implausible
+    from micah_plan.automaton.plausible import suspicions as suspicions_of_model
+    from micah_plan.execution.mujoco.parameters import amounts
+    from micah_plan.task.plausible import suspicions as suspicions_of_problem
+
+    # The modes of a held object are contacts of the hand's own model.
+    of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
+    of_plant = implausible(amounts(problem.plant, held=problem.hold is not None))
+    return (*of_model, *suspicions_of_problem(problem), *of_plant)
+
+
 def _check_problem(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.check import suspicions as suspicions_of_model
     from micah_plan.documents.problem import load_problem
-    from micah_plan.task.problem import suspicions as suspicions_of_problem
 
     problem = load_problem(file)
     if problem.robot is not None:
@@ -85,14 +100,12 @@ def _check_problem(file: Path) -> tuple[str, ...]:
             from micah_plan.robot.along_release import with_open_gripper
 
             load_arm(with_open_gripper(problem))
-    # The modes of a held object are contacts of the hand's own model.
-    of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
-    return (*of_model, *suspicions_of_problem(problem))
+    return suspicions_of(problem)
 
 
 def _check_scene(file: Path) -> tuple[str, ...]:
     from micah_plan.documents.experiment import load_scene
-    from micah_plan.task.experiment import suspicions_of_scene
+    from micah_plan.task.plausible import suspicions_of_scene
 
     return suspicions_of_scene(load_scene(file))
 
@@ -106,9 +119,9 @@ def _check_sweep(file: Path) -> tuple[str, ...]:
 
 def _check_experiment(file: Path) -> tuple[str, ...]:
     from micah_plan.documents.experiment import load_experiment
+    from micah_plan.task.plausible import suspicions_of_experiment
 
-    load_experiment(file)
-    return ()
+    return suspicions_of_experiment(load_experiment(file))
 
 
 def _check_plan(file: Path) -> tuple[str, ...]:

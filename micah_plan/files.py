@@ -6,6 +6,7 @@ The files that a command will write, checked before it works: their kinds, and t
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Collection, Mapping
@@ -109,7 +110,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
         for path, data in contents.items():
             target = Path(os.path.realpath(path))  # a link keeps pointing to its file
             if target.exists() and not target.is_file() and not target.is_dir():
-                target.write_bytes(data)  # a pipe or device such as /dev/stdout must never be replaced
+                _write_through(target, data)  # a pipe or device such as /dev/stdout must never be replaced
                 continue
             temporary = target.with_name(f".{os.urandom(8).hex()}.tmp")
             waiting.append((temporary, target))
@@ -135,6 +136,17 @@ def _write(temporary: Path, data: bytes, target: Path) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+def _write_through(target: Path, data: bytes) -> None:
+    """Write into a pipe or device; one that nobody reads is an error instead of a wait without an end."""
+    try:
+        descriptor = os.open(target, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise OSError(error.errno, "nobody reads this pipe") if error.errno == errno.ENXIO else error from None
+    os.set_blocking(descriptor, True)
+    with open(descriptor, "wb") as file:
+        file.write(data)
 
 
 def _open_private(path: str, flags: int) -> int:

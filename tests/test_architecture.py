@@ -21,6 +21,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("arrays", "errors", "quantities"),
     ("files", "mujoco_library"),
+    ("xml_text",),
     ("recording",),
     ("automaton",),
     ("task",),

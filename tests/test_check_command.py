@@ -114,7 +114,9 @@ def test_modes_that_place_a_part_far_apart_are_warned_of(tmp_path: Path) -> None
     (tmp_path / "far.yaml").write_text(text.replace("position: [0.0697588", "position: [50.0697588"))
     found = check_file(tmp_path / "far.yaml")
     assert not found.faults
-    assert found.warnings[0].startswith("modes.rigid.joints.door: 50.1 m from the base frame; lengths are in m: are th")
+    assert found.warnings[0].startswith(
+        "modes.rigid.joints.door: 50.1 m is farther than a room is wide; lengths are in m"
+    )
     assert found.warnings[1].startswith(
         "transition revolute -> rigid: part door jumps by 50 m between the joints of it"
     )

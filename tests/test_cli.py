@@ -309,6 +309,26 @@ def test_a_list_is_no_plan(micah, tmp_path):
     assert "list.json: expected a plan, found a list of 2" in line
 
 
+def test_no_output_overwrites_what_an_input_names(micah, tmp_path, repository):
+    (tmp_path / "problems").mkdir()
+    for name in ("models/microwave.yaml", "problems/microwave_close.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text((repository / name).read_text())
+    scene = (repository / "problems" / "explore_handle.yaml").read_text()
+    (tmp_path / "scene.yaml").write_text(scene.replace("microwave_open.yaml", "problems/microwave_close.yaml"))
+    before = (tmp_path / "models" / "microwave.yaml").read_text()
+    for arguments in (
+        ("explore", "scene.yaml", "-o", "models/microwave.yaml"),
+        ("calibrate", "problems/microwave_close.yaml", "runs.csv", "-o", "models/microwave.yaml"),
+    ):
+        assert "-o would overwrite an input" in only_error(micah(*arguments, cwd=tmp_path))
+    assert (tmp_path / "models" / "microwave.yaml").read_text() == before
+
+
+def test_what_the_system_refuses_is_one_line(micah):
+    assert "file name too long; give a shorter path" in only_error(micah("check", "a" * 10_000 + ".csv"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

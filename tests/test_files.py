@@ -63,3 +63,15 @@ def test_files_that_belong_together_are_replaced_together(tmp_path: Path) -> Non
     replace_files(dict(zip(files, (b"1", b"2"), strict=True)))
     assert [file.read_bytes() for file in files] == [b"1", b"2"]
     assert sorted(tmp_path.iterdir()) == sorted(files)
+
+
+def test_a_pipe_that_nobody_reads_is_an_error_and_no_wait(tmp_path: Path) -> None:
+    pipe = tmp_path / "plan.json"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match=r"plan\.json: cannot be written \(nobody reads this pipe\)"):
+        replace_file(pipe, b"new")
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    replace_file(pipe, b"new")
+    assert os.read(reader, 10) == b"new"
+    os.close(reader)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)

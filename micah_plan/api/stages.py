@@ -95,7 +95,10 @@ def read_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
 
     overrides = overrides or {}
     if kind_of(path) != "model":
-        return load_problem(path, overrides), ()
+        from micah_plan.checking import suspicions_of
+
+        problem = load_problem(path, overrides)
+        return problem, suspicions_of(problem)
     from micah_plan.documents.model import load_model
     from micah_plan.templates.first_problem import problem_for
 
@@ -195,8 +198,8 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
     from micah_plan.automaton.certainty import doubts
-    from micah_plan.automaton.check import never_taken
     from micah_plan.automaton.input_memory import left_out
+    from micah_plan.automaton.plausible import never_taken
     from micah_plan.planning.scene_cuts import unchecked
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm

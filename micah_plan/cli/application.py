@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import signal
 import sys
@@ -41,6 +42,19 @@ COMMANDS = (
     doctor,
 )
 
+# What the system refuses is neither a bug nor always foreseen where a path is used.
+_OF_THE_SYSTEM = {
+    errno.ENAMETOOLONG: "give a shorter path",
+    errno.ENOSPC: "make room on the disk",
+    errno.EDQUOT: "make room on the disk",
+    errno.EROFS: "name a file in a directory that may be written",
+    errno.EACCES: "check the permissions",
+    errno.EPERM: "check the permissions",
+    errno.ELOOP: "check the links on the path",
+    errno.EMFILE: "close files, or raise the limit of open ones",
+    errno.EIO: "check the disk",
+}
+
 # Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
@@ -68,13 +82,24 @@ def main() -> None:
         _fail(error, NO_RESULT)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
+    except OSError as error:
+        if error.errno not in _OF_THE_SYSTEM:
+            code = _bug(error)
+        else:
+            problem = (error.strerror or str(error)).lower()
+            _fail(InputError(problem, source=str(error.filename)[:80], remedy=_OF_THE_SYSTEM[error.errno]), BAD_INPUT)
     except Exception as error:
-        _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
-        traceback.print_exception(error)
-        code = OUR_BUG
+        code = _bug(error)
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
         _fail(SENTENCE, INTERRUPTED)
     sys.exit(code)
+
+
+def _bug(error: Exception) -> int:
+    """Ask for a report of what no input should cause."""
+    _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
+    traceback.print_exception(error)
+    return OUR_BUG
 
 
 def _end_as_interrupted() -> None:

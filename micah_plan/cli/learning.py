@@ -375,10 +375,11 @@ def explore(
     from micah_plan.api import stages
     from micah_plan.cli.planning import named_plant
     from micah_plan.documents.experiment import load_scene
+    from micah_plan.documents.kind import files_named_by
     from micah_plan.documents.model import model_text
     from micah_plan.files import replace_files
 
-    check_outputs((scene,), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
+    check_outputs(files_named_by(scene), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
     asked, machine = load_scene(scene), named_plant(plant)
     with progress_bar(as_json) as progress:
         found = stages.explore(asked, plant=machine, seed=seed, progress=progress)

@@ -214,12 +214,13 @@ def calibrate(
     from micah_plan.api.formatting import error_lines
     from micah_plan.api.inputs import joined
     from micah_plan.documents.experiment import experiment_text
+    from micah_plan.documents.kind import files_named_by
     from micah_plan.documents.model import load_model, model_text
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
 
     outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
-    check_outputs((model, *recordings), outputs)
+    check_outputs((*files_named_by(model), *recordings), outputs)
     automaton = load_model(model)
     read = [stages.read(recording, minimum_rows=2) for recording in recordings]
     measured = read[0] if len(read) == 1 else joined(read)

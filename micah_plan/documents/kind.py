@@ -5,6 +5,9 @@ YAML files say in their key `format` what they are, other files by their ending.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +19,10 @@ FileKind = Literal["model", "parts", "problem", "scene", "sweep", "experiment", 
 _YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "sweep", "experiment", "conventions")
 
 
+_YAML = (".yaml", ".yml")
+_MOST_NAMED = 1000
+
+
 def kind_of(path: str | Path) -> FileKind:
     """The kind of a file; whether it is a good one of that kind is not looked at.
 
@@ -25,7 +32,7 @@ def kind_of(path: str | Path) -> FileKind:
     suffix = Path(path).suffix.lower()
     if suffix == ".json":
         return "plan"
-    if suffix not in {".yaml", ".yml"}:
+    if suffix not in _YAML:
         return "recording"
     located = read_yaml_file(path, until="format")
     formats = [f"micah-plan/{kind}/1" for kind in _YAML_KINDS]
@@ -36,6 +43,36 @@ def kind_of(path: str | Path) -> FileKind:
         if stated.startswith(f"micah-plan/{kind}/"):
             return kind
     raise located.at("format").error(f"unknown format {stated[:60]!r}", choices(stated, formats))
+
+
+def files_named_by(path: str | Path) -> list[Path]:
+    """A file, and all files that it names or that those name: the model of a problem, the problem of a scene.
+
+    Whatever is wrong with them is left to their readers.
+    """
+    found: dict[str, Path] = {}
+    waiting = [Path(path)]
+    while waiting:
+        file = waiting.pop()
+        if os.path.realpath(file) in found or len(found) >= _MOST_NAMED:
+            continue
+        found[os.path.realpath(file)] = file
+        if file.suffix.lower() in _YAML:
+            with suppress(InputError, OSError, ValueError):
+                texts = _texts(read_yaml_file(file).data)
+                waiting += [file.parent / text for text in texts if len(text) < 300 and (file.parent / text).is_file()]
+    return list(found.values())
+
+
+def _texts(data: Any) -> Iterator[str]:
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, Mapping):
+        for value in data.values():
+            yield from _texts(value)
+    elif isinstance(data, list | tuple):
+        for value in data:
+            yield from _texts(value)
 
 
 def schema(kind: str) -> dict[str, Any]:

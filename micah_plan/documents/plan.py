@@ -265,12 +265,32 @@ def timings_path(path: str | Path) -> Path:
     return Path(path).with_suffix(".timings.json")
 
 
+def check_timings(path: str | Path) -> None:
+    """Refuse, before any work, a plan file beside which something else has the name of its times.
+
+    Raises:
+        InputError: if the file there is none of times.
+    """
+    beside = timings_path(path)
+    if not beside.is_file():
+        return
+    try:
+        times = json.loads(read_bytes(beside, LARGEST_PLAN_BYTES))
+        if isinstance(times, dict) and "total" in times and all(isinstance(s, int | float) for s in times.values()):
+            return
+    except (InputError, ValueError, RecursionError):
+        pass
+    problem = "would be replaced by the times of the plan, and is a file of another kind"
+    raise InputError(problem, source=beside, remedy="rename it, or name another plan file")
+
+
 def write_timings(plan: Plan, path: str | Path) -> None:
     """Write the plan's times [s] by stage beside the plan file at `path`.
 
     Raises:
-        InputError: if the file cannot be written.
+        InputError: if the file cannot be written, or what lies there is none of times.
     """
+    check_timings(path)
     replace_file(timings_path(path), timings_text(plan).encode())
 
 

@@ -41,6 +41,7 @@ from micah_plan.task.body import Body, Hull, Shape
 from micah_plan.task.mesh_file import convex_corners, load_hull
 from micah_plan.task.problem import Hold, Release
 from micah_plan.task.robot_description import Grasp, RobotDescription, is_name, named_robots
+from micah_plan.xml_text import Element, parse_xml, write_xml
 
 
 class BodyShapeDocument(Document):
@@ -122,6 +123,8 @@ class RobotDocument(Document):
         path, srdf, text = _robot_file(self.path, at), own.pop("srdf_text") or "", own.pop("text")
         if self.srdf is not None:
             srdf = _text(at.folder / self.srdf, at.at("srdf"))
+        with at.at("srdf").locating_errors():
+            srdf = _pairs(srdf, self.srdf or "srdf_text")
         text = _text(path, at.at("path")) if text is None else text
         own |= {"text": text, "srdf": srdf, "folder": str(path.parent), "root": str(at.folder)}
         return RobotDescription(**own)
@@ -152,6 +155,18 @@ def _robot_file(path: str, at: Located) -> Path:
     if robots:
         raise at.at("path").error(problem, choices(path, robots))
     raise at.at("path").error(problem, f"robots by name need a package: {pip_install('robots')}")
+
+
+def _pairs(srdf: str, source: str) -> str:
+    """Of an SRDF what is used of it: nothing else of a file goes into plans."""
+    if not srdf:
+        return ""
+    root = parse_xml(srdf, source)
+    if root.tag != "robot":
+        raise root.error(f"expected an SRDF with the root <robot>, found <{root.tag}>", "name the SRDF of the robot")
+    links = ("link1", "link2")
+    pairs = [{key: one.attributes.get(key, "") for key in links} for one in root.all("disable_collisions")]
+    return write_xml(Element("robot", {}, 1, [Element("disable_collisions", pair, 1) for pair in pairs]))
 
 
 def _text(path: Path, located: Located) -> str:

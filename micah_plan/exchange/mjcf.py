@@ -31,8 +31,8 @@ from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of,
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.robot.robot_text import NO_LIMIT, check_mjcf
-from micah_plan.robot.xml_text import Element, parse_xml, read_xml, write_xml
 from micah_plan.task.body import vector3
+from micah_plan.xml_text import Element, parse_xml, read_xml, write_xml
 
 _SCALAR_FIRST = [3, 0, 1, 2]
 

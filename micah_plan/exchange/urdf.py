@@ -31,9 +31,9 @@ from micah_plan.errors import InputError, located_in
 from micah_plan.exchange.bodies import DAMPING, DENSITY, Inertia, MovingPart, inertia_of, moving_parts
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
-from micah_plan.robot.xml_text import Element, parse_xml, read_xml, write_xml
 from micah_plan.task.body import vector3
 from micah_plan.task.mesh_file import load_box
+from micah_plan.xml_text import Element, parse_xml, read_xml, write_xml
 
 AXIS_LINK = "_axis"
 

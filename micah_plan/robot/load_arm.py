@@ -25,8 +25,8 @@ from micah_plan.mujoco_library import import_mujoco
 from micah_plan.robot.arm import Arm, middle
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
 from micah_plan.robot.solids import convex
-from micah_plan.robot.xml_text import parse_xml, read_xml
 from micah_plan.task.robot_description import RobotDescription
+from micah_plan.xml_text import parse_xml, read_xml
 
 _MOST_JOINTS = 100
 _MOST_LISTED = 12

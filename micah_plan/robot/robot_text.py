@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 from micah_plan.errors import InputError, shown
 from micah_plan.files import contained
-from micah_plan.robot.xml_text import Element, write_xml
+from micah_plan.xml_text import Element, write_xml
 
 NO_LIMIT = 1e9
 """Limit of joints without limits [rad or m], in files whose parsers know no infinity."""

@@ -17,7 +17,7 @@ from micah_plan.automaton.joint import Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import quantity
 from micah_plan.task.goal import Goal
-from micah_plan.task.problem import Problem, in_millimetres
+from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
 
@@ -116,8 +116,3 @@ class Scene:
         """Whether a place (3,) is not in the workspace [m]."""
         low, high = self.low, self.high
         return bool((low is not None and (place < low).any()) or (high is not None and (place > high).any()))
-
-
-def suspicions_of_scene(scene: Scene) -> tuple[str, ...]:
-    """What looks wrong in what `explore` is given, one line each, with its key."""
-    return tuple(in_millimetres({"largest_step": scene.largest_step, "opening": scene.opening}))

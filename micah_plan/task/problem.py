@@ -1,25 +1,14 @@
-"""A planning problem: what `problems/*.yaml` says, as a value.
-
-What looks like a mistake in a problem that can be used. Nothing is refused: each suspicion is one line.
-
-- **Wider than the world.** A tolerance, a spread of measurements or motion, or a step that is wider than all that a
-  coordinate can do makes what it states empty: every place is in the goal, and nothing is known of any.
-- **Millimetres.** A robot, a grasp or a tracker's error farther than `FARTHEST_M` was probably given in millimetres.
-"""
+"""A planning problem: what `problems/*.yaml` says, as a value."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from micah_plan.automaton.check import FARTHEST_M
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
-from micah_plan.quantities import Summarised, aligned, common_unit, listed, percent, quantity, with_spread
+from micah_plan.quantities import Summarised, aligned, common_unit, listed, percent, with_spread
 from micah_plan.task.body import Body
 from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint
@@ -127,43 +116,3 @@ class Problem(Summarised):
     def goal_unit(self) -> str:
         """The unit of distances from the goal: m, rad, or both where the goal constrains coordinates of both."""
         return common_unit(self.automaton.coordinates[index].unit for index in self.goal.indices)
-
-
-def suspicions(problem: Problem) -> tuple[str, ...]:
-    """What looks wrong in a problem beside its model, one line each, with its key."""
-    return (*_wide(problem), *_far(problem))
-
-
-def _wide(problem: Problem) -> Iterator[str]:
-    automaton, noise = problem.automaton, problem.automaton.noise
-    tolerances = {index: tolerance for index, _, tolerance in problem.goal.target}
-    for i, coordinate in enumerate(automaton.coordinates):
-        ranges = automaton.ranges(i)
-        width = ranges[-1][1] - ranges[0][0] if ranges else math.inf
-        steps = problem.settings.max_step if automaton.m == automaton.n else None
-        given = {
-            "goal.target": tolerances.get(i, 0.0),
-            "start.std": problem.start.std[i],
-            "noise.observation_std": noise.observation_std[i],
-            "noise.process_std": noise.process_std[i],
-            "planner.max_step": 0.0 if steps is None else steps[i],
-        }
-        for key, size in given.items():
-            if 0.0 < width < size:
-                found, whole = quantity(size, coordinate.unit), quantity(width, coordinate.unit)
-                yield f"{key}.{coordinate.name}: {found} is more than its whole range, {whole}; correct either"
-
-
-def _far(problem: Problem) -> Iterator[str]:
-    places = {} if problem.robot is None else {"robot.position": problem.robot.position}
-    places |= {} if problem.grasp is None else {"grasp.position": problem.grasp.position}
-    distances = {key: float(np.linalg.norm(place)) for key, place in places.items()}
-    distances |= {f"plant.{key}": problem.plant.get(key, 0.0) for key in ("position_noise", "position_wander")}
-    yield from in_millimetres(distances)
-
-
-def in_millimetres(distances: Mapping[str, float]) -> Iterator[str]:
-    """One line for each distance, by key, that is so large that it was probably given in millimetres."""
-    for key, distance in distances.items():
-        if distance > FARTHEST_M:
-            yield f"{key}: {quantity(distance, 'm')}; lengths are in m: are these millimetres? then divide by 1000"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 from attempts import told
 from nonsense_corpus import CORPUS
+from ruamel.yaml import YAML
 
 from micah_plan.checking import check_file
 from micah_plan.documents.model import load_model
@@ -141,3 +144,67 @@ def test_check_refuses_nonsense_or_warns_with_the_place(tmp_path: Path, case: st
 def test_the_corpus_is_large_and_nearly_all_of_it_is_told() -> None:
     assert len(CORPUS) + len(MODELS) + len(PROBLEMS) >= 120
     assert len(EXPLAINED) <= 4
+
+
+# Numbers that may be 10,000 times as large: what each says nothing else in its file bounds.
+UNBOUNDED = (
+    "learned.*.log_evidence",
+    "learned.*.segments.*.rows.*",
+    "learned.*.actions.covariance.*.*",
+    "covariances.*.*.matrix.*.*",  # a std 100 times as large: a joint that is hardly known
+    "parts.*.shapes.*.position.*",
+    "parts.*.shapes.*.size.*",
+    "hold.*.shapes.*.position.*",
+    "planner.candidates",
+    "planner.weight_covariance",
+    "planner.max_step.*",
+    "start.std.*",
+    "largest_force",
+)
+NUMBERED = (
+    "models/microwave.yaml",
+    pytest.param("models/cabinet.yaml", marks=pytest.mark.slow),
+    "models/parts/drawer.yaml",
+    "problems/drawer_open.yaml",
+    "problems/microwave_close.yaml",
+    pytest.param("problems/stapler_on_books.yaml", marks=pytest.mark.slow),
+    "problems/walled_domain.yaml",
+    "problems/key_by_touch.yaml",
+    "problems/explore_handle.yaml",
+    "problems/experiments/drawer.yaml",
+)
+
+
+def places(data: object, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Of all numbers but 0."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from places(value, (*place, key))
+    elif isinstance(data, int | float) and not isinstance(data, bool) and data:
+        yield place
+
+
+@pytest.mark.parametrize("name", NUMBERED)
+def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> None:
+    yaml = YAML(typ="safe", pure=True)
+    for folder in ("models", "problems"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    path = tmp_path / name.replace("models", "m", 1).replace("problems", "p", 1)
+    path.parent.mkdir(parents=True)
+    text = (ROOT / name).read_text()
+    tried = set()
+    for place in places(yaml.load(text)):
+        key = ".".join("*" if isinstance(part, int) else str(part) for part in place)
+        if key in tried:
+            continue
+        tried.add(key)
+        data = inner = yaml.load(text)
+        for part in place[:-1]:
+            inner = inner[part]
+        inner[place[-1]] *= 10_000
+        with path.open("w") as file:
+            yaml.dump(data, file)
+        found = check_file(path)
+        if not found.faults and not found.warnings:
+            assert any(fnmatch(key, pattern) for pattern in UNBOUNDED), key
+    assert len(tried) >= 4

@@ -137,6 +137,11 @@ def test_times_are_beside_the_plan_and_not_in_it(plan: Plan, problem: Problem, t
     write_timings(plan, path)
     assert timings_path(path) == tmp_path / "plan.timings.json"
     assert json.loads((tmp_path / "plan.timings.json").read_text()) == {"total": 1.25, "search": 0.5}
+    write_timings(plan, path)  # its own times are replaced
+    (tmp_path / "mine.timings.json").write_text('{"total": "all I have"}')
+    with pytest.raises(InputError, match=r"mine\.timings\.json: would be replaced by the times of the plan"):
+        write_timings(plan, tmp_path / "mine.json")
+    assert (tmp_path / "mine.timings.json").read_text() == '{"total": "all I have"}'
     slower = replace(plan, timings={"total": 99.0})
     assert plan_text(slower, problem) == plan_text(plan, problem) == path.read_text()
 

@@ -82,11 +82,21 @@ def test_the_blocks_become_values(folder: Path) -> None:
         locked=(("finger", 0.01),),
         rest=(("elbow", -1.5),),
         packages=(("pkg", "some/where"),),
-        srdf="<robot name='s'/>",
+        srdf="<robot></robot>",
     )
     assert problem.robot.folder == problem.robot.root == str(folder)
     assert problem.grasp == Grasp("door", (0.0, 0.05, 0.0), (0.5, 0.5, 0.5, 0.5))
     assert set(problem.digests) == {"problem", "model", "robot"}
+
+
+def test_of_an_srdf_only_the_pairs_are_taken(folder: Path) -> None:
+    pair = '<disable_collisions link1="a" link2="b"'
+    (folder / "arm.srdf").write_text(f"<robot name='s'><group name='secret'/>{pair} reason='never'/>text</robot>")
+    robot = load_problem(folder / "p.yaml").robot
+    assert robot is not None
+    assert robot.srdf == f"<robot>{pair}></disable_collisions></robot>"
+    (folder / "arm.srdf").write_text("<keys><key>secret</key></keys>")
+    assert "expected an SRDF with the root <robot>, found <keys>" in told(load_problem, folder / "p.yaml")
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from micah_plan.robot.inverse_kinematics import next_pose
 from micah_plan.robot.load_arm import check_robot, load_arm
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import mesh_hulls
-from micah_plan.robot.xml_text import Element, parse_xml, write_xml
 from micah_plan.task.problem import Problem
 from micah_plan.task.robot_description import Grasp, RobotDescription
+from micah_plan.xml_text import Element, parse_xml, write_xml
 
 # Prefix of all names of the robot in the world.
 _ROBOT = "robot/"

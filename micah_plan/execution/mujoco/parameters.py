@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
+from micah_plan.automaton.plausible import Amount
 from micah_plan.errors import InputError, shown
 from micah_plan.task.problem import Problem
 
@@ -18,6 +19,8 @@ def _key(standing: float | None, held: float | None, *, least: float = 0.0, most
     return field(default=held if standing is None else standing, metadata={"defaults": (standing, held), **limits})
 
 
+_UNUSUAL = 1000.0
+"""Times its default: a parameter beyond that was probably given in another unit."""
 _ABOVE_0 = float(np.nextafter(0.0, 1.0))
 
 
@@ -112,6 +115,13 @@ def defaults(*, held: bool) -> dict[str, float]:
     """The keys of `plant` that a held or a standing object knows, each with the value that it has if none is stated."""
     own = {item.name: item.metadata["defaults"][held] for item in fields(PhysicalParameters)}
     return {name: value for name, value in own.items() if value is not None}
+
+
+def amounts(values: Mapping[str, float], *, held: bool) -> Iterator[Amount]:
+    """The parameters of a `plant` block against their defaults, for what looks like a mistake."""
+    usual = defaults(held=held)
+    for name, value in values.items():
+        yield Amount(f"plant.{name}", value, "", _UNUSUAL * usual.get(name, 0.0), f"{_UNUSUAL:,.0f} times its default")
 
 
 def parameters_of(problem: Problem) -> PhysicalParameters:
