@@ -316,6 +316,14 @@ class Search:
         squared = float(((errors[self.fold, rows] / self._spread) ** 2).sum())
         return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, rows], squared)
 
+    def density_by_run(self, scored: Scored) -> Floats:
+        """(R,) log predictive density of each run, by parameters fitted to the other runs alone [nats]."""
+        runs = np.unique(self.lane.run)
+        own = self.lane.run[None, :] == runs[:, None]
+        start = np.repeat(scored.fit.parameters, len(runs), axis=0)
+        fits = optimise(self.problem(scored.parts), start, np.repeat(scored.fit.share, len(runs)), ~own, _FOLD_ROUNDS)
+        return np.asarray(np.sum(held_out(self.problem(scored.parts), fits)[0] * own, axis=1))
+
     def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
         fitted, at = [], columns(self.given)
         for part in parts:

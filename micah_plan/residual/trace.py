@@ -62,6 +62,10 @@ from micah_plan.residual.simulation import GATES, Term
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
 _SLACK = 0.5
+# Independent runs, or motions of the only run, from which on evidence of rows is evidence.
+_ENOUGH_INDEPENDENT = 5
+# A motion is one from end to end of at least this share of where the part was.
+_A_MOTION = 0.2
 # Steps that a smooth function of the configuration needs at least.
 _ROWS_FOR_SMOOTH = 60
 
@@ -152,6 +156,8 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         modes=len(modes),
         is_open=any(may_remember(lane, one) for one in findings),
         is_blocked=named is not chosen,
+        is_contradicted=_is_contradicted(search, named),
+        is_single=_is_single(lane),
         smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=left is not None and left.is_more,
         is_corrected=any(effect.name == UNNAMED for effect in lane.effects),
@@ -164,8 +170,8 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         search=search,
         nominal=nominal,
         chosen=chosen,
-        final=search.nominal if facts.is_open else final,
-        findings=tuple(replace(one, is_added=not (facts.is_open or facts.is_blocked)) for one in findings),
+        final=search.nominal if facts.is_open or facts.is_contradicted else final,
+        findings=tuple(replace(one, is_added=not facts.is_kept_out) for one in findings),
         ranking=() if is_quiet else _ranking(nominal, [*singles, loose]),
         missing_modes=modes,
         facts=facts,
@@ -177,6 +183,32 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         closest=closest,
         alternatives=growth.alternatives,
     )
+
+
+def _is_contradicted(search: Search, named: Scored) -> bool:
+    """Whether one of few runs is predicted no better by effects that were fitted to the others.
+
+    Rows of one run share what is particular to it, so few runs show what many rows of them do not.
+    """
+    runs = len(np.unique(search.lane.run))
+    if not named.parts or not 1 < runs < _ENOUGH_INDEPENDENT:
+        return False
+    return bool(np.any(search.density_by_run(named) <= search.density_by_run(search.nominal)))
+
+
+def _is_single(lane: Lane) -> bool:
+    """Whether there is one run alone, with few motions: then nothing is left to test an effect with."""
+    if len(np.unique(lane.run)) > 1:
+        return False
+    places = lane.z[lane.counted]
+    least, turn, direction, motions = _A_MOTION * float(np.ptp(places)), float(places[0]), 0.0, 0
+    for place in places.tolist():
+        way = place - turn
+        if direction * way > 0.0:
+            turn = place
+        elif abs(way) > least:
+            turn, direction, motions = place, float(np.sign(way)), motions + 1
+    return motions < _ENOUGH_INDEPENDENT
 
 
 def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, float, float], ...]:
@@ -579,6 +611,8 @@ class Facts:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
         is_blocked: whether the effects help single steps and make whole roll-outs longer.
+        is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
+        is_single: whether there is one run of few motions alone, which no other run can confirm.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
         is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
         is_corrected: whether the model came with a correction without a name.
@@ -591,6 +625,13 @@ class Facts:
     smooth: float
     is_left: bool
     is_corrected: bool = False
+    is_contradicted: bool = False
+    is_single: bool = False
+
+    @property
+    def is_kept_out(self) -> bool:
+        """Whether a wrong guess would do more harm than the model as it is."""
+        return self.is_open or self.is_blocked or self.is_contradicted
 
 
 @dataclass(frozen=True)
@@ -633,6 +674,18 @@ OUTCOMES: tuple[Outcome, ...] = (
         "partly",
         "the effects leave something that is no noise",
         lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
+    ),
+    Outcome(
+        "contradicted",
+        "partly",
+        "one of so few runs is predicted no better by what the others show, so more runs must tell",
+        lambda f: f.is_contradicted,
+    ),
+    Outcome(
+        "single",
+        "partly",
+        "one run of a few motions shows it, and no other run can confirm it",
+        lambda f: f.effects > 0 and f.is_single,
     ),
     Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
     Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),
