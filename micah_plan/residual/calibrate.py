@@ -28,6 +28,7 @@ from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.examined import Examined, examined
+from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
 from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
@@ -111,7 +112,7 @@ class Calibration:
         traces: per coordinate.
         notes: what can and cannot be concluded, one sentence each.
         experiment: the next one worth making.
-        told, recording: what was calibrated.
+        told, recording: what was calibrated, without runs that were set aside.
     """
 
     automaton: HybridAutomaton
@@ -164,7 +165,7 @@ class Calibration:
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
-    """Find what a model lacks in a recording of measured motion.
+    """Find what a model lacks in a recording of measured motion; runs that are unlike the others are set aside.
 
     Raises:
         InputError: if the recording has no actions, too few rows, or other parts than the model.
@@ -174,6 +175,16 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
+    found = _calibrated(automaton, recording, progress)
+    faulty = faulty_runs(found.traces)
+    aside = [one.run for one in faulty if not one.is_lasting]
+    if aside:
+        found = _calibrated(automaton, recording.rows(~np.isin(recording.run, aside)), progress)
+    return replace(found, notes=(*map(str, faulty), *found.notes))
+
+
+def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:
+    """The calibration with all runs of a recording."""
     known = examined(automaton, recording)
     _check_usable(automaton, known)
     corrected, measured, beyond, able = known.automaton, known.measured, known.beyond, known.searches

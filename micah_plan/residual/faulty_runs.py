@@ -1,0 +1,83 @@
+"""Runs that are unlike the others: something was in the way, the tracker was lost, or a hand slipped.
+
+What a single run shows no other run can confirm. Left in, it makes the noise of all runs look larger and hides what
+they have in common; so it is set aside, and told. Runs that all come last are no faults: there something changed.
+
+Source: the F test of two variances, the run's against that of the run in the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from micah_plan.quantities import quantity
+from micah_plan.residual.trace import LaneTrace
+
+FEWEST_RUNS = 5
+_MOST_SHARE = 0.25  # of the runs: more of them are no exception
+_LEAST_RATIO = 3.0  # of the errors: what every effect looks like in the run that shows it most
+_CHANCE = 1e-6  # of one such run among all, if errors are noise
+
+
+@dataclass(frozen=True)
+class FaultyRun:
+    """A run and its error of one step against that of the others [rad or m].
+
+    Attributes:
+        is_lasting: whether all runs after it are like it; then it is no fault, and was not set aside.
+    """
+
+    run: int
+    coordinate: str
+    unit: str
+    error: float
+    usual: float
+    is_lasting: bool
+
+    def __str__(self) -> str:
+        error, usual = (quantity(size, self.unit, digits=2) for size in (self.error, self.usual))
+        told = f"{self.coordinate}: run {self.run} is unlike the others, {error} per step where they miss by {usual}"
+        if self.is_lasting:
+            return f"{told}; no run after it is like those before: record more runs to see whether it stays so"
+        return f"{told}; it was left out: was something in the way, or the tracker lost?"
+
+
+def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
+    """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
+    found: dict[int, FaultyRun] = {}
+    for one in traces:
+        for faulty in _of_lane(one):
+            if (
+                faulty.run not in found
+                or faulty.error / faulty.usual > found[faulty.run].error / found[faulty.run].usual
+            ):
+                found[faulty.run] = faulty
+    return tuple(found[run] for run in sorted(found))
+
+
+def _of_lane(one: LaneTrace) -> list[FaultyRun]:
+    lane, runs = one.lane, np.unique(one.lane.run)
+    if len(runs) < FEWEST_RUNS or one.outcome.verdict in ("none", "explained"):
+        return []
+    errors = one.search.errors(one.chosen, "one_step")
+    own = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
+    rows = np.array([len(each) for each in own])
+    squares = np.array([float(np.mean(each**2)) if len(each) else 0.0 for each in own])
+    usual = float(np.median(squares[rows > 0]))
+    if usual <= 0.0:
+        return []
+    ratio = squares / usual
+    is_odd = (ratio > _LEAST_RATIO**2) & (fdtrc(rows, rows.sum() - rows, ratio) < _CHANCE / len(runs))
+    if not 0 < is_odd.sum() <= _MOST_SHARE * len(runs):
+        return []
+    is_lasting = bool(is_odd[int(np.argmax(is_odd)) :].all())
+    return [
+        FaultyRun(
+            int(runs[k]), lane.coordinate, lane.unit, float(np.sqrt(squares[k])), float(np.sqrt(usual)), is_lasting
+        )
+        for k in np.flatnonzero(is_odd)
+    ]

@@ -1,0 +1,58 @@
+"""Runs that are unlike the others are named and set aside; what lasts, and what all runs show, is not."""
+
+from __future__ import annotations
+
+import planted_effects as plants
+import pytest
+
+from micah_plan.residual.calibrate import calibrate
+
+
+def slipping_in(runs, plant=plants.honest):
+    """The hand slips in the middle of some runs (from 0)."""
+
+    def slipping(c, u, k, memory):
+        return c + 0.2 * u if memory["run"] in runs and k > 10 else plant(c, u, k, memory)
+
+    return slipping
+
+
+def told(found):
+    return [note for note in found.notes if "is unlike the others" in note]
+
+
+@pytest.mark.parametrize(("runs", "plant", "count", "verdict"), [
+    ((5,), plants.honest, 9, "none"),
+    pytest.param((2, 6), plants.honest, 9, "none", marks=pytest.mark.evidence),
+    pytest.param((5,), plants.weak, 14, "explained", marks=pytest.mark.slow),
+])  # fmt: skip
+def test_a_faulty_run_is_named_and_left_out(door, runs, plant, count, verdict) -> None:
+    recording = plants.door_recording(plants.runs_of(slipping_in(runs, plant), count, 35, 1))
+    found = calibrate(door, recording)
+    numbers = [recording.runs[run] for run in runs]
+    assert found.verdict == verdict
+    assert [f"run {number} is unlike" in note for note, number in zip(told(found), numbers, strict=True)] == [
+        True
+    ] * len(runs)
+    assert set(recording.runs) - set(found.recording.runs) == set(numbers)
+    clean = calibrate(door, recording.rows([run not in numbers for run in recording.run]))
+    assert (found.after, found.noise_floor) == (clean.after, clean.noise_floor)
+
+
+@pytest.mark.parametrize("plant", [plants.honest, pytest.param(plants.sprung, marks=pytest.mark.evidence)])
+def test_what_all_runs_show_is_no_fault_of_any(door, plant) -> None:
+    assert told(calibrate(door, plants.door_recording(plants.runs_of(plant, 9, 30, 1)))) == []
+
+
+@pytest.mark.parametrize("last", [1, pytest.param(2, marks=pytest.mark.evidence)])
+def test_what_lasts_to_the_end_is_told_and_kept(door, last) -> None:
+    recording = plants.door_recording(plants.runs_of(slipping_in(range(9 - last, 9)), 9, 30, 1))
+    found = calibrate(door, recording)
+    assert found.recording.runs == recording.runs
+    assert all("no run after it is like those before" in note for note in told(found))
+    assert found.verdict != "none"
+
+
+def test_of_four_runs_none_is_the_exception(door) -> None:
+    recording = plants.door_recording(plants.runs_of(slipping_in((1,)), 4, 40, 1))
+    assert told(calibrate(door, recording)) == []
