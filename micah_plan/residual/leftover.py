@@ -14,9 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.special import fdtrc
 
-from micah_plan.arrays import Floats, robust_std
+from micah_plan.arrays import Floats, Ints, robust_std
 
 # Earlier commands that may still act, and places over the range.
 LAGS = 4
@@ -102,19 +103,19 @@ def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
     size = np.sqrt(np.mean(residual**2, axis=0))
     scaled = _without_outliers(residual)
     names = list(groups)
-    every = np.hstack([groups[name] for name in names])
-    left, freedom = _left(scaled, every)
+    directions, of_group = _orthonormal(groups)
+    freedom = rows - len(of_group)
     if freedom < 1 or not (size > _EXACT).any():
         return Leftover(size, residual, 1.0, ())
-    tests, before, used = [], *_left(scaled, np.zeros((rows, 0)))
+    explained, nothing = (directions.T @ scaled) ** 2, (scaled**2).sum(axis=0)
+    left = nothing - explained.sum(axis=0)
+    tests = []
     for k, name in enumerate(names):
         # Each group on top of those before it: the plainest that explains something is named.
-        after, rest = _left(scaled, np.hstack([groups[own] for own in names[: k + 1]]))
-        tests.append((name, _chance(before - after, left, used - rest, freedom)))
-        before, used = after, rest
-    nothing = (scaled**2).sum(axis=0)
+        own = explained[of_group == k]
+        tests.append((name, _chance(own.sum(axis=0), left, len(own), freedom)))
     chance = _chance(nothing - left, left, rows - freedom, freedom)
-    kept = residual - every @ np.linalg.lstsq(every, residual, rcond=_RANK)[0]
+    kept = residual - directions @ (directions.T @ residual)
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
     sure = tuple(one for one in tests if one[1] < UNLIKELY)
     share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, _EXACT**2)
@@ -166,12 +167,23 @@ def lagged(commands: Floats) -> Floats:
     return np.stack([padded[..., LAGS - k : LAGS - k + rows] for k in range(1 + LAGS)], axis=-1)
 
 
-def _left(residual: Floats, functions: Floats) -> tuple[Floats, int]:
-    """(d,) sums of squares that a regression leaves, and its degrees of freedom."""
-    if not functions.shape[1]:
-        return np.asarray((residual**2).sum(axis=0)), len(residual)
-    solution, _, rank, _ = np.linalg.lstsq(functions, residual, rcond=_RANK)
-    return np.asarray(((residual - functions @ solution) ** 2).sum(axis=0)), len(residual) - int(rank)
+def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
+    """(N, r) orthonormal directions of groups of functions, each group's on top of those before, and (r,) whose.
+
+    Of functions that depend on those before none is left, so what a group explains is a sum of squares (regression by
+    QR factorisation with pivoting within a group; Golub and Van Loan, Matrix Computations, ch. 5).
+    """
+    directions, of_group = np.zeros((len(next(iter(groups.values()))), 0)), list[int]()
+    for k, own in enumerate(groups.values()):
+        size = np.linalg.norm(own, axis=0)
+        left = own / np.where(size > 0, size, 1.0)
+        for _ in range(2):  # twice is enough
+            left = left - directions @ (directions.T @ left)
+        new, triangle, _ = qr(left, mode="economic", pivoting=True)
+        rank = int(np.sum(np.abs(np.diag(triangle)) > _RANK))
+        directions = np.hstack([directions, new[:, :rank]])
+        of_group += [k] * rank
+    return directions, np.array(of_group, dtype=np.int64)
 
 
 def _without_outliers(residual: Floats) -> Floats:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.kinematics import forward
+from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, configurations
-from micah_plan.automaton.transition import step
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.belief.filter import initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, interval, quantity
@@ -105,12 +106,7 @@ def predict_recording(
     reaching, usable = _usable(automaton, recording)
     if not usable:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    found = []
-    for number, track in enumerate(usable):
-        if progress is not None:
-            progress(f"predict part {number + 1} of {len(usable)}", number / len(usable))
-        found.append(_predicted(reaching, track))
-    return tuple(found)
+    return tuple(_predicted(reaching, usable, progress or (lambda *_: None)))
 
 
 def refused(automaton: HybridAutomaton, recording: Recording) -> str:
@@ -153,67 +149,119 @@ def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None
     return (rmse(errors), float(np.mean([np.abs(own[-1]) for own in errors]))) if errors else None
 
 
-def _predicted(automaton: HybridAutomaton, track: Track) -> RunPrediction:
+def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Progress) -> list[RunPrediction]:
+    """All runs side by side: the time of a step goes into calls rather than into arithmetic."""
     moving = [next((m for m in automaton.modes if m.driven[i]), None) for i in range(automaton.n)]
     rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
-    measured = at_measurements(track)
-    return RunPrediction(
-        run=track.run,
-        time=measured.time - track.time[0],
-        x=measured.x,
-        v=inputs_of(measured) @ np.stack(rows, axis=1),
-        believed=None if measured.believed is None else measured.believed - measured.x,
-        beside=np.stack([beside(automaton, measured, number) for number in range(len(automaton.links))], axis=1),
-        one_step=_error(automaton, measured, *_one_step(automaton, track)),
-        rollout=_error(automaton, measured, *_rollout(automaton, track)),
-    )
+    beliefs = [first_belief(automaton, track) for track in tracks]
+    ahead = _Ahead(automaton, tracks)
+    steps = ahead.one_step(beliefs, lambda share: progress("predict step by step", 0.7 * share))
+    rolls = ahead.rollout(beliefs)
+    found = []
+    for number, (track, one_step, rollout) in enumerate(zip(tracks, steps, rolls, strict=True)):
+        progress(f"compare part {number + 1} of {len(tracks)}", 0.7 + 0.3 * number / len(tracks))
+        measured = at_measurements(track)
+        found.append(
+            RunPrediction(
+                run=track.run,
+                time=measured.time - track.time[0],
+                x=measured.x,
+                v=inputs_of(measured) @ np.stack(rows, axis=1),
+                believed=None if measured.believed is None else measured.believed - measured.x,
+                beside=np.stack([beside(automaton, measured, k) for k in range(len(automaton.links))], axis=1),
+                one_step=_error(automaton, measured, *one_step),
+                rollout=_error(automaton, measured, *rollout),
+            )
+        )
+    return found
 
 
-def _one_step(automaton: HybridAutomaton, track: Track) -> tuple[Floats, tuple[str, ...]]:
-    """(K, n) configurations and modes predicted for each measured row from the one before it."""
-    u = inputs_of(track)
-    belief = first_belief(automaton, track)
-    predicted, modes = [], []
-    channel = InputChannel(automaton)
-    reached = None
-    for k in range(len(u)):
-        mode, x = automaton.modes[belief.most_likely], track.x[k]
-        if not track.is_measured[k] and reached is not None:
-            mode, x = automaton.mode(reached.mode), reached.x
-        passed = channel.pass_on(towards(automaton, track.origin[k], x, u[k]), mode.name, x)
-        reached = step(automaton, mode.name, _within(mode, x), passed)
-        belief = predict(automaton, belief, passed)
-        if track.is_measured[k + 1]:
-            predicted.append(reached.x)
-            modes.append(reached.mode)
-            belief = update(automaton, belief, track.x[k + 1])
-    return np.array(predicted), tuple(modes)
+class _Ahead:
+    """Predictions of R runs side by side, each over as many steps as it has.
 
-
-def _rollout(automaton: HybridAutomaton, track: Track) -> tuple[Floats, tuple[str, ...]]:
-    """(K, n) configurations and modes predicted for each measured row from the first one."""
-    belief = first_belief(automaton, track)
-    first = automaton.modes[belief.most_likely]
-    mode, x = first.name, _within(first, track.x[0])
-    predicted, modes = [], []
-    channel = InputChannel(automaton)
-    for k, u in enumerate(inputs_of(track)):
-        given = channel.pass_on(towards(automaton, track.origin[k], x, u), mode, x)
-        reached = step(automaton, mode, x, given)
-        mode, x = reached.mode, reached.x
-        if track.is_measured[k + 1]:
-            predicted.append(x)
-            modes.append(mode)
-    return np.array(predicted), tuple(modes)
-
-
-def _within(mode: Mode, x: Floats) -> Floats:
-    """A measured configuration (n,) in the range of its mode: what lies beyond an end is noise, not motion.
-
-    Beyond an end a step would begin with the end's reset, which stops the part: the whole command would be lost.
+    Attributes:
+        x: (R, T + 1, n) measured configurations, origin: where actions were given, u: (R, T, m) inputs; 0 after the end
+            of a run. is_measured: (R, T + 1); steps: (R,) of each run.
     """
-    low, high = np.transpose([mode.interval(i) for i in range(x.size)])
-    return np.clip(x, low, high)
+
+    def __init__(self, automaton: HybridAutomaton, tracks: Sequence[Track]) -> None:
+        self.automaton = automaton
+        self.steps = np.array([len(inputs_of(track)) for track in tracks])
+        count, most = len(tracks), int(self.steps.max())
+        self.x, self.origin = (np.zeros((count, most + 1, automaton.n)) for _ in range(2))
+        self.u, self.is_measured = np.zeros((count, most, automaton.m)), np.zeros((count, most + 1), dtype=bool)
+        for r, track in enumerate(tracks):
+            self.x[r, : len(track.x)], self.origin[r, : len(track.origin)] = track.x, track.origin
+            self.u[r, : len(inputs_of(track))] = inputs_of(track)
+            self.is_measured[r, : len(track.is_measured)] = track.is_measured
+        self.transitions = TransitionBatch(automaton, np.zeros((count, len(threshold_stds(automaton)))))
+
+    def one_step(self, beliefs: Sequence[HybridBelief], told: Callable[[float], None]) -> list[_Path]:
+        """For each measured row from the one before it, in the mode that the belief holds most likely."""
+        automaton, channel, held = self.automaton, InputChannel(self.automaton), list(beliefs)
+        modes = np.array([belief.most_likely for belief in held])
+        x, collected = self.x[:, 0].copy(), _Collected(automaton, len(held))
+        for k in range(self.u.shape[1]):
+            told(k / self.u.shape[1])
+            seen = self.is_measured[:, k] | (k == 0)
+            x[seen] = self.x[seen, k]
+            modes[seen] = [held[r].most_likely for r in np.flatnonzero(seen)]
+            passed = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
+            modes, x = self._stepped(modes, self._within(modes, x), passed)
+            going = np.flatnonzero(self.steps > k)
+            after = predict_each(automaton, [held[r] for r in going], passed[going])
+            arrived = self.is_measured[going, k + 1]
+            z = np.where(arrived[:, None], self.x[going, k + 1], np.nan)
+            for r, belief in zip(going.tolist(), update_each(automaton, after, z), strict=True):
+                held[r] = belief
+            collected.add(going[arrived], modes, x)
+        return collected.runs()
+
+    def rollout(self, beliefs: Sequence[HybridBelief]) -> list[_Path]:
+        """For each measured row from the first one."""
+        automaton, channel = self.automaton, InputChannel(self.automaton)
+        modes = np.array([belief.most_likely for belief in beliefs])
+        x, collected = self._within(modes, self.x[:, 0]), _Collected(automaton, len(beliefs))
+        for k in range(self.u.shape[1]):
+            given = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
+            modes, x = self._stepped(modes, x, given)
+            collected.add(np.flatnonzero((self.steps > k) & self.is_measured[:, k + 1]), modes, x)
+        return collected.runs()
+
+    def _stepped(self, modes: Ints, x: Floats, u: Floats) -> tuple[Ints, Floats]:
+        return self.transitions.step(modes, x, u, np.zeros_like(x))
+
+    def _within(self, modes: Ints, x: Floats) -> Floats:
+        """Measured configurations (R, n) in the ranges of their modes: what lies beyond an end is noise, not motion.
+
+        Beyond an end a step would begin with the end's reset, which stops the part: the whole command would be lost.
+        """
+        ends = np.array([[mode.interval(i) for i in range(self.automaton.n)] for mode in self.automaton.modes])
+        return np.clip(x, ends[modes, :, 0], ends[modes, :, 1])
+
+
+_Path = tuple[Floats, tuple[str, ...]]
+"""(K, n) configurations, and the modes of the K steps."""
+
+
+class _Collected:
+    """Configurations and modes of each run, as they are predicted."""
+
+    def __init__(self, automaton: HybridAutomaton, count: int) -> None:
+        self.automaton = automaton
+        self.x: list[list[Floats]] = [[] for _ in range(count)]
+        self.modes: list[list[str]] = [[] for _ in range(count)]
+
+    def add(self, chosen: Ints, modes: Ints, x: Floats) -> None:
+        """One step of some of the runs."""
+        for r in chosen.tolist():
+            self.x[r].append(x[r].copy())
+            self.modes[r].append(self.automaton.mode_names[modes[r]])
+
+    def runs(self) -> list[_Path]:
+        """What was collected, by run."""
+        n = self.automaton.n
+        return [(np.reshape(x, (-1, n)), tuple(modes)) for x, modes in zip(self.x, self.modes, strict=True)]
 
 
 def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:

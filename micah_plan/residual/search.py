@@ -89,6 +89,7 @@ class Search:
     Attributes:
         nominal: the model that effects are added to: as it is, or with commands that are places (see `trace`).
         given: the effects that the model has already, with their values; no part of what is scored here.
+        smoothed: (model, the same with the smooth correction) by the model's identity: each is fitted once.
     """
 
     def __init__(self, lane: Lane) -> None:
@@ -97,6 +98,8 @@ class Search:
         self._given = np.array([v for effect in lane.effects for v in (*effect.values, *NEVER_GATED)])[None]
         self.freedom = _FREEDOMS[0]
         self._rolled: dict[int, tuple[Scored, Floats]] = {}
+        self.smoothed: dict[int, tuple[Scored, Scored]] = {}
+        self._left: dict[int, tuple[Scored, Leftover | None]] = {}
         runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
         count = len(lane.run)
         self.folds = min(FOLDS, count)
@@ -281,6 +284,11 @@ class Search:
 
     def left_by(self, scored: Scored) -> Leftover | None:
         """What the innovations follow: commands, places, time, and innovations before them."""
+        if id(scored) not in self._left:
+            self._left[id(scored)] = scored, self._left_by(scored)
+        return self._left[id(scored)][1]
+
+    def _left_by(self, scored: Scored) -> Leftover | None:
         lane = self.lane
         # A place that the innovation's own measurements have no part in: from the row before.
         before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
@@ -336,14 +344,14 @@ class Search:
         best: tuple[float, Lane, float] | None = None
         part = smooth(self.lane)
         problem = self.problem((part,))
-        share = np.zeros(1)
+        share, start, rounds = np.zeros(1), self._starts((part,)), 4
         lanes = [self.lane.with_noise(motion) for motion in _MOTION_NOISES]
         if np.ptp(self.lane.noise):  # something else than the model's sensor may have measured
             lanes.append(self.lane.with_noise(0.0, is_alike=True))
         for lane, freedom in product(lanes, _FREEDOMS):
             suited = replace(problem, lane=lane, freedom=freedom)
-            fit = optimise(suited, self._starts((part,)), share, self._all(1), 4)
-            share = fit.share
+            fit = optimise(suited, start, share, self._all(1), rounds)
+            share, start, rounds = fit.share, fit.parameters, 2  # the next kind of noise changes little
             if best is None or fit.loss[0] < best[0] - _CLEARLY:
                 best = float(fit.loss[0]), lane, freedom
         return (self.lane, self.freedom) if best is None else best[1:]

@@ -243,7 +243,9 @@ def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growt
         return _grown(search, for_places, told)
     singles, growth = _grown(search, library, told)
     told(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
-    place = followed(search)
+    # Where displacements leave noise alone, places can only be tied with them, and then the plainest forms are.
+    is_done = search.leaves_nothing(growth.chosen) and _regularity(search.lane) <= LEAST_EVIDENCE
+    place = followed(search, 1 if is_done and not search.lane.is_outside else len(_STARTS))
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
     rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
@@ -280,11 +282,14 @@ def _silent(message: str, fraction: float) -> None:
 
 def _smoothed(search: Search, base: Scored) -> Scored:
     """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
-    lane = search.lane
-    # Where all runs are alike a function of the place could be one of time.
-    is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
-    kinds = (True, False) if is_enough else (True,)
-    return ranked([search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds])[0]
+    if id(base) not in search.smoothed:
+        lane = search.lane
+        # Where all runs are alike a function of the place could be one of time.
+        is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
+        kinds = (True, False) if is_enough else (True,)
+        found = [search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds]
+        search.smoothed[id(base)] = base, ranked(found)[0]
+    return search.smoothed[id(base)][1]
 
 
 def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) -> float:
@@ -553,17 +558,20 @@ def _regularity(lane: Lane) -> float:
     return found[1] - found[0]
 
 
-def followed(search: Search) -> Scored:
+def followed(search: Search, most: int) -> Scored:
     """The best response to commands that are places: of all forms of the family, each with all its parameters free.
 
     One parameter at a time would miss those that pay together only, such as a gain and a dead zone.
+
+    Args:
+        most: parameters beyond the share and the offset.
     """
     lane, term = search.lane, Term(form(FOLLOW))
     starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
     plain = (_SHARE, _OFFSET)
     forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(lane, plain)),))}
     best = forms[frozenset()]
-    for size in range(1, len(_STARTS) + 1):
+    for size in range(1, most + 1):
         for columns in map(frozenset, combinations(_STARTS, size)):
             column = max(columns, key=lambda one: float(forms[columns - {one}].density.sum()))
             forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, lane),))

@@ -54,7 +54,7 @@ def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> 
 
 def test_places_predict_better_than_displacements(door) -> None:
     search = Search(lanes(door, tracks(door, plants.door_recording([servo_run(150, 1, share=0.3)])))[0])
-    place = followed(search)
+    place = followed(search, 4)
     assert means_places(search, place, search.nominal)
     assert place.names == ("follow",)
 
